@@ -1,0 +1,32 @@
+//! What can be wrong with an uploaded file, sorted by who has to act.
+
+use thiserror::Error;
+
+/// Why a file was not decoded.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum CodecError {
+    /// Not a format that is read here. The client sends another format.
+    #[error("not an image that is read here: {found}; supported: PNG, JPEG, WebP")]
+    Unsupported {
+        /// What the first bytes look like.
+        found: String,
+    },
+    /// The header asks for more than is allowed. Decided before memory is taken.
+    #[error("{what}: {actual}; at most {limit}")]
+    TooLarge {
+        /// Which limit: `image_pixels`, `image_side`, `image_frames`.
+        what: &'static str,
+        /// The limit.
+        limit: u64,
+        /// What the header says.
+        actual: u64,
+    },
+    /// Truncated or contradictory data.
+    #[error("the {format} file cannot be decoded: {detail}")]
+    Bad {
+        /// The format that the first bytes promise.
+        format: &'static str,
+        /// The decoder's words.
+        detail: String,
+    },
+}

@@ -1,0 +1,150 @@
+//! Places and displacements of the plane, f64, px. A [`Vec2`] doubles as the complex number `x + iy`: a rotation or
+//! similarity of the paper, `x -> x M` with `M2 = M1_perp`, is a multiplication by a complex `m`.
+
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
+
+/// A place in the plane, px.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Point {
+    /// Rightwards, px.
+    pub x: f64,
+    /// Downwards, px.
+    pub y: f64,
+}
+
+/// A displacement, px; also the complex number `x + iy`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Vec2 {
+    /// Rightwards, px (the real part).
+    pub x: f64,
+    /// Downwards, px (the imaginary part).
+    pub y: f64,
+}
+
+impl Point {
+    /// The place `(x, y)`.
+    #[must_use]
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// The place a fraction `t` of the way to `other`; exactly `self` at 0 and `other` at 1.
+    #[must_use]
+    pub fn lerp(self, other: Self, t: f64) -> Self {
+        Self::new((1.0 - t) * self.x + t * other.x, (1.0 - t) * self.y + t * other.y)
+    }
+
+    /// Distance to `other`, px.
+    #[must_use]
+    pub fn distance(self, other: Self) -> f64 {
+        (other - self).norm()
+    }
+
+    /// Neither coordinate is NaN or infinite.
+    #[must_use]
+    pub fn is_finite(self) -> bool {
+        self.x.is_finite() && self.y.is_finite()
+    }
+}
+
+impl Vec2 {
+    /// The zero displacement.
+    pub const ZERO: Self = Self::new(0.0, 0.0);
+
+    /// The displacement `(x, y)`.
+    #[must_use]
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// Length, px.
+    #[must_use]
+    pub fn norm(self) -> f64 {
+        self.x.hypot(self.y)
+    }
+
+    /// Squared length, px^2.
+    #[must_use]
+    pub fn norm2(self) -> f64 {
+        self.x * self.x + self.y * self.y
+    }
+
+    /// `Re(conj(self) other)`.
+    #[must_use]
+    pub fn dot(self, other: Self) -> f64 {
+        self.x * other.x + self.y * other.y
+    }
+
+    /// `Im(conj(self) other) = x1 y2 - y1 x2`.
+    #[must_use]
+    pub fn cross(self, other: Self) -> f64 {
+        self.x * other.y - self.y * other.x
+    }
+
+    /// The complex conjugate `x - iy`.
+    #[must_use]
+    pub const fn conj(self) -> Self {
+        Self::new(self.x, -self.y)
+    }
+
+    /// The complex product.
+    #[must_use]
+    pub fn complex_mul(self, other: Self) -> Self {
+        Self::new(self.x * other.x - self.y * other.y, self.x * other.y + self.y * other.x)
+    }
+}
+
+impl Sub for Point {
+    type Output = Vec2;
+    fn sub(self, other: Self) -> Vec2 {
+        Vec2::new(self.x - other.x, self.y - other.y)
+    }
+}
+
+impl Add<Vec2> for Point {
+    type Output = Self;
+    fn add(self, d: Vec2) -> Self {
+        Self::new(self.x + d.x, self.y + d.y)
+    }
+}
+
+impl Sub<Vec2> for Point {
+    type Output = Self;
+    fn sub(self, d: Vec2) -> Self {
+        Self::new(self.x - d.x, self.y - d.y)
+    }
+}
+
+impl Add for Vec2 {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self::new(self.x + other.x, self.y + other.y)
+    }
+}
+
+impl AddAssign for Vec2 {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Sub for Vec2 {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self::new(self.x - other.x, self.y - other.y)
+    }
+}
+
+impl Neg for Vec2 {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self::new(-self.x, -self.y)
+    }
+}
+
+impl Mul<f64> for Vec2 {
+    type Output = Self;
+    fn mul(self, s: f64) -> Self {
+        Self::new(self.x * s, self.y * s)
+    }
+}

@@ -1,0 +1,158 @@
+//! The pixels: straight (not premultiplied) samples as decoded, row-major, 8 or 16 bit, RGB or RGBA. Standard library only.
+
+use std::num::NonZeroU32;
+
+/// Width and height in pixels, neither zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Extent {
+    width: NonZeroU32,
+    height: NonZeroU32,
+}
+
+impl Extent {
+    /// `None` when a side is zero.
+    #[must_use]
+    pub const fn new(width: u32, height: u32) -> Option<Self> {
+        match (NonZeroU32::new(width), NonZeroU32::new(height)) {
+            (Some(width), Some(height)) => Some(Self { width, height }),
+            _ => None,
+        }
+    }
+
+    /// Pixels in a row.
+    #[must_use]
+    pub const fn width(self) -> u32 {
+        self.width.get()
+    }
+
+    /// Rows.
+    #[must_use]
+    pub const fn height(self) -> u32 {
+        self.height.get()
+    }
+
+    /// Pixels in all.
+    #[must_use]
+    pub const fn pixels(self) -> u64 {
+        self.width() as u64 * self.height() as u64
+    }
+}
+
+/// What a pixel holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Channels {
+    /// Red, green, blue.
+    Rgb,
+    /// Red, green, blue and straight alpha.
+    Rgba,
+}
+
+impl Channels {
+    /// Samples in a pixel.
+    #[must_use]
+    pub const fn count(self) -> usize {
+        match self {
+            Self::Rgb => 3,
+            Self::Rgba => 4,
+        }
+    }
+}
+
+/// Bits in a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Depth {
+    /// 0..=255.
+    Eight,
+    /// 0..=65535.
+    Sixteen,
+}
+
+impl Depth {
+    /// Bytes in a sample.
+    #[must_use]
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::Eight => 1,
+            Self::Sixteen => 2,
+        }
+    }
+}
+
+/// The samples, `[height][width][channels]`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Samples {
+    /// 8 bit.
+    Eight(Vec<u8>),
+    /// 16 bit, in the machine's byte order.
+    Sixteen(Vec<u16>),
+}
+
+/// An upright picture. Shapes: samples `[height][width][channels]`, straight alpha.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pixmap {
+    extent: Extent,
+    channels: Channels,
+    samples: Samples,
+    opaque: bool,
+}
+
+impl Pixmap {
+    /// # Panics
+    /// If the number of samples is not `width * height * channels`.
+    #[must_use]
+    pub fn new(extent: Extent, channels: Channels, samples: Samples) -> Self {
+        let len = match &samples {
+            Samples::Eight(s) => s.len(),
+            Samples::Sixteen(s) => s.len(),
+        };
+        assert_eq!(len as u64, extent.pixels() * channels.count() as u64, "samples fill the extent");
+        let opaque = channels == Channels::Rgb
+            || match &samples {
+                Samples::Eight(s) => s.chunks_exact(4).all(|p| p[3] == u8::MAX),
+                Samples::Sixteen(s) => s.chunks_exact(4).all(|p| p[3] == u16::MAX),
+            };
+        Self { extent, channels, samples, opaque }
+    }
+
+    /// Size.
+    #[must_use]
+    pub const fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    /// RGB or RGBA.
+    #[must_use]
+    pub const fn channels(&self) -> Channels {
+        self.channels
+    }
+
+    /// 8 or 16 bit.
+    #[must_use]
+    pub const fn depth(&self) -> Depth {
+        match self.samples {
+            Samples::Eight(_) => Depth::Eight,
+            Samples::Sixteen(_) => Depth::Sixteen,
+        }
+    }
+
+    /// The samples, `[height][width][channels]`.
+    #[must_use]
+    pub const fn samples(&self) -> &Samples {
+        &self.samples
+    }
+
+    /// No pixel lets anything through: RGB, or RGBA with alpha at its maximum everywhere.
+    #[must_use]
+    pub const fn is_opaque(&self) -> bool {
+        self.opaque
+    }
+
+    /// Memory of the samples, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        match &self.samples {
+            Samples::Eight(s) => s.len(),
+            Samples::Sixteen(s) => 2 * s.len(),
+        }
+    }
+}

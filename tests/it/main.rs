@@ -1,0 +1,1 @@
+//! One integration binary: link once, and every topic is a module.
