@@ -18,7 +18,7 @@ use crate::render::{Filter, Outside};
 pub use crate::codec::Limits as ImageLimits;
 
 /// A SHA-256 digest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Digest(pub [u8; 32]);
 
 /// What warping may ask for; each is a flag of the service.

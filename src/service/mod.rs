@@ -1,1 +1,4 @@
-//! STUB: the application.
+//! The application: sessions, caches, admission, HTTP.
+
+pub mod problem;
+pub mod wire;
