@@ -5,6 +5,9 @@
 //! `service -> warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`.
 
 #[forbid(unsafe_code)]
+pub mod level;
+
+#[forbid(unsafe_code)]
 pub mod geometry;
 
 pub mod deform;

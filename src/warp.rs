@@ -267,7 +267,6 @@ pub struct Report {
     pub target: (u32, u32),
 }
 
-
 /// A prepared warp: from here on only writing can fail.
 #[derive(Debug)]
 pub struct Warp {}

@@ -91,6 +91,12 @@ pub enum DeformError {
         /// Distance of their targets there, px.
         apart: f64,
     },
+    /// The handles meet at more places than are looked at.
+    #[error("the handles meet at more than {limit} places")]
+    TooManyMeetings {
+        /// The limit.
+        limit: usize,
+    },
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
     #[error("alpha is {alpha}; it must be {}", if *.lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" })]
     AlphaOutOfRange {

@@ -1,11 +1,33 @@
 //! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in the anchored, ratio-first form that keeps
 //! its digits next to handles and on the extension of segments. No pixels, no bytes, no time.
 
+#[forbid(unsafe_code)]
+mod columns;
+#[forbid(unsafe_code)]
 mod error;
+#[forbid(unsafe_code)]
+mod falloff;
+#[forbid(unsafe_code)]
+mod family;
+#[forbid(unsafe_code)]
+mod field;
+#[forbid(unsafe_code)]
 mod handles;
+mod kernel;
+#[forbid(unsafe_code)]
+mod meetings;
+#[forbid(unsafe_code)]
+mod plan;
+#[forbid(unsafe_code)]
+mod row;
+#[forbid(unsafe_code)]
+mod segments;
 
 pub use error::{DeformError, Warning};
+pub use falloff::Falloff;
+pub use field::Field;
 pub use handles::{Handle, Handles, Pose};
+pub use plan::{Plan, PoseQuality, pose_without_table};
 
 /// The class of maps that is fitted at every place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

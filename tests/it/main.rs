@@ -1,1 +1,3 @@
-//! One integration binary: link once, and every topic is a module.
+//! One integration binary: linked once, one module a topic. Name the topic first, then the law.
+
+mod oracle;

@@ -1,0 +1,108 @@
+//! Handles at rest as elements with columns: one column a point, two a segment (mathematics of sections 3.1 and 4).
+//! Degeneracy is a property of the set, decided here once from its geometry and never per vertex from a determinant.
+
+use super::handles::{COINCIDENT_SHARE, Handle, Handles};
+use crate::geometry::{Point, Vec2};
+
+/// A set whose places all lie within this of their mean is one place, px.
+const ONE_PLACE: f64 = 1e-6;
+
+/// A source of weight: a point or a segment at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Element {
+    /// A point: `w = mass |p - v|^(-2 alpha)`.
+    Point { p: Point, mass: f64, column: usize },
+    /// A segment with a density of `weight` a px: two columns, `column` for `a` and the next for `b`.
+    Segment(Segment),
+}
+
+/// A segment at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Segment {
+    pub(super) a: Point,
+    pub(super) b: Point,
+    /// |b - a|, px, positive.
+    pub(super) length: f64,
+    /// (b - a) / length.
+    pub(super) tau: Vec2,
+    pub(super) weight: f64,
+    pub(super) column: usize,
+}
+
+/// What the set's geometry allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rank {
+    /// No handles: the identity.
+    Empty,
+    /// All at one place: a translation.
+    OnePlace,
+    /// All on one line: affine has a one-parameter family of minimisers.
+    Collinear,
+    /// Anything else.
+    Full,
+}
+
+/// The elements of `handles` in their order, and for each the handle it belongs to.
+pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec<usize>) {
+    let mut elements = Vec::with_capacity(handles.columns());
+    let mut owners = Vec::with_capacity(handles.columns());
+    let mut column = 0;
+    for (index, (handle, &weight)) in handles.handles().iter().zip(handles.weights()).enumerate() {
+        match handle {
+            Handle::Point(p) => {
+                elements.push(Element::Point { p: *p, mass: weight * point_mass, column });
+                owners.push(index);
+                column += 1;
+            }
+            Handle::Polyline(places) => {
+                for ab in places.windows(2) {
+                    let (a, b) = (ab[0], ab[1]);
+                    let length = a.distance(b);
+                    let tau = (b - a) * (1.0 / length);
+                    elements.push(Element::Segment(Segment { a, b, length, tau, weight, column }));
+                    owners.push(index);
+                    column += 2;
+                }
+            }
+        }
+    }
+    (elements, owners)
+}
+
+/// Rank of the set: `max distance from the best-fit line <= 1e-9 extent` is collinear.
+pub(super) fn rank(handles: &Handles) -> Rank {
+    let places = || handles.handles().iter().flat_map(|h| h.places().iter().copied());
+    let Some(first) = places().next() else { return Rank::Empty };
+    if handles.extent() <= ONE_PLACE {
+        return Rank::OnePlace;
+    }
+    #[expect(clippy::cast_precision_loss, reason = "a count of places is far below 2^53")]
+    let mean = first + places().fold(Vec2::ZERO, |s, p| s + (p - first)) * (1.0 / places().count() as f64);
+    // Total least squares: the direction that maximises sum (d . u)^2 has the angle atan2(2 sxy, sxx - syy) / 2.
+    let (mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0);
+    for p in places() {
+        let d = p - mean;
+        sxx += d.x * d.x;
+        sxy += d.x * d.y;
+        syy += d.y * d.y;
+    }
+    let (sin, cos) = (0.5 * f64::atan2(2.0 * sxy, sxx - syy)).sin_cos();
+    let direction = Vec2::new(cos, sin);
+    let off = places().map(|p| direction.cross(p - mean).abs()).fold(0.0, f64::max);
+    if off <= COINCIDENT_SHARE * handles.extent() { Rank::Collinear } else { Rank::Full }
+}
+
+impl Segment {
+    /// Parameter in [0, 1] of the point of the segment nearest to `p`, and the squared distance to it.
+    pub(super) fn nearest(&self, p: Point) -> (f64, f64) {
+        let along = (p - self.a).dot(self.tau);
+        if along <= 0.0 {
+            (0.0, (p - self.a).norm2())
+        } else if along >= self.length {
+            (1.0, (p - self.b).norm2())
+        } else {
+            let h = self.tau.cross(p - self.a);
+            (along / self.length, h * h)
+        }
+    }
+}

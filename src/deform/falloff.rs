@@ -1,0 +1,76 @@
+//! The fall-off `w = |p - v|^(-2 alpha)`, always as a power of a ratio of squared distances so that it never overflows.
+
+use super::DeformError;
+
+/// The exponent alpha, checked. `0 < alpha <= 8`, with lines at least 1/2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Falloff {
+    alpha: f64,
+    power: Power,
+}
+
+/// Powers that need only multiplications and roots; all others cost a `powf`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Power {
+    Half,
+    One,
+    OneAndHalf,
+    Two,
+    Three,
+    Other,
+}
+
+/// Largest exponent.
+const MOST: f64 = 8.0;
+/// Below this a line is not interpolated (mathematics section 3.4).
+const LEAST_WITH_LINES: f64 = 0.5;
+
+impl Falloff {
+    /// Checks the exponent.
+    ///
+    /// # Errors
+    /// [`DeformError::AlphaOutOfRange`], also for NaN.
+    pub fn new(alpha: f64, lines: bool) -> Result<Self, DeformError> {
+        if !(alpha > 0.0 && alpha <= MOST) || lines && alpha < LEAST_WITH_LINES {
+            return Err(DeformError::AlphaOutOfRange { alpha, lines });
+        }
+        let power = match alpha {
+            0.5 => Power::Half,
+            1.0 => Power::One,
+            1.5 => Power::OneAndHalf,
+            2.0 => Power::Two,
+            3.0 => Power::Three,
+            _ => Power::Other,
+        };
+        Ok(Self { alpha, power })
+    }
+
+    /// The default: 1 for points alone, 2 with any line (a line's crease at alpha 1 is visible).
+    #[must_use]
+    pub fn default_alpha(lines: bool) -> f64 {
+        if lines { 2.0 } else { 1.0 }
+    }
+
+    /// The exponent.
+    #[must_use]
+    pub const fn alpha(self) -> f64 {
+        self.alpha
+    }
+
+    pub(super) const fn power(self) -> Power {
+        self.power
+    }
+
+    /// `ratio^alpha`, ratio in [0, 1].
+    #[inline]
+    pub(super) fn of(self, ratio: f64) -> f64 {
+        match self.power {
+            Power::Half => ratio.sqrt(),
+            Power::One => ratio,
+            Power::OneAndHalf => ratio * ratio.sqrt(),
+            Power::Two => ratio * ratio,
+            Power::Three => ratio * ratio * ratio,
+            Power::Other => ratio.powf(self.alpha),
+        }
+    }
+}

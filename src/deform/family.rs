@@ -1,0 +1,71 @@
+//! The families of maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`, and for rigid `v + e rho(u) + sum wn_j d_j`
+//! with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v bit for bit.
+
+use super::Method;
+use super::row::Row;
+use crate::geometry::Vec2;
+
+/// Below this |m| no rotation is better than another (f64).
+const UNDEFINED: f64 = 1e-9;
+
+/// `f(v) - v`, px.
+pub(super) fn displacement(family: Method, row: &Row, d: &[Vec2]) -> Vec2 {
+    match family {
+        Method::Affine => row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c.x),
+        Method::Similarity => row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + c.complex_mul(*d)),
+        Method::Rigid => {
+            let mut u = Vec2::ZERO;
+            let mut shift = Vec2::ZERO;
+            for ((h, wn), d) in row.h.iter().zip(&row.wn).zip(d) {
+                u += h.complex_mul(*d);
+                shift += *d * *wn;
+            }
+            row.e.complex_mul(rho(u)) + shift
+        }
+    }
+}
+
+/// |m| of the fitted rotation for rigid, 1 for the other families: near 0 every rotation fits.
+#[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
+pub(super) fn rotation(family: Method, row: &Row, d: &[Vec2]) -> f32 {
+    match family {
+        Method::Affine | Method::Similarity => 1.0,
+        Method::Rigid => {
+            let u = row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| sum + h.complex_mul(*d));
+            (1.0 + u.x).hypot(u.y) as f32
+        }
+    }
+}
+
+/// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes and every rotation fits.
+pub(super) fn rho(u: Vec2) -> Vec2 {
+    let n = (1.0 + u.x).hypot(u.y);
+    if n < UNDEFINED {
+        return Vec2::ZERO;
+    }
+    let re = if 1.0 + u.x > 0.0 { -u.y * u.y / (1.0 + u.x + n) } else { 1.0 + u.x - n };
+    Vec2::new(re / n, u.y / n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rho_turns_by_the_angle_of_one_plus_u_at_every_size() {
+        assert_eq!(rho(Vec2::ZERO), Vec2::ZERO);
+        assert_eq!(rho(Vec2::new(-1.0, 0.0)), Vec2::ZERO);
+        for exponent in -300..=300 {
+            let size = 10f64.powi(exponent);
+            for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.3), (0.7, -0.7)] {
+                let u = Vec2::new(x * size, y * size);
+                let r = rho(u);
+                assert!(r.x.is_finite() && r.y.is_finite());
+                let turned = Vec2::new(1.0 + r.x, r.y);
+                assert!((turned.norm() - 1.0).abs() < 1e-12, "|1 + rho({u:?})| = {}", turned.norm());
+                let sine = Vec2::new(1.0 + u.x, u.y).cross(turned) / Vec2::new(1.0 + u.x, u.y).norm();
+                assert!(sine.abs() < 1e-12);
+            }
+        }
+    }
+}

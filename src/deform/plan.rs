@@ -1,0 +1,185 @@
+//! The plan: the coefficients A_j of every vertex of a grid, built once in f64 and kept as f32, so that each later q costs two to six
+//! multiplications per vertex and handle.
+//!
+//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re, im of H,
+//! wn), then for rigid two more (e). A block streams from front to back.
+
+use rayon::prelude::*;
+
+use super::field::{Field, Workspace};
+use super::kernel::{self, LANES, Lanes};
+use super::{Method, Pose};
+use crate::deform::family;
+use crate::geometry::{Grid, Mesh, Point, Vec2};
+
+/// Blocks that one task builds: a hundred rows or so, enough to forget the hand-over.
+const BLOCKS_PER_TASK: usize = 8;
+/// Tables up to this are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
+const SERIAL_BYTES: usize = 2 << 20;
+
+/// The A_j table of a set of vertices.
+#[derive(Debug)]
+pub struct Plan {
+    family: Method,
+    columns: usize,
+    vertices: usize,
+    table: Vec<Lanes>,
+}
+
+/// What posing a plan saw on the way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseQuality {
+    /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
+    pub least_rotation: f32,
+}
+
+/// Lanes in a block of this family.
+const fn lanes_per_block(family: Method, columns: usize) -> usize {
+    match family {
+        Method::Affine => columns,
+        Method::Similarity => 2 * columns,
+        Method::Rigid => 3 * columns + 2,
+    }
+}
+
+impl Plan {
+    /// Memory that the table of `vertices` vertices takes, bytes; known before anything is allocated.
+    #[must_use]
+    pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
+        let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
+        vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
+    }
+
+    /// Memory of this table, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        size_of_val(self.table.as_slice()) as u64
+    }
+
+    /// Fills the table for the vertices of a grid, in parallel on the current pool.
+    #[must_use]
+    pub fn of_grid(field: &Field, grid: &Grid) -> Self {
+        let columns = grid.columns() as usize;
+        Self::of_vertices(field, grid.len(), |k| vertex(grid, columns, k))
+    }
+
+    /// Fills the table for any vertices, `vertex(0..vertices)`.
+    #[must_use]
+    pub fn of_vertices(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync) -> Self {
+        let (family, columns) = (field.family(), field.handles().columns());
+        let per_block = lanes_per_block(family, columns);
+        let mut table = vec![Lanes::default(); vertices.div_ceil(LANES) * per_block];
+        if per_block > 0 {
+            table.par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().for_each_init(
+                || Workspace::new(columns),
+                |workspace, (task, blocks)| {
+                    for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
+                        let first = (task * BLOCKS_PER_TASK + k) * LANES;
+                        for lane in 0..LANES.min(vertices - first) {
+                            field.row(vertex(first + lane), false, workspace);
+                            store(family, workspace, block, lane);
+                        }
+                    }
+                },
+            );
+        }
+        Self { family, columns, vertices, table }
+    }
+
+    /// The displacement of every vertex, px. O(vertices x columns), one pass over the table.
+    #[must_use]
+    pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
+        assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
+        let mut out = vec![[0.0; 2]; self.vertices];
+        let mut quality = PoseQuality { least_rotation: 1.0 };
+        if !pose.is_identity() && self.columns > 0 {
+            let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+            let per_block = lanes_per_block(self.family, self.columns);
+            let run = |table: &[Lanes], out: &mut [[f32; 2]]| kernel::displace(self.family, table, &d, out);
+            quality.least_rotation = if size_of_val(self.table.as_slice()) <= SERIAL_BYTES || rayon::current_num_threads() == 1 {
+                run(&self.table, &mut out)
+            } else {
+                let blocks = self.vertices.div_ceil(LANES).div_ceil(4 * rayon::current_num_threads());
+                self.table
+                    .par_chunks(blocks * per_block)
+                    .zip(out.par_chunks_mut(blocks * LANES))
+                    .map(|(table, out)| run(table, out))
+                    .reduce(|| f32::INFINITY, f32::min)
+            };
+        }
+        (out, quality)
+    }
+
+    /// The posed mesh of the grid that the plan was made for.
+    #[must_use]
+    pub fn pose(&self, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
+        let (displacement, quality) = self.displace(pose);
+        (Mesh::new(*grid, displacement), quality)
+    }
+}
+
+/// The posed mesh without a table: every row is weighed anew, for grids whose table would not fit. O(vertices x elements) with weights.
+#[must_use]
+pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
+    let columns = grid.columns() as usize;
+    let mut displacement = vec![[0.0f32; 2]; grid.len()];
+    let mut least_rotation = 1.0;
+    if !pose.is_identity() {
+        least_rotation = displacement
+            .par_chunks_mut(LANES * BLOCKS_PER_TASK)
+            .enumerate()
+            .map_init(
+                || Workspace::new(field.handles().columns()),
+                |workspace, (task, out)| {
+                    let mut least = f32::INFINITY;
+                    for (k, out) in out.iter_mut().enumerate() {
+                        field.row(vertex(grid, columns, task * LANES * BLOCKS_PER_TASK + k), false, workspace);
+                        *out = to_f32(family::displacement(field.family(), &workspace.row, pose.displacements()));
+                        least = least.min(family::rotation(field.family(), &workspace.row, pose.displacements()));
+                    }
+                    least
+                },
+            )
+            .reduce(|| f32::INFINITY, f32::min);
+    }
+    (Mesh::new(*grid, displacement), PoseQuality { least_rotation })
+}
+
+fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
+    #[expect(clippy::cast_possible_truncation, reason = "k < columns * rows, both u32")]
+    grid.vertex((k % columns) as u32, (k / columns) as u32)
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+fn to_f32(d: Vec2) -> [f32; 2] {
+    [d.x as f32, d.y as f32]
+}
+
+/// Writes one vertex's row into its lane of a block.
+#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+fn store(family: Method, workspace: &Workspace, block: &mut [Lanes], lane: usize) {
+    let row = &workspace.row;
+    match family {
+        Method::Affine => {
+            for (lanes, c) in block.iter_mut().zip(&row.h) {
+                lanes.0[lane] = c.x as f32;
+            }
+        }
+        Method::Similarity => {
+            for (lanes, c) in block.chunks_exact_mut(2).zip(&row.h) {
+                lanes[0].0[lane] = c.x as f32;
+                lanes[1].0[lane] = c.y as f32;
+            }
+        }
+        Method::Rigid => {
+            for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&row.h).zip(&row.wn) {
+                lanes[0].0[lane] = h.x as f32;
+                lanes[1].0[lane] = h.y as f32;
+                lanes[2].0[lane] = *wn as f32;
+            }
+            let e = block.len() - 2;
+            block[e].0[lane] = row.e.x as f32;
+            block[e + 1].0[lane] = row.e.y as f32;
+        }
+    }
+}
