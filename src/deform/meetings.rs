@@ -50,7 +50,7 @@ impl Meetings {
                 }
             }
         }
-        found.touching.sort_unstable_by(|x, y| (x.0.0, x.1.0).cmp(&(y.0.0, y.1.0)));
+        found.touching.sort_unstable_by_key(|(x, y)| (x.0, y.0));
         Ok(found)
     }
 

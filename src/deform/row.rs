@@ -223,7 +223,7 @@ impl Waist<'_> {
                 (s.tau, at_v)
             }
             Element::Point { p: o, .. } => {
-                self.from_point(*o, masses, blocks);
+                self.relative_to(*o, masses, blocks);
                 let (tau, defining) = frame(masses, blocks, totals);
                 let turn = tau.conj();
                 for (i, m) in masses.iter_mut().enumerate() {
@@ -238,7 +238,7 @@ impl Waist<'_> {
     }
 
     /// Places relative to the anchor point `o`, formed from the handles themselves: exact where they are whole numbers.
-    fn from_point(&self, o: Point, masses: &mut [Mass], blocks: &mut [Block]) {
+    fn relative_to(&self, o: Point, masses: &mut [Mass], blocks: &mut [Block]) {
         for m in masses {
             m.at = match &self.elements[m.element] {
                 Element::Point { p, .. } => *p - o,

@@ -75,6 +75,12 @@ impl PngWriter {
         todo!()
     }
 
+    /// No more than this many bytes come out, head and tail included.
+    #[must_use]
+    pub fn max_bytes(&self) -> u64 {
+        todo!()
+    }
+
     /// What follows the last strip: the checksum of all (given `(adler, filtered_len)` of every strip in order) and IEND.
     #[must_use]
     pub fn tail(&self, _checksums: &[(u32, u64)]) -> Vec<u8> {

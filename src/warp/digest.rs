@@ -1,0 +1,53 @@
+//! SHA-256 digests: of files, of everything a plan depends on, of an answer.
+
+use std::fmt;
+
+use sha2::{Digest as _, Sha256};
+
+/// A SHA-256 digest; displays as lower-case hex.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Digest(pub [u8; 32]);
+
+impl Digest {
+    /// Of bytes.
+    #[must_use]
+    pub fn of(bytes: &[u8]) -> Self {
+        Self(Sha256::digest(bytes).into())
+    }
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+/// Collects numbers bit for bit, each of a fixed width, so that two different lists never look alike.
+pub(super) struct Collector(Sha256);
+
+impl Collector {
+    /// `domain` keeps digests of different kinds apart.
+    pub(super) fn new(domain: &str) -> Self {
+        Self(Sha256::new()).bytes(domain.as_bytes())
+    }
+
+    pub(super) fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.0.update((bytes.len() as u64).to_le_bytes());
+        self.0.update(bytes);
+        self
+    }
+
+    pub(super) fn integer(mut self, n: u64) -> Self {
+        self.0.update(n.to_le_bytes());
+        self
+    }
+
+    pub(super) fn float(self, x: f64) -> Self {
+        // -0 and 0 deform alike.
+        self.integer((x + 0.0).to_bits())
+    }
+
+    pub(super) fn finish(self) -> Digest {
+        Digest(self.0.finalize().into())
+    }
+}

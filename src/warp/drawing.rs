@@ -1,0 +1,266 @@
+//! A prepared warp: the mesh is posed and reported on, the renderer and the PNG writer are ready, and only writing can still fail.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::digest::Collector;
+use super::setup::at_most;
+use super::{Digest, Folds, Image, Limits, OutputSpec, Plan, Setup, WarpError};
+use crate::codec::{Compression, PngShape, PngWriter, Strip};
+use crate::deform::{Handle, Handles, Pose, Warning};
+use crate::geometry::Mesh;
+use crate::level::Level;
+use crate::pixmap::Extent;
+use crate::render::{Filter, Outside, RenderOptions, Renderer};
+
+/// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
+const LEAST_ROTATION: f32 = 0.1;
+/// Places along a segment at which the residual is looked at.
+const RESIDUAL_SAMPLES: u32 = 5;
+
+/// What a client is told about a warp before its first pixel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// In the order of [`Warning`].
+    pub warnings: Vec<Warning>,
+    /// Drawn cells that fold.
+    pub folds: u64,
+    /// Largest distance between a posed handle and where the drawn picture puts it, px of the source; handles outside the picture are not drawn.
+    pub residual: f64,
+    /// Digest of image, resolved request and build: the ETag.
+    pub etag: Digest,
+    /// Width and height of the target, px.
+    pub target: (u32, u32),
+}
+
+/// A step of writing whose cost someone may want to know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Mesh to pixels.
+    Render,
+    /// Pixels to PNG.
+    Encode,
+}
+
+/// Stands around each step of writing; whoever knows the time may measure there. `()` only does the work.
+pub trait Watch: Sync {
+    /// Calls `work` exactly once.
+    fn around(&self, stage: Stage, work: &mut dyn FnMut());
+}
+
+impl Watch for () {
+    fn around(&self, _stage: Stage, work: &mut dyn FnMut()) {
+        work();
+    }
+}
+
+/// A prepared warp.
+#[derive(Debug)]
+pub struct Warp {
+    renderer: Renderer,
+    writer: PngWriter,
+    report: Report,
+}
+
+impl Warp {
+    /// Poses the mesh and prepares the renderer. CPU work, microseconds to a millisecond.
+    ///
+    /// # Errors
+    /// `folds: reject` and it folds; a target over the limits.
+    pub fn new(
+        image: &Arc<Image>,
+        setup: &Setup,
+        plan: &Plan,
+        pose: &Pose,
+        folds: Folds,
+        output: &OutputSpec,
+        limits: &Limits,
+    ) -> Result<Self, WarpError> {
+        let target = target(image.extent(), output.width, limits)?;
+        let (mesh, quality) = setup.mesh(plan, pose);
+        let cells = mesh.folded_cells().count() as u64;
+        if folds == Folds::Reject && cells > 0 {
+            return Err(WarpError::Folded { cells });
+        }
+        let mut warnings = setup.field().warnings(pose);
+        if quality.least_rotation < LEAST_ROTATION {
+            warnings.push(Warning::RotationUndefined);
+            warnings.sort_unstable();
+        }
+        let options = RenderOptions { target, filter: output.filter, outside: output.outside };
+        let renderer = Renderer::new(Arc::clone(&image.source), &mesh, options);
+        let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
+        let writer = PngWriter::new(shape, output.compression, image.icc.as_deref());
+        let report = Report {
+            warnings,
+            folds: cells,
+            residual: residual(setup.field().handles(), pose, &mesh),
+            etag: etag(image, setup, pose, output, target),
+            target: (target.width(), target.height()),
+        };
+        Ok(Self { renderer, writer, report })
+    }
+
+    /// What to tell before the first pixel.
+    #[must_use]
+    pub const fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// No more than this many bytes will be written: what to reserve for the answer.
+    #[must_use]
+    pub fn max_bytes(&self) -> u64 {
+        self.writer.max_bytes()
+    }
+
+    /// Renders and encodes strip by strip and hands the bytes to `sink` in order. This thread works, and up to `helpers` tasks of the current
+    /// rayon pool beside it; the bytes are the same whatever their number. `sink` says `Break` when nobody listens any more: the work
+    /// ends at the next strip, and `Break` comes back.
+    pub fn write(&self, helpers: usize, watch: &dyn Watch, sink: &mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send)) -> ControlFlow<()> {
+        sink(self.writer.head())?;
+        let strips = self.writer.strips();
+        let work = Strips {
+            warp: self,
+            watch,
+            next: AtomicUsize::new(0),
+            gone: AtomicBool::new(false),
+            queue: Mutex::new(Queue::new(strips, sink)),
+        };
+        rayon::in_place_scope(|scope| {
+            for _ in 0..helpers.min(strips.saturating_sub(1)) {
+                scope.spawn(|_| work.take());
+            }
+            work.take();
+        });
+        let Queue { sink, checksums, .. } = work.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if checksums.len() < strips {
+            return ControlFlow::Break(());
+        }
+        sink(self.writer.tail(&checksums))
+    }
+}
+
+/// The strips of one picture, taken by any number of threads and handed over in order.
+struct Strips<'a> {
+    warp: &'a Warp,
+    watch: &'a dyn Watch,
+    next: AtomicUsize,
+    gone: AtomicBool,
+    queue: Mutex<Queue<'a>>,
+}
+
+/// Encoded strips that wait for an earlier one.
+struct Queue<'a> {
+    waiting: Vec<Option<Strip>>,
+    checksums: Vec<(u32, u64)>,
+    sink: &'a mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send),
+}
+
+impl Strips<'_> {
+    /// Takes strips until none is left or nobody listens.
+    fn take(&self) {
+        let Warp { renderer, writer, .. } = self.warp;
+        let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
+        let mut samples = Vec::new();
+        while !self.gone.load(Ordering::Relaxed) {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            if index >= writer.strips() {
+                return;
+            }
+            let rows = writer.rows(index);
+            samples.resize(rows.len() * row, 0);
+            self.watch.around(Stage::Render, &mut || renderer.band(rows.clone(), &mut samples));
+            let mut strip = None;
+            self.watch.around(Stage::Encode, &mut || strip = Some(writer.strip(index, &samples)));
+            let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            queue.waiting[index] = strip;
+            if queue.flush().is_break() {
+                self.gone.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl<'a> Queue<'a> {
+    fn new(strips: usize, sink: &'a mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send)) -> Self {
+        Self { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink }
+    }
+
+    /// Hands over every strip whose turn it is.
+    fn flush(&mut self) -> ControlFlow<()> {
+        while let Some(strip) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
+            (self.sink)(strip.bytes)?;
+            self.checksums.push((strip.adler, strip.filtered_len));
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// `output.width` with the height that keeps the proportions: max(1, round(H w / W)).
+fn target(source: Extent, width: Option<u32>, limits: &Limits) -> Result<Extent, WarpError> {
+    let Some(width) = width else { return Ok(source) };
+    let (w, h) = (u64::from(source.width()), u64::from(source.height()));
+    let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
+    at_most("output_side", limits.image.max_side.into(), height.max(width.into()))?;
+    at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+    let height = u32::try_from(height).expect("at most max_side");
+    Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: limits.image.max_side.into(), actual: 0 })
+}
+
+/// Largest distance between where a posed handle is and where the mesh draws it.
+fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
+    let mut d = pose.displacements().iter().copied();
+    let mut worst = 0.0f64;
+    let mut look = |p, displacement| {
+        if let Some(drawn) = mesh.map(p) {
+            worst = worst.max(drawn.distance(p + displacement));
+        }
+    };
+    for handle in handles.handles() {
+        match handle {
+            Handle::Point(p) => look(*p, d.next().expect("one column a point")),
+            Handle::Polyline(places) => {
+                for ab in places.windows(2) {
+                    let (da, db) = (d.next().expect("two columns a segment"), d.next().expect("two columns a segment"));
+                    for k in 0..RESIDUAL_SAMPLES {
+                        let t = f64::from(k) / f64::from(RESIDUAL_SAMPLES - 1);
+                        look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
+                    }
+                }
+            }
+        }
+    }
+    worst
+}
+
+fn etag(image: &Image, setup: &Setup, pose: &Pose, output: &OutputSpec, target: Extent) -> Digest {
+    let compression = match output.compression {
+        Compression::None => 0,
+        Compression::Fast => 1,
+        Compression::Best => 2,
+    };
+    let filter = match output.filter {
+        Filter::Nearest => 0,
+        Filter::Bilinear => 1,
+    };
+    let outside = match output.outside {
+        Outside::Transparent => [0; 5],
+        Outside::Edge => [1, 0, 0, 0, 0],
+        Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
+    };
+    let mut digest = Collector::new("mlswarp answer 1")
+        .bytes(env!("CARGO_PKG_VERSION").as_bytes())
+        .bytes(Level::detect().name().as_bytes())
+        .bytes(&image.digest().0)
+        .bytes(&setup.plan_key().0)
+        .integer(compression)
+        .integer(filter)
+        .bytes(&outside)
+        .integer(target.width().into())
+        .integer(target.height().into());
+    for d in pose.displacements() {
+        digest = digest.float(d.x).float(d.y);
+    }
+    digest.finish()
+}

@@ -1,0 +1,20 @@
+//! An image is warped: the only room that sees all four layers (codec, pixmap, deform, render). It knows no time, no sockets, no users.
+//!
+//! The walk: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
+//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Warp::new`] (its existence proves that nothing of the
+//! client's can fail any more) -> [`Warp::write`] (strips of PNG, rendered and encoded in parallel, handed over in order).
+
+mod digest;
+mod drawing;
+mod error;
+mod image;
+mod setup;
+mod spec;
+
+pub use self::digest::Digest;
+pub use self::drawing::{Report, Stage, Warp, Watch};
+pub use self::error::WarpError;
+pub use self::image::Image;
+pub use self::setup::{Plan, Setup};
+pub use self::spec::{Folds, GridSpec, Limits, OutputSpec, RestSpec, Units};
+pub use crate::codec::Limits as ImageLimits;

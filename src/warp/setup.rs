@@ -1,0 +1,201 @@
+//! Rest handles resolved against a picture's size: pixels, effective alpha and point mass, a counted grid. From here on every number
+//! is checked; what is left to the pose is q.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::digest::Collector;
+use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
+use crate::deform::{self, Falloff, Field, Handle, Handles, Method, Pose, PoseQuality, pose_without_table};
+use crate::geometry::{Grid, Mesh, Point};
+use crate::pixmap::Extent;
+
+/// `grid: auto`: cells of a hundredth of the shorter side, but no finer and no coarser than this, px (mathematics section 12, step 1).
+const AUTO_CELL: (f64, f64) = (4.0, 8.0);
+/// A mesh holds two f32 a vertex.
+const MESH_BYTES_PER_VERTEX: u64 = 8;
+/// Places that one task maps.
+const PLACES_PER_TASK: usize = 64;
+
+/// Everything that a warp depends on beside the pixels and the pose.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    field: Arc<Field>,
+    grid: Grid,
+    /// px in one unit of the client's coordinates, per axis.
+    unit: (f64, f64),
+    mixed: bool,
+    plan_key: Digest,
+    plan_bytes: Option<u64>,
+}
+
+/// The A_j of every grid vertex, or none where their table would not fit.
+#[derive(Debug)]
+pub struct Plan(Option<deform::Plan>);
+
+impl Plan {
+    /// Memory held, bytes: its weight in a cache.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.0.as_ref().map_or(0, deform::Plan::bytes)
+    }
+}
+
+impl Setup {
+    /// Resolves and checks. Cheap beside a plan: O(handles log handles).
+    ///
+    /// # Errors
+    /// Handles, parameters, grid, or the size of any of them.
+    pub fn new(rest: &RestSpec, extent: Extent, limits: &Limits) -> Result<Self, WarpError> {
+        let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
+        at_most("handle_columns", limits.columns as u64, columns)?;
+        let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
+        let unit = match rest.units {
+            Units::Px => (1.0, 1.0),
+            Units::Normalized => (width, height),
+        };
+        let grid = resolve_grid(rest.grid, width, height, limits)?;
+        let handles = Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
+        let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
+        let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
+        let mixed = handles.has_points() && handles.has_lines();
+        let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
+        let field = Field::new(handles, rest.method, falloff, given).map_err(WarpError::Rest)?;
+        let plan_key = plan_key(&field, &grid, mixed);
+        let bytes = deform::Plan::bytes_for(&field, grid.len());
+        let plan_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
+        Ok(Self { field: Arc::new(field), grid, unit, mixed, plan_key, plan_bytes })
+    }
+
+    /// Digest of everything that the coefficients depend on: rest handles and weights in px, effective alpha and point mass, family,
+    /// resolved grid. Two pictures of one size share one plan.
+    #[must_use]
+    pub const fn plan_key(&self) -> Digest {
+        self.plan_key
+    }
+
+    /// Bytes of the table, to be reserved before [`Setup::plan`] fills it; `None` when the warp goes without a table.
+    #[must_use]
+    pub const fn plan_bytes(&self) -> Option<u64> {
+        self.plan_bytes
+    }
+
+    /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
+    #[must_use]
+    pub fn plan(&self) -> Plan {
+        Plan(self.plan_bytes.map(|_| deform::Plan::of_grid(&self.field, &self.grid)))
+    }
+
+    /// Checks posed handles against the rest handles; only q enters.
+    ///
+    /// # Errors
+    /// Shapes, numbers, contradictory targets.
+    pub fn pose(&self, q: &[Handle]) -> Result<Pose, WarpError> {
+        if self.unit == (1.0, 1.0) { self.field.pose(q) } else { self.field.pose(&to_px(q, self.unit)) }.map_err(WarpError::Posed)
+    }
+
+    /// Effective alpha.
+    #[must_use]
+    pub fn alpha(&self) -> f64 {
+        self.field.falloff().alpha()
+    }
+
+    /// Effective point mass, px; `None` unless points and lines are mixed.
+    #[must_use]
+    pub fn point_mass(&self) -> Option<f64> {
+        self.mixed.then(|| self.field.point_mass())
+    }
+
+    /// Vertices of the resolved grid in a row and in a column.
+    #[must_use]
+    pub const fn grid(&self) -> (u32, u32) {
+        (self.grid.columns(), self.grid.rows())
+    }
+
+    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work.
+    #[must_use]
+    pub fn map(&self, pose: &Pose, places: &[Point]) -> Vec<Point> {
+        let (ux, uy) = self.unit;
+        let map = |p: &Point| {
+            let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
+            Point::new(mapped.x / ux, mapped.y / uy)
+        };
+        places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect()
+    }
+
+    pub(super) fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose) -> (Mesh, PoseQuality) {
+        match &plan.0 {
+            Some(table) => table.pose(&self.grid, pose),
+            None => pose_without_table(&self.field, &self.grid, pose),
+        }
+    }
+}
+
+/// Refuses numbers over a limit before memory is taken.
+pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
+    if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
+}
+
+fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
+    let vertices_limit = limits.plan_bytes / MESH_BYTES_PER_VERTEX;
+    let vertices = |columns: u32, rows: u32| u64::from(columns) * u64::from(rows);
+    let with_cell = |cell: f64| {
+        let count = vertices(1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
+        at_most("grid_vertices", vertices_limit, count).map(|()| Grid::with_cell(width, height, cell))
+    };
+    match spec {
+        GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
+        GridSpec::Pixel => with_cell(1.0),
+        GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
+        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("a grid's cell is a positive number of px: {cell}"))),
+        GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
+            at_most("grid_vertices", vertices_limit, vertices(columns, rows))?;
+            Ok(Grid::with_counts(width, height, columns, rows))
+        }
+        GridSpec::Counts { columns, rows } => {
+            Err(WarpError::BadGrid(format!("a grid has at least 2 columns and 2 rows of vertices: {columns} x {rows}")))
+        }
+    }
+}
+
+fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
+    let px = |p: &Point| Point::new(p.x * ux, p.y * uy);
+    handles
+        .iter()
+        .map(|h| match h {
+            Handle::Point(p) => Handle::Point(px(p)),
+            Handle::Polyline(places) => Handle::Polyline(places.iter().map(px).collect()),
+        })
+        .collect()
+}
+
+fn plan_key(field: &Field, grid: &Grid, mixed: bool) -> Digest {
+    let family = match field.family() {
+        Method::Affine => 0,
+        Method::Similarity => 1,
+        Method::Rigid => 2,
+    };
+    let mut key = Collector::new("mlswarp plan 1")
+        .integer(family)
+        .float(field.falloff().alpha())
+        // A mass that all points share cancels where there are no lines.
+        .float(if mixed { field.point_mass() } else { 1.0 })
+        .float(grid.width())
+        .float(grid.height())
+        .float(grid.cell().0)
+        .float(grid.cell().1)
+        .integer(grid.columns().into())
+        .integer(grid.rows().into());
+    for (handle, &weight) in field.handles().handles().iter().zip(field.handles().weights()) {
+        key = key.float(weight).integer(handle.places().len() as u64);
+        for p in handle.places() {
+            key = key.float(p.x).float(p.y);
+        }
+    }
+    key.finish()
+}

@@ -1,0 +1,87 @@
+//! What a client asks for, in the words of the contract: nothing is resolved or checked yet.
+
+use crate::codec::{Compression, Limits as ImageLimits};
+use crate::deform::{Handle, Method};
+use crate::render::{Filter, Outside};
+
+/// What warping may ask for; each is a flag of the service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Of a source and a target picture.
+    pub image: ImageLimits,
+    /// Columns of a plan: 1 a point, 2 a segment.
+    pub columns: usize,
+    /// Bytes of a plan's table or a mesh; a plan over it is evaluated without a table, a mesh over it is refused.
+    pub plan_bytes: u64,
+}
+
+/// The unit of p and q.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Units {
+    /// Pixels of the source.
+    #[default]
+    Px,
+    /// x/W and y/H.
+    Normalized,
+}
+
+/// The grid that a client asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum GridSpec {
+    /// Cells of `clamp(min(W, H) / 100, 4, 8)` px.
+    #[default]
+    Auto,
+    /// Cells of so many px.
+    Cell(f64),
+    /// So many vertices.
+    Counts {
+        /// Vertices in a row.
+        columns: u32,
+        /// Vertices in a column.
+        rows: u32,
+    },
+    /// A vertex at every pixel corner.
+    Pixel,
+}
+
+/// What to do when the posed grid folds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Folds {
+    /// Draw it and count the cells.
+    #[default]
+    Report,
+    /// Refuse.
+    Reject,
+}
+
+/// Everything that stays while q moves, as a client says it: nothing is resolved or checked yet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RestSpec {
+    /// Handles at rest.
+    pub p: Vec<Handle>,
+    /// One a handle.
+    pub weights: Option<Vec<f64>>,
+    /// The class of maps.
+    pub method: Method,
+    /// Fall-off; default 1 for points alone, 2 with any line.
+    pub alpha: Option<f64>,
+    /// Mass of a point in a mixed set, px; default the mean length of the segments.
+    pub point_mass: Option<f64>,
+    /// Unit of p and q.
+    pub units: Units,
+    /// The grid.
+    pub grid: GridSpec,
+}
+
+/// How the picture is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct OutputSpec {
+    /// PNG compression.
+    pub compression: Compression,
+    /// Width of the target, px; default the source's. Height = max(1, round(H w / W)).
+    pub width: Option<u32>,
+    /// How the source is read.
+    pub filter: Filter,
+    /// What is painted where the posed picture does not reach.
+    pub outside: Outside,
+}
