@@ -1,3 +1,4 @@
 //! One integration binary: linked once, one module a topic. Name the topic first, then the law.
 
+mod laws;
 mod oracle;
