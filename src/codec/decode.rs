@@ -1,6 +1,16 @@
-//! STUB
+//! Bytes to an upright picture. Order: header, limits on its numbers, completeness of the file's structure, memory, pixels.
+//! The three decoders are other people's code fed with hostile bytes, so they run behind their own limits and inside
+//! `catch_unwind`: a panic there is a damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the
+//! decoder; a second picture only when the orientation swaps the sides.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::probe::Parsed;
 use super::{CodecError, Limits};
-use crate::pixmap::Pixmap;
+use crate::pixmap::{Channels, Pixmap, Samples};
+
+/// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
+pub(super) const MAX_ICC: usize = 1 << 20;
 
 /// An upright picture and what must travel with it.
 #[derive(Debug, Clone)]
@@ -12,6 +22,60 @@ pub struct Decoded {
 }
 
 /// Decodes a file after its header has passed `limits`.
-pub fn decode(_bytes: &[u8], _limits: &Limits) -> Result<Decoded, CodecError> {
-    todo!()
+///
+/// # Errors
+/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Bad`] for a file that is truncated anywhere,
+/// whose checksums disagree, or that makes a decoder panic. Bytes after the file's end are ignored.
+pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
+    let parsed = Parsed::new(bytes)?;
+    let header = parsed.header();
+    limits.check(header.extent)?;
+
+    let decoded = catch_unwind(AssertUnwindSafe(|| match &parsed {
+        Parsed::Png(file) => file.samples(header.decode_bytes),
+        Parsed::Jpeg(file) => file.samples(),
+        Parsed::WebP(file) => file.samples(),
+    }));
+    let samples = decoded.unwrap_or_else(|_| Err(CodecError::bad(header.format.name(), "the decoder gave up")))?;
+
+    let orientation = parsed.orientation();
+    let width = parsed.stored().width() as usize;
+    let turned = match (samples, header.channels) {
+        (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width).map(Samples::Eight),
+        (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width).map(Samples::Eight),
+        (Samples::Sixteen(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width).map(Samples::Sixteen),
+        (Samples::Sixteen(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width).map(Samples::Sixteen),
+    };
+    let upright = turned.map_err(|_| no_room(header.decode_bytes))?;
+
+    let icc = match &parsed {
+        Parsed::Png(file) => file.icc(),
+        Parsed::Jpeg(file) => file.icc(),
+        Parsed::WebP(file) => file.icc(),
+    };
+    Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc })
+}
+
+/// The allocator refused. How much it had left is not known, so the limit reads 0.
+pub(super) const fn no_room(asked: u64) -> CodecError {
+    CodecError::TooLarge { what: "image_bytes", limit: 0, actual: asked }
+}
+
+/// An empty vector with room for `len` samples.
+pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
+    let refused = no_room(len.saturating_mul(size_of::<T>() as u64));
+    let mut samples = Vec::new();
+    let len = usize::try_from(len).map_err(|_| refused.clone())?;
+    samples.try_reserve_exact(len).map_err(|_| refused)?;
+    Ok(samples)
+}
+
+/// Samples of a picture.
+pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
+    pixels.saturating_mul(channels.count() as u64)
+}
+
+/// A profile is kept when it is of sane size, whole, and says that it describes RGB.
+pub(super) fn keep_rgb_profile(profile: Vec<u8>) -> Option<Vec<u8>> {
+    (profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
 }

@@ -14,7 +14,7 @@ pub enum CodecError {
     /// The header asks for more than is allowed. Decided before memory is taken.
     #[error("{what}: {actual}; at most {limit}")]
     TooLarge {
-        /// Which limit: `image_pixels`, `image_side`, `image_frames`.
+        /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` when the machine itself has no room.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -29,4 +29,16 @@ pub enum CodecError {
         /// The decoder's words.
         detail: String,
     },
+}
+
+impl CodecError {
+    /// A damaged file, in the decoder's words.
+    pub(super) fn bad(format: &'static str, detail: impl ToString) -> Self {
+        Self::Bad { format, detail: detail.to_string() }
+    }
+
+    /// A well-formed file of a kind that is not read.
+    pub(super) fn unsupported(found: impl Into<String>) -> Self {
+        Self::Unsupported { found: found.into() }
+    }
 }

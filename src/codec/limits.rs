@@ -1,5 +1,8 @@
 //! Limits of one picture, checked on numbers in a header, not on memory.
 
+use super::CodecError;
+use crate::pixmap::Extent;
+
 /// What one picture may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -12,5 +15,39 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self { max_pixels: 50_000_000, max_side: 16_384 }
+    }
+}
+
+impl Limits {
+    /// The side is checked first: it is what a client can correct most easily.
+    ///
+    /// # Errors
+    /// [`CodecError::TooLarge`] naming `image_side` or `image_pixels`.
+    pub fn check(&self, extent: Extent) -> Result<(), CodecError> {
+        let side = extent.width().max(extent.height());
+        if side > self.max_side {
+            return Err(CodecError::TooLarge { what: "image_side", limit: self.max_side.into(), actual: side.into() });
+        }
+        if extent.pixels() > self.max_pixels {
+            return Err(CodecError::TooLarge { what: "image_pixels", limit: self.max_pixels, actual: extent.pixels() });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_hold_their_own_value_and_refuse_the_next() {
+        let limits = Limits { max_pixels: 100, max_side: 50 };
+        let check = |width, height| limits.check(Extent::new(width, height).unwrap());
+        assert_eq!(check(50, 2), Ok(()));
+        assert_eq!(check(10, 10), Ok(()));
+        assert_eq!(check(51, 1), Err(CodecError::TooLarge { what: "image_side", limit: 50, actual: 51 }));
+        assert_eq!(check(1, 51), Err(CodecError::TooLarge { what: "image_side", limit: 50, actual: 51 }));
+        assert_eq!(check(10, 11), Err(CodecError::TooLarge { what: "image_pixels", limit: 100, actual: 110 }));
+        assert!(Limits { max_pixels: u64::MAX, max_side: u32::MAX }.check(Extent::new(u32::MAX, u32::MAX).unwrap()).is_ok());
     }
 }

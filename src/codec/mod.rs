@@ -7,6 +7,11 @@ mod limits;
 mod orientation;
 mod png;
 mod probe;
+mod read_jpeg;
+mod read_png;
+mod read_webp;
+#[cfg(test)]
+mod tests;
 
 pub use decode::{Decoded, decode};
 pub use error::CodecError;

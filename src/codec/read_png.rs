@@ -1,0 +1,290 @@
+//! PNG (W3C, third edition): chunks are walked for the header, rows are taken from the `png` crate one at a time, so memory is
+//! touched only as data arrives. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit
+//! stays 16 bit. Every checksum must agree and IEND must be there. Shapes: samples `[height][width][channels]`, rows as stored.
+
+use std::borrow::Cow;
+use std::io::{Cursor, Read};
+
+use super::CodecError;
+use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use crate::pixmap::{Channels, Depth, Extent, Samples};
+
+pub(super) const NAME: &str = "PNG";
+const SIGNATURE: usize = 8;
+
+/// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
+const MAX_INFLATION: u64 = 1032;
+
+/// First column, first row, column step, row step of the seven passes.
+const ADAM7: [(usize, usize, usize, usize); 7] =
+    [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)];
+
+/// A PNG whose chunks have been walked.
+pub(super) struct PngFile<'a> {
+    bytes: &'a [u8],
+    pub(super) extent: Extent,
+    bits: u8,
+    colour: u8,
+    interlaced: bool,
+    transparency: bool,
+    animation_chunks: bool,
+    pub(super) exif: Option<&'a [u8]>,
+    profile: Option<&'a [u8]>,
+    idat_bytes: u64,
+    /// Where the file ends; `None` when it is cut off before IEND.
+    end: Option<usize>,
+}
+
+struct Chunk<'a> {
+    kind: [u8; 4],
+    data: &'a [u8],
+    end: usize,
+}
+
+/// The chunk that begins at `at`, when all of it is there.
+fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
+    let head = bytes.get(at..at.checked_add(8)?)?;
+    let length = u32::from_be_bytes(head[..4].try_into().ok()?);
+    let data_end = (at + 8).checked_add(usize::try_from(length).ok()?)?;
+    let end = data_end.checked_add(4)?;
+    let kind = head[4..].try_into().ok()?;
+    bytes.get(..end).map(|whole| Chunk { kind, data: &whole[at + 8..data_end], end })
+}
+
+fn bad(detail: impl ToString) -> CodecError {
+    CodecError::bad(NAME, detail)
+}
+
+impl<'a> PngFile<'a> {
+    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, CodecError> {
+        let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
+        let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
+            return Err(bad("a header chunk of the wrong size or with an unknown method"));
+        };
+        let (width, height) = (u32::from_be_bytes([w0, w1, w2, w3]), u32::from_be_bytes([h0, h1, h2, h3]));
+        let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        if !matches!((colour, bits), (0, 1 | 2 | 4 | 8 | 16) | (3, 1 | 2 | 4 | 8) | (2 | 4 | 6, 8 | 16)) {
+            return Err(bad(format!("colour type {colour} with {bits} bits")));
+        }
+        let mut file = Self {
+            bytes,
+            extent,
+            bits,
+            colour,
+            interlaced: interlace == 1,
+            transparency: false,
+            animation_chunks: false,
+            exif: None,
+            profile: None,
+            idat_bytes: 0,
+            end: None,
+        };
+        file.walk(ihdr.end)?;
+        Ok(file)
+    }
+
+    fn walk(&mut self, mut at: usize) -> Result<(), CodecError> {
+        let mut before_data = true;
+        while let Some(chunk) = chunk_at(self.bytes, at) {
+            at = chunk.end;
+            match &chunk.kind {
+                b"IDAT" => {
+                    before_data = false;
+                    self.idat_bytes += chunk.data.len() as u64;
+                }
+                b"tRNS" if before_data => self.transparency = matches!(self.colour, 0 | 2 | 3),
+                b"iCCP" if before_data && self.profile.is_none() => self.profile = Some(chunk.data),
+                // The second edition's extensions allow it behind the data too.
+                b"eXIf" if self.exif.is_none() => self.exif = Some(chunk.data),
+                b"acTL" => {
+                    self.animation_chunks = true;
+                    let frames = chunk.data.first_chunk().map_or(0, |n| u64::from(u32::from_be_bytes(*n)));
+                    if before_data && frames > 1 {
+                        return Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: frames });
+                    }
+                }
+                b"fcTL" | b"fdAT" => self.animation_chunks = true,
+                b"IEND" => {
+                    self.end = Some(at);
+                    break;
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn channels(&self) -> Channels {
+        if self.transparency || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
+    }
+
+    pub(super) fn depth(&self) -> Depth {
+        if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
+    }
+
+    /// Beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
+    pub(super) fn decoder_bytes(&self) -> u64 {
+        let rows = 48 * u64::from(self.extent.width());
+        let exif = 4 * self.exif.map_or(0, |exif| exif.len() as u64);
+        let copy = if self.animation_chunks { self.bytes.len() as u64 } else { 0 };
+        (512 << 10) + rows + exif + copy
+    }
+
+    /// Bytes of the filtered rows, from below (what interlacing rounds up is left out).
+    fn least_raw_bytes(&self) -> u64 {
+        let per_pixel = match self.colour {
+            2 => 3,
+            4 => 2,
+            6 => 4,
+            _ => 1,
+        };
+        (self.extent.pixels().saturating_mul(per_pixel * u64::from(self.bits))) / 8
+    }
+
+    /// The file without the chunks of a one-frame animation: its still picture is what is wanted, and the frame's own size
+    /// must not reach the decoder.
+    fn still(&self, end: usize) -> Result<Cow<'a, [u8]>, CodecError> {
+        let whole = &self.bytes[..end];
+        if !self.animation_chunks {
+            return Ok(Cow::Borrowed(whole));
+        }
+        let mut copy = room(end as u64)?;
+        copy.extend_from_slice(&whole[..SIGNATURE]);
+        let mut at = SIGNATURE;
+        while let Some(chunk) = chunk_at(whole, at) {
+            if !matches!(&chunk.kind, b"acTL" | b"fcTL" | b"fdAT") {
+                copy.extend_from_slice(&whole[at..chunk.end]);
+            }
+            at = chunk.end;
+        }
+        Ok(Cow::Owned(copy))
+    }
+
+    /// The rows as stored. `budget`: bytes that the decoder itself may allocate.
+    pub(super) fn samples(&self, budget: u64) -> Result<Samples, CodecError> {
+        let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
+        if self.idat_bytes.saturating_mul(MAX_INFLATION) < self.least_raw_bytes() {
+            return Err(bad(format!("{} bytes of data cannot hold the picture", self.idat_bytes)));
+        }
+        let mut options = png::DecodeOptions::default();
+        options.set_ignore_text_chunk(true);
+        options.set_ignore_iccp_chunk(true);
+        options.set_skip_ancillary_crc_failures(false);
+        options.set_ignore_adler32(false);
+        let mut decoder = png::Decoder::new_with_options(Cursor::new(self.still(end)?), options);
+        decoder.set_limits(png::Limits { bytes: usize::try_from(budget).unwrap_or(usize::MAX) });
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().map_err(bad)?;
+        let samples = match self.depth() {
+            Depth::Eight => self.rows::<u8, _>(&mut reader).map(Samples::Eight),
+            Depth::Sixteen => self.rows::<u16, _>(&mut reader).map(Samples::Sixteen),
+        }?;
+        // Also what follows the last row must be whole: the data's own end, the checksums, IEND.
+        reader.finish().map_err(bad)?;
+        Ok(samples)
+    }
+
+    fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(&self, reader: &mut png::Reader<R>) -> Result<Vec<T>, CodecError> {
+        let (colour, bits) = reader.output_color_type();
+        let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
+        if reader.info().size() != (self.extent.width(), self.extent.height())
+            || bits as usize != 8 * T::BYTES
+            || colour.samples() > self.channels().count()
+        {
+            return Err(bad("two headers that disagree"));
+        }
+        let line = reader.output_line_size(self.extent.width()).ok_or_else(|| bad("a row longer than memory"))?;
+        let mut row = room::<u8>(line as u64)?;
+        row.resize(line, 0);
+        let per_pixel = self.channels().count();
+        let mut out = room::<T>(sample_count(self.extent.pixels(), self.channels()))?;
+        if !self.interlaced {
+            for _ in 0..height {
+                reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
+                T::expand(&row, colour.samples(), self.channels(), &mut out);
+            }
+            return Ok(out);
+        }
+        out.resize(out.capacity().min(width * height * per_pixel), T::default());
+        let mut pixels = room::<T>((width * per_pixel) as u64)?;
+        for (first_column, first_row, column_step, row_step) in ADAM7 {
+            let columns = width.saturating_sub(first_column).div_ceil(column_step);
+            if columns == 0 {
+                continue;
+            }
+            for y in (first_row..height).step_by(row_step) {
+                reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
+                pixels.clear();
+                T::expand(&row[..columns * colour.samples() * T::BYTES], colour.samples(), self.channels(), &mut pixels);
+                let target = out[y * width * per_pixel..][..width * per_pixel].chunks_exact_mut(per_pixel);
+                for (into, from) in target.skip(first_column).step_by(column_step).zip(pixels.chunks_exact(per_pixel)) {
+                    into.copy_from_slice(from);
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// The profile, inflated to at most one byte more than is kept.
+    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+        if !matches!(self.colour, 2 | 3 | 6) {
+            return None;
+        }
+        let data = self.profile?;
+        let name = data.iter().take(80).position(|&byte| byte == 0)?;
+        let deflated = data.get(name + 1..)?.strip_prefix(&[0])?;
+        let mut profile = Vec::new();
+        flate2::read::ZlibDecoder::new(deflated).take(MAX_ICC as u64 + 1).read_to_end(&mut profile).ok()?;
+        keep_rgb_profile(profile)
+    }
+}
+
+/// A sample as PNG stores it.
+trait Sample: Copy + Default {
+    const BYTES: usize;
+    const OPAQUE: Self;
+    fn from_be(bytes: &[u8]) -> Self;
+    fn append(row: &[u8], out: &mut Vec<Self>);
+
+    /// Appends a row of grey, grey and alpha, RGB or RGBA (by `stored` samples a pixel) as `channels`.
+    fn expand(row: &[u8], stored: usize, channels: Channels, out: &mut Vec<Self>) {
+        if stored == channels.count() {
+            return Self::append(row, out);
+        }
+        for pixel in row.chunks_exact(stored * Self::BYTES) {
+            let sample = |index: usize| Self::from_be(&pixel[index * Self::BYTES..]);
+            match (stored, channels) {
+                (1, Channels::Rgb) => out.extend([sample(0); 3]),
+                (1, Channels::Rgba) => out.extend([sample(0), sample(0), sample(0), Self::OPAQUE]),
+                (2, _) => out.extend([sample(0), sample(0), sample(0), sample(1)]),
+                _ => out.extend([sample(0), sample(1), sample(2), Self::OPAQUE]),
+            }
+        }
+    }
+}
+
+impl Sample for u8 {
+    const BYTES: usize = 1;
+    const OPAQUE: Self = Self::MAX;
+
+    fn from_be(bytes: &[u8]) -> Self {
+        bytes[0]
+    }
+
+    fn append(row: &[u8], out: &mut Vec<Self>) {
+        out.extend_from_slice(row);
+    }
+}
+
+impl Sample for u16 {
+    const BYTES: usize = 2;
+    const OPAQUE: Self = Self::MAX;
+
+    fn from_be(bytes: &[u8]) -> Self {
+        Self::from_be_bytes([bytes[0], bytes[1]])
+    }
+
+    fn append(row: &[u8], out: &mut Vec<Self>) {
+        out.extend(row.as_chunks::<2>().0.iter().map(|&sample| Self::from_be_bytes(sample)));
+    }
+}

@@ -1,0 +1,133 @@
+//! Files that are cut, damaged, or made to cost more than they weigh.
+
+use super::made::{Jpeg, Png, riff, vp8, vp8x, webp_lossless};
+use super::*;
+
+const NO_LIMITS: Limits = Limits { max_pixels: u64::MAX, max_side: u32::MAX };
+
+fn is_refused_as_broken(bytes: &[u8]) -> bool {
+    matches!(decode(bytes, &Limits::default()), Err(CodecError::Bad { .. } | CodecError::Unsupported { .. }))
+}
+
+#[test]
+fn truncated_small_files_are_refused_at_every_length() {
+    for (name, bytes) in zoo() {
+        for length in 0..bytes.len() {
+            let cut = &bytes[..length];
+            assert!(is_refused_as_broken(cut), "{name}: {length} of {} bytes", bytes.len());
+            let unrecognised = matches!(decode(cut, &Limits::default()), Err(CodecError::Unsupported { .. }));
+            assert_eq!(unrecognised, Format::of(cut).is_err(), "{name}: {length} bytes");
+        }
+    }
+}
+
+#[test]
+fn truncated_photographs_are_refused() {
+    let chelsea = photograph("chelsea.png");
+    let source = decoded(&chelsea);
+    let webp = webp_lossless(source.extent().width(), source.extent().height(), Channels::Rgb, eight(&source));
+    for (name, bytes) in [("png", chelsea), ("jpeg", photograph("rocket.jpg")), ("webp", webp)] {
+        let spread = (0..60).map(|n| bytes.len() * n / 60);
+        let last = bytes.len() - 20..bytes.len();
+        for length in spread.chain(last) {
+            assert!(is_refused_as_broken(&bytes[..length]), "{name}: {length} of {} bytes", bytes.len());
+        }
+    }
+}
+
+/// Panics of a decoder are caught, and what still decodes is what its header says.
+#[test]
+fn random_byte_flips_never_panic() {
+    let mut state = 0x2545_F491_4F6C_DD1D_u64;
+    let mut random = move |below: usize| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 16) as usize % below
+    };
+    let mut read = 0;
+    for (name, bytes) in zoo() {
+        for _ in 0..500 {
+            let mut damaged = bytes.clone();
+            for _ in 0..=random(4) {
+                let at = random(damaged.len());
+                damaged[at] = random(256) as u8;
+            }
+            if name.starts_with("png") {
+                mend_checksums(&mut damaged);
+            }
+            read += usize::from(header_is_kept(&damaged));
+        }
+    }
+    assert!(read > 500, "only {read} damaged files were still read: the flips do not reach the pixels");
+}
+
+/// Without this a PNG's damage would never get past its checksums.
+fn mend_checksums(bytes: &mut [u8]) {
+    let mut at = 8;
+    while let Some(head) = bytes.get(at..at + 4) {
+        let end = at + 8 + u32::from_be_bytes(head.try_into().unwrap()) as usize;
+        if bytes.len() < end + 4 {
+            break;
+        }
+        let crc = crc32fast::hash(&bytes[at + 4..end]);
+        bytes[end..end + 4].copy_from_slice(&crc.to_be_bytes());
+        at = end + 4;
+    }
+}
+
+#[test]
+fn bombs_are_refused_by_their_header() {
+    let png = |width: u32, height: u32| {
+        let mut png = Png::new(3, 2, 8, 6, &[1; 24]);
+        png.ihdr[..4].copy_from_slice(&width.to_be_bytes());
+        png.ihdr[4..8].copy_from_slice(&height.to_be_bytes());
+        png.bytes()
+    };
+    let jpeg = |width: u16, height: u16, progressive: bool| {
+        let mut jpeg = Jpeg::letters();
+        jpeg.size = (width, height);
+        if progressive { jpeg.progressive().bytes() } else { jpeg.bytes() }
+    };
+    let webp = |width: u32, height: u32| riff(&[(b"VP8X", &vp8x(0, (width, height))), (b"VP8 ", &vp8(16, 16))]);
+
+    let side = CodecError::TooLarge { what: "image_side", limit: 16_384, actual: 60_000 };
+    for bytes in [png(60_000, 60_000), jpeg(60_000, 60_000, false), jpeg(60_000, 60_000, true)] {
+        assert_eq!(decode(&bytes, &Limits::default()).unwrap_err(), side);
+        // Even without limits the data is weighed before memory is taken.
+        assert!(matches!(decode(&bytes, &NO_LIMITS), Err(CodecError::Bad { .. })));
+    }
+    // A WebP frame is at most 16384 wide: a larger canvas is a lie.
+    assert!(matches!(decode(&webp(60_000, 60_000), &Limits::default()), Err(CodecError::Bad { .. })));
+    let solid = riff(&[(b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0])]);
+    assert_eq!(
+        decode(&solid, &Limits::default()).unwrap_err(),
+        CodecError::TooLarge { what: "image_pixels", limit: 50_000_000, actual: 1 << 28 }
+    );
+
+    // Within the limits, and empty.
+    for bytes in [png(16_384, 3_000), jpeg(16_384, 3_000, false), jpeg(16_384, 3_000, true)] {
+        assert!(probe(&bytes).is_ok());
+        assert!(matches!(decode(&bytes, &Limits::default()), Err(CodecError::Bad { .. })));
+    }
+    let huge = png(u32::MAX, u32::MAX);
+    assert_eq!(probe(&huge).unwrap().decode_bytes, u64::MAX, "sizes are computed without overflow");
+    assert!(matches!(decode(&huge, &NO_LIMITS), Err(CodecError::Bad { .. })));
+}
+
+/// What is predicted is what a caller reserves: it covers the picture, the turned copy, and a progressive picture's coefficients.
+#[test]
+fn decode_bytes_follow_the_picture() {
+    let bytes = |file: Vec<u8>| probe(&file).unwrap().decode_bytes;
+    let pixels = 1_024_u64 * 1_024;
+    let rgb = vec![0; 3 * 1_024 * 1_024];
+    let plain = bytes(Png::new(1_024, 1_024, 8, 2, &rgb).bytes());
+    assert!((3 * pixels..4 * pixels).contains(&plain), "{plain}");
+    let turned = bytes(Png::new(1_024, 1_024, 8, 2, &rgb).with(*b"eXIf", &exif(6, true)).bytes());
+    assert!((6 * pixels..7 * pixels).contains(&turned), "{turned}");
+    let jpeg = Jpeg::flat(1_024, 1_024, &[(2, 2), (1, 1), (1, 1)], &[1, 2, 3]);
+    let baseline = bytes(jpeg.bytes());
+    assert!((3 * pixels..4 * pixels).contains(&baseline), "{baseline}");
+    let progressive = bytes(jpeg.progressive().bytes());
+    assert!((6 * pixels..7 * pixels).contains(&progressive), "{progressive}");
+}
