@@ -2,6 +2,10 @@
 
 use std::num::NonZeroU32;
 
+mod reduce;
+
+pub use reduce::sample_bytes;
+
 /// Width and height in pixels, neither zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Extent {

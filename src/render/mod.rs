@@ -1,9 +1,40 @@
-//! STUB: the rasteriser.
+//! The rasteriser: the posed grid is filled forward, and what is drawn is the bilinear patch of each cell. A row is drawn in two phases: first
+//! the place of the source that each pixel centre shows (`drawing`: by column crossings or cell by cell), then samples (`kernel`, `sampler`).
+//! A pixel belongs to a cell by exact integer rules on vertices snapped to 1/256 px, so that cells neither overlap nor leave cracks;
+//! under folds the later cell in row order wins. Target pixels, straight samples. O(vertices) to prepare, O(pixels) to draw.
 
 use std::{ops::Range, sync::Arc};
 
 use crate::geometry::Mesh;
-use crate::pixmap::{Channels, Depth, Extent, Pixmap};
+use crate::pixmap::{Channels, Depth, Extent};
+
+#[forbid(unsafe_code)]
+mod border;
+#[forbid(unsafe_code)]
+mod cell;
+#[forbid(unsafe_code)]
+mod drawing;
+#[forbid(unsafe_code)]
+mod edge;
+mod kernel;
+#[forbid(unsafe_code)]
+mod lattice;
+#[forbid(unsafe_code)]
+mod patch;
+#[forbid(unsafe_code)]
+mod sampler;
+#[forbid(unsafe_code)]
+mod source;
+#[cfg(test)]
+#[forbid(unsafe_code)]
+mod tests;
+
+pub use kernel::Level;
+pub use source::Source;
+
+use drawing::Drawing;
+use kernel::Kernel;
+use lattice::Lattice;
 
 /// How the source is read between its pixel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -27,32 +58,6 @@ pub enum Outside {
     Colour([u8; 4]),
 }
 
-/// A source picture with the copies that the samplers read (premultiplied, reduced), each made once when first asked for.
-#[derive(Debug)]
-pub struct Source {
-    pixmap: Pixmap,
-}
-
-impl Source {
-    /// Wraps a decoded picture.
-    #[must_use]
-    pub fn new(pixmap: Pixmap) -> Self {
-        Self { pixmap }
-    }
-
-    /// The picture as decoded.
-    #[must_use]
-    pub const fn pixmap(&self) -> &Pixmap {
-        &self.pixmap
-    }
-
-    /// The most memory that a source of this shape may come to hold, all copies included, bytes.
-    #[must_use]
-    pub fn bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
-        extent.pixels() * channels.count() as u64 * depth.bytes() as u64
-    }
-}
-
 /// How the mesh is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RenderOptions {
@@ -69,25 +74,54 @@ pub struct RenderOptions {
 pub struct Renderer {
     source: Arc<Source>,
     options: RenderOptions,
+    channels: Channels,
+    level: Level,
+    /// `None` for the identity: rows are copied.
+    drawing: Option<Box<Drawing>>,
 }
 
 impl Renderer {
-    /// Prepares (bins, coordinate scale, which source level) but draws nothing.
+    /// Prepares (lattice, coordinate scale, which source level) but draws nothing.
     #[must_use]
-    pub fn new(source: Arc<Source>, _mesh: &Mesh, options: RenderOptions) -> Self {
-        Self { source, options }
+    pub fn new(source: Arc<Source>, mesh: &Mesh, options: RenderOptions) -> Self {
+        Self::with_level(source, mesh, options, Level::best())
+    }
+
+    /// The same on one instruction set; [`Level::Scalar`] where the machine does not have it. Levels give the same bytes.
+    #[must_use]
+    pub fn with_level(source: Arc<Source>, mesh: &Mesh, options: RenderOptions, level: Level) -> Self {
+        let kernel = Kernel::new(level);
+        let pixmap = source.pixmap();
+        let drawing = (options.target != pixmap.extent() || !mesh.is_identity()).then(|| {
+            let k = source.level_for(options.target);
+            let lattice = Lattice::new(mesh, pixmap.extent(), k, &options, kernel);
+            // Copies are made here, not by whichever band comes first.
+            let reduced = source.level(k);
+            if options.filter == Filter::Bilinear {
+                reduced.packed();
+            }
+            Box::new(Drawing::new(lattice, options, k, kernel))
+        });
+        let bare = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
+        let clear = match options.outside {
+            Outside::Transparent => bare,
+            Outside::Colour(colour) => bare && colour[3] < u8::MAX,
+            Outside::Edge => false,
+        };
+        let channels = if clear { Channels::Rgba } else { pixmap.channels() };
+        Self { source, options, channels, level: kernel.level(), drawing }
     }
 
     /// Size of the target.
     #[must_use]
-    pub fn target(&self) -> Extent {
+    pub const fn target(&self) -> Extent {
         self.options.target
     }
 
     /// RGBA when the source has alpha or the target needs one somewhere, otherwise RGB.
     #[must_use]
-    pub fn channels(&self) -> Channels {
-        self.source.pixmap().channels()
+    pub const fn channels(&self) -> Channels {
+        self.channels
     }
 
     /// The depth of the source.
@@ -96,8 +130,23 @@ impl Renderer {
         self.source.pixmap().depth()
     }
 
+    /// The instruction set in use.
+    #[must_use]
+    pub const fn level(&self) -> Level {
+        self.level
+    }
+
     /// Draws the target rows `rows`. Shapes: `out: [rows][width][channels]`, straight samples in PNG order (16-bit big-endian).
-    pub fn band(&self, _rows: Range<u32>, _out: &mut [u8]) {
-        todo!()
+    ///
+    /// # Panics
+    /// If `rows` leave the target or `out` does not have the size of its shape.
+    pub fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+        assert!(rows.end <= self.options.target.height(), "rows lie in the target");
+        let size = self.options.target.width() as usize * self.channels.count() * self.depth().bytes() * rows.len();
+        assert_eq!(out.len(), size, "one sample for each channel of each pixel");
+        match &self.drawing {
+            Some(drawing) => drawing.band(&self.source, self.channels, rows, out),
+            None => sampler::copy(self.source.pixmap(), rows, out),
+        }
     }
 }

@@ -1,0 +1,116 @@
+//! The inner loops of the renderer and the one place where an instruction set is chosen. `scalar` is the reference and defines every result:
+//! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `x86` repeats it in AVX2: the loops
+//! that a compiler can widen are the scalar ones compiled again, the sampler is written by hand. What was tried and dropped: `notes.md`.
+
+#[forbid(unsafe_code)]
+mod scalar;
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
+mod x86;
+
+use std::ops::Range;
+
+use super::lattice::Lattice;
+use super::source::Packed;
+use crate::pixmap::Channels;
+
+pub(super) use scalar::{CellRow, NOTES, Spans, fixed};
+
+/// An instruction set that kernels are written for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Level {
+    /// Plain Rust: any machine.
+    Scalar,
+    /// x86-64 with AVX2, FMA, BMI1 and BMI2.
+    Avx2,
+}
+
+impl Level {
+    /// The levels that this machine has, the best one last.
+    #[must_use]
+    pub fn available() -> &'static [Self] {
+        if Self::Avx2.is_here() { &[Self::Scalar, Self::Avx2] } else { &[Self::Scalar] }
+    }
+
+    /// The best level that this machine has.
+    #[must_use]
+    pub fn best() -> Self {
+        if Self::Avx2.is_here() { Self::Avx2 } else { Self::Scalar }
+    }
+
+    /// Whether this machine has the level. The standard library keeps what it found.
+    #[must_use]
+    pub fn is_here(self) -> bool {
+        match self {
+            Self::Scalar => true,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => {
+                is_x86_feature_detected!("avx2")
+                    && is_x86_feature_detected!("fma")
+                    && is_x86_feature_detected!("bmi1")
+                    && is_x86_feature_detected!("bmi2")
+            }
+            #[cfg(not(target_arch = "x86_64"))]
+            Self::Avx2 => false,
+        }
+    }
+}
+
+/// The kernels of a level that this machine was seen to have.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kernel(Level);
+
+/// Calls the same function of the module that belongs to the level.
+macro_rules! dispatch {
+    ($self:ident, $name:ident($($argument:expr),*)) => {
+        match $self.0 {
+            Level::Scalar => scalar::$name($($argument),*),
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2 => x86::$name($self, $($argument),*),
+            #[cfg(not(target_arch = "x86_64"))]
+            Level::Avx2 => scalar::$name($($argument),*),
+        }
+    };
+}
+
+impl Kernel {
+    /// The kernels of a level; scalar where the machine does not have it.
+    pub(super) fn new(level: Level) -> Self {
+        Self(if level.is_here() { level } else { Level::Scalar })
+    }
+
+    /// The level in use.
+    pub(super) const fn level(self) -> Level {
+        self.0
+    }
+
+    /// Poses a row of vertices and snaps it to the lattice.
+    pub(super) fn snap(self, rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]) {
+        dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
+    }
+
+    /// Whether each cell of a row may be drawn by column crossings.
+    pub(super) fn sound(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
+        dispatch!(self, sound(cells, above, below, sound));
+    }
+
+    /// How much the columns bend at the line between two rows of cells: squared jump of the derivative along them.
+    pub(super) fn bends(self, above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
+        dispatch!(self, bends(above, below, bends));
+    }
+
+    /// Where every column crosses target rows: x, px, and v, `[rows][pitch + BLOCK]`; only what is crossed is written.
+    pub(super) fn crossings(self, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+        dispatch!(self, crossings(lattice, rows, x, v));
+    }
+
+    /// Coordinates along a row from the crossings of the columns.
+    pub(super) fn spans(self, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
+        dispatch!(self, spans(spans, u, v));
+    }
+
+    /// Bilinear samples of a run of pixels.
+    pub(super) fn sample(self, packed: &Packed, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+        dispatch!(self, sample(packed, u, v, channels, out));
+    }
+}

@@ -1,0 +1,323 @@
+//! The reference kernels, and the definition of every result. Snapping: f64 to 1/256 px, to nearest. Column crossings: f32. Bilinear samples:
+//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (the same for v), the value is `(sum of w t + 8192) >> 14` over the
+//! four texels t and their weights w = (128 - fx)(128 - fy), ...; with alpha `round(sum of w a t / sum of w a)`, so colours under alpha 0 never
+//! show. The functions are inlined so that `x86` can compile them again for wider registers.
+
+#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to their range before they are narrowed")]
+#![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
+
+use std::ops::Range;
+
+use crate::pixmap::Channels;
+use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, first_row};
+use crate::render::source::{FLIP, Packed};
+
+/// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
+const ROUND: f64 = 6_755_399_441_055_744.0;
+/// Adding 2^23 leaves the nearest integer in the low bits of an f32 from 0 to 2^22.
+const ROUND_F32: f32 = 8_388_608.0;
+/// Pixels that are written together.
+const LANES: usize = 8;
+
+#[inline(always)]
+pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]) {
+    let limit = f64::from(LIMIT);
+    let snapped = |rest: f64, displacement: f32, scale: f64| {
+        let place = ((rest + f64::from(displacement)) * scale).max(-limit).min(limit);
+        (place + ROUND).to_bits() as i32
+    };
+    for (((x, y), rest), d) in x.iter_mut().zip(y).zip(rest_x).zip(displacement) {
+        *x = snapped(*rest, d[0], scale[0]);
+        *y = snapped(rest_y, d[1], scale[1]);
+    }
+}
+
+/// A row of cells: its two lines of vertices, lattice steps, padded to whole blocks and one more.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::render) struct CellRow<'a> {
+    pub(in crate::render) top: (&'a [i32], &'a [i32]),
+    pub(in crate::render) bottom: (&'a [i32], &'a [i32]),
+    /// The sampler's coordinate of each column.
+    pub(in crate::render) u: &'a [f32],
+    /// Height at rest, px of the sampled picture.
+    pub(in crate::render) height: f32,
+    /// Px of the sampled picture for one of `u`.
+    pub(in crate::render) unit: f32,
+}
+
+/// Lattice steps to px.
+const STEP: f32 = 1.0 / ONE as f32;
+
+#[inline(always)]
+fn px(place: i32) -> f32 {
+    place as f32 * STEP
+}
+
+#[inline(always)]
+pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
+    let (per_above, per_below) = (1.0 / above.height, 1.0 / below.height);
+    let n = bends.len();
+    let (x0, y0, x1, y1) = (&above.top.0[..n], &above.top.1[..n], &below.top.0[..n], &below.top.1[..n]);
+    let (x2, y2) = (&below.bottom.0[..n], &below.bottom.1[..n]);
+    for c in 0..n {
+        let jump = |a: i32, b: i32, c: i32| (px(c) - px(b)) * per_below - (px(b) - px(a)) * per_above;
+        let (x, y) = (jump(x0[c], x1[c], x2[c]), jump(y0[c], y1[c], y2[c]));
+        bends[c] = x * x + y * y;
+    }
+}
+
+/// Drawn coordinates may be this far from the patch, px of the sampled picture: 3/64, of the 1/16 that the contract allows.
+const TOLERANCE: f32 = 3.0 / 64.0;
+/// The least area of a cell, as a share of the area at rest, at which crossings are trusted.
+const LEAST_AREA: f32 = 0.02;
+/// Places beyond are not exact in f32, px.
+const FARTHEST: f32 = 32_768.0;
+
+/// A cell is sound when it is convex and upright (columns downwards), flatter than one row of cells across a column (|dt| <= 1), and when
+/// the chord between its columns stays near its patch: with r = |dt| (|d| + height * bend) / 4 the distance of the chord in target px,
+/// r |column| width / area and r |line| height / area bound the error in u and v. Squared, and multiplied by its denominators.
+#[inline(always)]
+pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
+    let n = sound.len();
+    let (xa, ya) = (&cells.top.0[..=n], &cells.top.1[..=n]);
+    let (xb, yb) = (&cells.bottom.0[..=n], &cells.bottom.1[..=n]);
+    let (above, below, u) = (&above[..=n], &below[..=n], &cells.u[..=n]);
+    let height2 = cells.height * cells.height;
+    for c in 0..n {
+        let (ax, ay, bx, by) = (px(xa[c]), px(ya[c]), px(xa[c + 1]), px(ya[c + 1]));
+        let (dx, dy, cx, cy) = (px(xb[c]), px(yb[c]), px(xb[c + 1]), px(yb[c + 1]));
+        let (top, bottom) = ((bx - ax, by - ay), (cx - dx, cy - dy));
+        let (left, right) = ((dx - ax, dy - ay), (cx - bx, cy - by));
+        let cross = |a: (f32, f32), b: (f32, f32)| a.0 * b.1 - a.1 * b.0;
+        let least = |a: f32, b: f32| if a < b { a } else { b };
+        let most = |a: f32, b: f32| if a > b { a } else { b };
+        let norm2 = |a: (f32, f32)| a.0 * a.0 + a.1 * a.1;
+        let area = least(least(cross(top, left), cross(top, right)), least(cross(bottom, left), cross(bottom, right)));
+        let width = (u[c + 1] - u[c]) * cells.unit;
+        let fall = least(left.1, right.1);
+        let slant2 = most(top.1 * top.1, bottom.1 * bottom.1);
+        let twist2 = norm2((right.0 - left.0, right.1 - left.1));
+        let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
+        let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
+        let near = slant2 * (twist2 + height2 * bend2) * reach2 <= 8.0 * TOLERANCE * TOLERANCE * (area * area) * (fall * fall);
+        let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
+        sound[c] = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (slant2 <= fall * fall) & near & (far < FARTHEST);
+    }
+}
+
+/// A block of values.
+#[inline(always)]
+fn block<T>(values: &[T]) -> &[T; BLOCK] {
+    values.first_chunk().expect("arrays are padded to whole blocks")
+}
+
+#[inline(always)]
+pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    let blocks = lattice.pitch / BLOCK;
+    let stride = lattice.pitch + BLOCK;
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(&rows)) {
+        let (top, fall) = (lattice.v[j], lattice.v[j + 1] - lattice.v[j]);
+        for b in 0..blocks {
+            let reach = lattice.block_reach[j * blocks + b];
+            let clip = |row: i64| row.clamp(i64::from(rows.start), i64::from(rows.end)) as u32;
+            let (first, end) = (clip(first_row(reach.top)), clip(first_row(reach.bottom)));
+            if first >= end {
+                continue;
+            }
+            let at = j * lattice.pitch + b * BLOCK;
+            let (xa, ya) = (block(&lattice.x[at..]), block(&lattice.y[at..]));
+            let (xb, yb) = (block(&lattice.x[at + lattice.pitch..]), block(&lattice.y[at + lattice.pitch..]));
+            let (mut x0, mut y0, mut y1) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK], [0.0_f32; BLOCK]);
+            let (mut slope_x, mut slope_v) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
+            for c in 0..BLOCK {
+                (x0[c], y0[c], y1[c]) = (px(xa[c]), px(ya[c]), px(yb[c]));
+                let per_px = 1.0 / (y1[c] - y0[c]);
+                slope_x[c] = (px(xb[c]) - x0[c]) * per_px;
+                slope_v[c] = fall * per_px;
+            }
+            for row in first..end {
+                let at = (row - rows.start) as usize * stride + b * BLOCK;
+                let x: &mut [f32; BLOCK] = x[at..].first_chunk_mut().expect("a row has all blocks");
+                let v: &mut [f32; BLOCK] = v[at..].first_chunk_mut().expect("a row has all blocks");
+                let centre = row as f32 + 0.5;
+                for c in 0..BLOCK {
+                    let below = centre - y0[c];
+                    let crosses = (below >= 0.0) & (centre < y1[c]);
+                    x[c] = if crosses { x0[c] + below * slope_x[c] } else { x[c] };
+                    v[c] = if crosses { top + below * slope_v[c] } else { v[c] };
+                }
+            }
+        }
+    }
+}
+
+/// Room for the spans of a row, and what they are made from.
+#[derive(Debug)]
+pub(in crate::render) struct Spans<'a> {
+    /// Crossings of the columns, px.
+    pub(in crate::render) x: &'a [f32],
+    /// Coordinates there.
+    pub(in crate::render) v: &'a [f32],
+    /// The sampler's coordinate of each column.
+    pub(in crate::render) u: &'a [f32],
+    /// Columns in all.
+    pub(in crate::render) columns: usize,
+    /// Pixels of the target row.
+    pub(in crate::render) width: usize,
+    /// The pixels that are covered, exactly.
+    pub(in crate::render) covered: Range<usize>,
+    /// Where spans are noted.
+    pub(in crate::render) notes: &'a mut [[f32; BLOCK]],
+    /// The first pixel of each span.
+    pub(in crate::render) first: &'a mut [u32],
+}
+
+/// Kinds of notes a block of spans has: u and v at the first pixel and their steps.
+pub(in crate::render) const NOTES: usize = 4;
+
+/// The first pixel whose centre is not left of x, but for rounding; as a float too.
+#[inline(always)]
+fn first_pixel(x: f32, width: f32) -> (u32, f32) {
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = (if x < width { x } else { width }) + ROUND_F32;
+    (x.to_bits() & 0x007f_ffff, x - ROUND_F32)
+}
+
+#[inline(always)]
+pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
+    let width = spans.width as f32;
+    let cells = spans.columns - 1;
+    let blocks = spans.columns.div_ceil(BLOCK);
+    for b in 0..blocks {
+        let at = b * BLOCK;
+        let (x0, x1) = (block(&spans.x[at..]), block(&spans.x[at + 1..]));
+        let (v0, v1) = (block(&spans.v[at..]), block(&spans.v[at + 1..]));
+        let (u0, u1) = (block(&spans.u[at..]), block(&spans.u[at + 1..]));
+        let first: &mut [u32; BLOCK] = spans.first[at..].first_chunk_mut().expect("there is room for whole blocks");
+        let [nu, ndu, nv, ndv]: &mut [[f32; BLOCK]; NOTES] =
+            spans.notes[b * NOTES..].first_chunk_mut().expect("there is room for whole blocks");
+        for c in 0..BLOCK {
+            let (pixel, place) = first_pixel(x0[c], width);
+            let per_px = 1.0 / (x1[c] - x0[c]);
+            let (du, dv) = ((u1[c] - u0[c]) * per_px, (v1[c] - v0[c]) * per_px);
+            let inside = place + 0.5 - x0[c];
+            first[c] = pixel;
+            (nu[c], ndu[c], nv[c], ndv[c]) = (u0[c] + inside * du, du, v0[c] + inside * dv, dv);
+        }
+    }
+    // The ends are exact, whatever f32 made of them.
+    let inside = spans.covered.start as f32 + 0.5 - spans.x[0];
+    spans.notes[0][0] = spans.u[0] + inside * spans.notes[1][0];
+    spans.notes[2][0] = spans.v[0] + inside * spans.notes[3][0];
+    spans.first[0] = spans.covered.start as u32;
+    spans.first[cells] = spans.covered.end as u32;
+    for c in 0..cells {
+        let (first, end) = (spans.first[c] as usize, spans.first[c + 1] as usize);
+        if first >= end {
+            continue;
+        }
+        let [nu, ndu, nv, ndv]: &[[f32; BLOCK]; NOTES] =
+            spans.notes[c / BLOCK * NOTES..].first_chunk().expect("there is room for whole blocks");
+        let c = c % BLOCK;
+        line([nu[c], ndu[c], nv[c], ndv[c]], first, end, u, v);
+    }
+}
+
+/// Writes `u + k du`, `v + k dv` at the k-th pixel, in whole groups of lanes: what is written beyond the end is written again or not read.
+#[inline(always)]
+fn line([u0, du, v0, dv]: [f32; 4], first: usize, end: usize, u: &mut [f32], v: &mut [f32]) {
+    let mut at = first;
+    let mut k = 0.0;
+    while at < end {
+        let (u, v) = (&mut u[at..at + LANES], &mut v[at..at + LANES]);
+        for lane in 0..LANES {
+            let k = k + lane as f32;
+            u[lane] = u0 + k * du;
+            v[lane] = v0 + k * dv;
+        }
+        at += LANES;
+        k += LANES as f32;
+    }
+}
+
+/// U of a coordinate: kept in the picture, then truncated. NaN is 0.
+#[inline(always)]
+pub(in crate::render) fn fixed(coordinate: f32, last: f32) -> usize {
+    let coordinate = if coordinate > 0.0 { coordinate } else { 0.0 };
+    (if coordinate < last { coordinate } else { last }) as usize
+}
+
+#[inline(always)]
+pub(super) fn sample(packed: &Packed, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+    match channels {
+        Channels::Rgb => {
+            for ((u, v), out) in u.iter().zip(v).zip(out.as_chunks_mut::<3>().0) {
+                let [r, g, b, _] = pixel(packed, *u, *v);
+                *out = [r, g, b];
+            }
+        }
+        Channels::Rgba => {
+            for ((u, v), out) in u.iter().zip(v).zip(out.as_chunks_mut::<4>().0) {
+                *out = pixel(packed, *u, *v);
+            }
+        }
+    }
+}
+
+/// One bilinear sample, straight RGBA.
+#[inline(always)]
+pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
+    let (last_x, last_y) = (packed.width - 1, packed.height - 1);
+    let (u, v) = (fixed(u, (last_x * 128) as f32), fixed(v, (last_y * 128) as f32));
+    let (fx, fy) = ((u & 127) as u64, (v & 127) as u64);
+    let at = (v >> 7).min(last_y) * packed.stride() + (u >> 7).min(last_x);
+    let below = at + packed.stride();
+    let texels = [packed.texels[at] ^ FLIP, packed.texels[at + 1] ^ FLIP, packed.texels[below] ^ FLIP, packed.texels[below + 1] ^ FLIP];
+    if packed.opaque || texels[0] & texels[1] & texels[2] & texels[3] >= 0xff00_0000 {
+        opaque(texels, fx, fy)
+    } else {
+        translucent(texels, fx, fy)
+    }
+}
+
+/// Four samples of 8 bits apart by 16.
+#[inline(always)]
+fn spread(texel: u32) -> u64 {
+    let pairs = (u64::from(texel) | (u64::from(texel) << 16)) & 0x0000_ffff_0000_ffff;
+    (pairs | (pairs << 8)) & 0x00ff_00ff_00ff_00ff
+}
+
+#[inline(always)]
+fn opaque(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
+    // Across: up to 128 * 255, fits 16 bits. Down: up to 128^2 * 255, two samples at a time apart by 32.
+    let across = |left: u32, right: u32| spread(left) * (128 - fx) + spread(right) * fx;
+    let (above, below) = (across(texels[0], texels[1]), across(texels[2], texels[3]));
+    let down = |shift: u32| {
+        let part = |row: u64| (row >> shift) & 0x0000_ffff_0000_ffff;
+        part(above) * (128 - fy) + part(below) * fy + 0x0000_2000_0000_2000
+    };
+    let (even, odd) = (down(0) >> 14, down(16) >> 14);
+    [even as u8, odd as u8, (even >> 32) as u8, (odd >> 32) as u8]
+}
+
+#[cold]
+fn translucent(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
+    if fx == 0 && fy == 0 {
+        return texels[0].to_le_bytes();
+    }
+    let (fx, fy) = (fx as u32, fy as u32);
+    let weights = [(128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy];
+    let texels = texels.map(u32::to_le_bytes);
+    let mut sums = [0_u32; 4];
+    for (weight, texel) in weights.into_iter().zip(texels) {
+        // At most 2^14 * 255^2 < 2^30 in all.
+        let alpha = weight * u32::from(texel[3]);
+        for (sum, colour) in sums.iter_mut().zip(&texel[..3]) {
+            *sum += alpha * u32::from(*colour);
+        }
+        sums[3] += alpha;
+    }
+    let alpha = sums[3];
+    let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u8);
+    [r, g, b, ((alpha + 8192) >> 14) as u8]
+}

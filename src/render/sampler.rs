@@ -1,0 +1,148 @@
+//! Reading the source where no hand-written kernel does: nearest at any depth, bilinear at 16 bit (the definition of `kernel::scalar` with wider
+//! integers), and the plain copy of the identity. Coordinates as the lattice scales them for the filter; straight samples out, 16 bit big-endian.
+
+#![expect(clippy::cast_possible_truncation, reason = "weighted means stay in the range of the samples")]
+
+use std::ops::Range;
+
+use super::kernel::{Kernel, fixed};
+use super::source::Source;
+use super::{Filter, Outside};
+use crate::pixmap::{Channels, Depth, Pixmap, Samples};
+
+/// Samples a run of pixels; `out` has `channels` samples for each of `u`.
+pub(super) fn sample(kernel: Kernel, source: &Source, filter: Filter, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+    match (filter, source.packed(), source.pixmap().samples()) {
+        (Filter::Bilinear, Some(packed), _) => kernel.sample(packed, u, v, channels, out),
+        (Filter::Bilinear, None, Samples::Sixteen(samples)) => {
+            let picture = Texels::new(source.pixmap(), samples);
+            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(picture.bilinear(u, v), pixel), Depth::Sixteen);
+        }
+        (Filter::Nearest | Filter::Bilinear, _, Samples::Eight(samples)) => {
+            let picture = Texels::new(source.pixmap(), samples);
+            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put(picture.nearest(u, v), pixel), Depth::Eight);
+        }
+        (Filter::Nearest, _, Samples::Sixteen(samples)) => {
+            let picture = Texels::new(source.pixmap(), samples);
+            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(picture.nearest(u, v), pixel), Depth::Sixteen);
+        }
+    }
+}
+
+fn each(u: &[f32], v: &[f32], channels: Channels, out: &mut [u8], mut put: impl FnMut(f32, f32, &mut [u8]), depth: Depth) {
+    for ((u, v), pixel) in u.iter().zip(v).zip(out.chunks_exact_mut(channels.count() * depth.bytes())) {
+        put(*u, *v, pixel);
+    }
+}
+
+fn put(value: [u8; 4], pixel: &mut [u8]) {
+    pixel.copy_from_slice(&value[..pixel.len()]);
+}
+
+fn put_wide(value: [u16; 4], pixel: &mut [u8]) {
+    for (bytes, sample) in pixel.as_chunks_mut::<2>().0.iter_mut().zip(value) {
+        *bytes = sample.to_be_bytes();
+    }
+}
+
+/// The samples of a picture as pixels.
+struct Texels<'a, S> {
+    samples: &'a [S],
+    width: usize,
+    height: usize,
+    channels: Channels,
+    opaque: bool,
+}
+
+impl<'a, S: Copy + Sample> Texels<'a, S> {
+    fn new(pixmap: &Pixmap, samples: &'a [S]) -> Self {
+        let extent = pixmap.extent();
+        let (width, height) = (extent.width() as usize, extent.height() as usize);
+        Self { samples, width, height, channels: pixmap.channels(), opaque: pixmap.is_opaque() }
+    }
+
+    fn at(&self, x: usize, y: usize) -> [S; 4] {
+        let index = y.min(self.height - 1) * self.width + x.min(self.width - 1);
+        match self.channels {
+            Channels::Rgb => {
+                let p = &self.samples[3 * index..3 * index + 3];
+                [p[0], p[1], p[2], S::OPAQUE]
+            }
+            Channels::Rgba => {
+                let p = &self.samples[4 * index..4 * index + 4];
+                [p[0], p[1], p[2], p[3]]
+            }
+        }
+    }
+
+    /// The pixel that holds the place.
+    fn nearest(&self, u: f32, v: f32) -> [S; 4] {
+        self.at(fixed(u, (self.width - 1) as f32), fixed(v, (self.height - 1) as f32))
+    }
+}
+
+impl Texels<'_, u16> {
+    fn bilinear(&self, u: f32, v: f32) -> [u16; 4] {
+        let (u, v) = (fixed(u, ((self.width - 1) * 128) as f32), fixed(v, ((self.height - 1) * 128) as f32));
+        let (x, y, fx, fy) = (u >> 7, v >> 7, (u & 127) as u64, (v & 127) as u64);
+        if fx == 0 && fy == 0 {
+            return self.at(x, y);
+        }
+        let texels = [self.at(x, y), self.at(x + 1, y), self.at(x, y + 1), self.at(x + 1, y + 1)];
+        let weights = [(128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy];
+        let mut sums = [0_u64; 4];
+        for (weight, texel) in weights.into_iter().zip(texels) {
+            // At most 2^14 * 65535^2 < 2^46 in all.
+            let alpha = weight * if self.opaque { 1 } else { u64::from(texel[3]) };
+            for (sum, colour) in sums.iter_mut().zip(&texel[..3]) {
+                *sum += alpha * u64::from(*colour);
+            }
+            sums[3] += alpha;
+        }
+        let alpha = sums[3];
+        let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u16);
+        [r, g, b, if self.opaque { u16::MAX } else { ((alpha + 8192) >> 14) as u16 }]
+    }
+}
+
+trait Sample {
+    const OPAQUE: Self;
+}
+
+impl Sample for u8 {
+    const OPAQUE: Self = Self::MAX;
+}
+
+impl Sample for u16 {
+    const OPAQUE: Self = Self::MAX;
+}
+
+/// The bytes of a pixel outside the posed picture, when it has one colour; as many as the target's pixels have.
+pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
+    let colour = match outside {
+        Outside::Transparent => [0; 4],
+        Outside::Colour(colour) => colour,
+        Outside::Edge => return None,
+    };
+    let mut bytes = [0; 8];
+    match depth {
+        Depth::Eight => bytes[..4].copy_from_slice(&colour),
+        // 257 c is c as 16 bit, and both its bytes are c.
+        Depth::Sixteen => bytes = [colour[0], colour[0], colour[1], colour[1], colour[2], colour[2], colour[3], colour[3]],
+    }
+    Some(bytes)
+}
+
+/// Copies rows of the source as they are.
+pub(super) fn copy(pixmap: &Pixmap, rows: Range<u32>, out: &mut [u8]) {
+    let row = pixmap.extent().width() as usize * pixmap.channels().count();
+    let samples = rows.start as usize * row..rows.end as usize * row;
+    match pixmap.samples() {
+        Samples::Eight(source) => out.copy_from_slice(&source[samples]),
+        Samples::Sixteen(source) => {
+            for (bytes, sample) in out.as_chunks_mut::<2>().0.iter_mut().zip(&source[samples]) {
+                *bytes = sample.to_be_bytes();
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! A source picture and the copies that the samplers read, each made once when first asked for: box-reduced pictures for small targets,
+//! and 8-bit texels packed for the bilinear kernels. `[height][width]` grows by one column and one row that repeat the last ones, so that a
+//! kernel may load a pair of texels from any pixel; each sample is stored minus 128, as the signed operand of a byte product.
+
+use std::sync::OnceLock;
+
+use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
+
+/// A sample of 0 as it is stored in [`Packed`].
+pub(super) const FLIP: u32 = 0x8080_8080;
+
+/// A source picture with the copies that the samplers read (packed, reduced), each made once when first asked for.
+#[derive(Debug)]
+pub struct Source {
+    pixmap: Pixmap,
+    packed: OnceLock<Packed>,
+    /// Reduced by 2, 4, 8, ...
+    reduced: Vec<OnceLock<Box<Self>>>,
+}
+
+impl Source {
+    /// Wraps a decoded picture.
+    #[must_use]
+    pub fn new(pixmap: Pixmap) -> Self {
+        let reduced = (0..deepest(pixmap.extent())).map(|_| OnceLock::new()).collect();
+        Self { pixmap, packed: OnceLock::new(), reduced }
+    }
+
+    /// The picture as decoded.
+    #[must_use]
+    pub const fn pixmap(&self) -> &Pixmap {
+        &self.pixmap
+    }
+
+    /// The most memory that a source of this shape may come to hold, all copies included, bytes.
+    #[must_use]
+    pub fn bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
+        (0..=deepest(extent))
+            .map(|k| {
+                let extent = extent.reduced(k);
+                let packed = match depth {
+                    Depth::Eight => Packed::texels(extent).saturating_mul(4),
+                    Depth::Sixteen => 0,
+                };
+                sample_bytes(extent, channels, depth).saturating_add(packed)
+            })
+            .fold(0, u64::saturating_add)
+    }
+
+    /// How often the picture is halved to be drawn at `target`: the reduced picture is not smaller than it along either axis.
+    pub(super) fn level_for(&self, target: Extent) -> u32 {
+        let extent = self.pixmap.extent();
+        let fits = |k: &u32| target.width() <= extent.width() >> k && target.height() <= extent.reduced(*k).height();
+        (1..=deepest(extent)).take_while(fits).last().unwrap_or(0)
+    }
+
+    /// The picture reduced by `2^k`.
+    pub(super) fn level(&self, k: u32) -> &Self {
+        match (k as usize).checked_sub(1).and_then(|index| self.reduced.get(index)) {
+            Some(cell) => cell.get_or_init(|| {
+                let pixmap = self.pixmap.reduced(k);
+                Box::new(Self { pixmap, packed: OnceLock::new(), reduced: Vec::new() })
+            }),
+            None => self,
+        }
+    }
+
+    /// The packed texels; `None` at 16 bit.
+    pub(super) fn packed(&self) -> Option<&Packed> {
+        match self.pixmap.samples() {
+            Samples::Eight(samples) => Some(self.packed.get_or_init(|| Packed::new(&self.pixmap, samples))),
+            Samples::Sixteen(_) => None,
+        }
+    }
+}
+
+/// How often a picture can be halved before it is one pixel.
+const fn deepest(extent: Extent) -> u32 {
+    let longest = if extent.width() > extent.height() { extent.width() } else { extent.height() };
+    u32::BITS - (longest - 1).leading_zeros()
+}
+
+/// 8-bit texels, straight RGBA minus 128 each, `[height + 1][width + 1]`.
+#[derive(Debug)]
+pub(super) struct Packed {
+    pub(super) texels: Vec<u32>,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) opaque: bool,
+}
+
+impl Packed {
+    fn new(pixmap: &Pixmap, samples: &[u8]) -> Self {
+        let (width, height) = (pixmap.extent().width() as usize, pixmap.extent().height() as usize);
+        let stride = width + 1;
+        let mut texels = Vec::with_capacity(stride * (height + 1));
+        let count = pixmap.channels().count();
+        for row in samples.chunks_exact(width * count) {
+            match pixmap.channels() {
+                Channels::Rgb => texels.extend(row.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ FLIP)),
+                Channels::Rgba => texels.extend(row.chunks_exact(4).map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ FLIP)),
+            }
+            texels.extend(texels.last().copied());
+        }
+        texels.extend_from_within(texels.len() - stride..);
+        Self { texels, width, height, opaque: pixmap.is_opaque() }
+    }
+
+    /// Texels in a row, the repeated one included.
+    pub(super) const fn stride(&self) -> usize {
+        self.width + 1
+    }
+
+    fn texels(extent: Extent) -> u64 {
+        (u64::from(extent.width()) + 1) * (u64::from(extent.height()) + 1)
+    }
+}

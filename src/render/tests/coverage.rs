@@ -1,0 +1,190 @@
+//! Which pixels a mesh paints, and with which places of the source.
+
+use super::super::cell::{self, Canvas, Line};
+use super::super::drawing::Drawing;
+use super::super::kernel::Kernel;
+use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
+use super::*;
+use std::ops::Range;
+
+/// Counts paintings.
+struct Counter {
+    width: usize,
+    counts: Vec<u32>,
+}
+
+impl Canvas for Counter {
+    fn wants(&self, _row: u32) -> bool {
+        true
+    }
+
+    fn paint(&mut self, row: u32, pixels: Range<usize>, _line: Line) {
+        for x in pixels {
+            self.counts[row as usize * self.width + x] += 1;
+        }
+    }
+}
+
+fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
+    let grid = mesh.grid();
+    Lattice::new(mesh, extent(grid.width() as u32, grid.height() as u32), 0, options, Kernel::new(Level::best()))
+}
+
+fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
+    let width = target.width() as usize;
+    let mut counter = Counter { width, counts: vec![0; width * target.height() as usize] };
+    for cell in lattice.cells_touching(0..target.height()) {
+        cell::draw(lattice, cell, &(0..target.height()), target.width(), &mut counter);
+    }
+    counter.counts
+}
+
+/// How often the snapped border winds around a place, in exact integers; `None` on the border itself.
+fn winding(lattice: &Lattice, x: i64, y: i64) -> Option<i64> {
+    let (c, r) = (lattice.columns - 1, lattice.rows - 1);
+    let loop_ =
+        (0..c).map(|i| (i, 0)).chain((0..r).map(|j| (c, j))).chain((1..=c).rev().map(|i| (i, r))).chain((1..=r).rev().map(|j| (0, j)));
+    let vertices: Vec<_> = loop_.map(|(i, j)| lattice.corner(i, j)).map(|v| (i64::from(v.x) - x, i64::from(v.y) - y)).collect();
+    let mut turns = 0;
+    for (k, &(ax, ay)) in vertices.iter().enumerate() {
+        let (bx, by) = vertices[(k + 1) % vertices.len()];
+        let cross = ax * by - ay * bx;
+        if cross == 0 && ax * bx <= 0 && ay * by <= 0 {
+            return None;
+        }
+        turns += i64::from(ay <= 0 && by > 0 && cross > 0) - i64::from(by <= 0 && ay > 0 && cross < 0);
+    }
+    Some(turns)
+}
+
+#[test]
+fn each_pixel_inside_is_painted_once_where_nothing_folds() {
+    let grids = [
+        Grid::with_cell(71.0, 53.0, 5.0),
+        Grid::with_counts(71.0, 53.0, 18, 18),
+        Grid::with_cell(71.0, 53.0, 1.0),
+        Grid::with_counts(71.0, 53.0, 2, 2),
+    ];
+    let mut inside = 0;
+    for (seed, grid) in (0..32).zip(grids.into_iter().cycle()) {
+        let mesh = waves(grid, seed, 0.8);
+        assert_eq!(mesh.folded_cells().count(), 0, "the law is about unfolded meshes");
+        let target = if seed % 3 == 0 { extent(38, 29) } else { extent(71, 53) };
+        let lattice = lattice(&mesh, &options(target));
+        for (k, count) in paintings(&lattice, target).into_iter().enumerate() {
+            let (x, y) = (k as u32 % target.width(), k as u32 / target.width());
+            if let Some(turns) = winding(&lattice, column_centre(x as usize) as i64, row_centre(y)) {
+                assert_eq!(i64::from(count), turns, "seed {seed}, pixel {x}, {y}");
+                inside += count;
+            }
+        }
+    }
+    assert!(inside > 50_000);
+}
+
+#[test]
+fn each_pixel_is_painted_once_on_vertices_and_edges() {
+    // Every vertex lies on a pixel's centre: all decisions are ties.
+    let grid = Grid::with_cell(44.0, 40.0, 4.0);
+    let target = extent(44, 40);
+    for (mesh, area) in [
+        (posed(grid, |p| Point::new(p.x / 2.0 + 10.5, p.y / 2.0 + 8.5)), 440),
+        (posed(grid, |p| Point::new(32.5 - p.x / 2.0, 28.5 - p.y / 2.0)), 440),
+        (posed(grid, |p| Point::new((p.x + p.y) / 4.0 + 10.5, (p.y - p.x) / 4.0 + 15.5)), 220),
+        (posed(grid, |p| Point::new(32.5 - p.x / 2.0, p.y / 2.0 + 8.5)), 440),
+    ] {
+        let lattice = lattice(&mesh, &options(target));
+        let counts = paintings(&lattice, target);
+        for (k, &count) in counts.iter().enumerate() {
+            let turns = winding(&lattice, column_centre(k % 44) as i64, row_centre((k / 44) as u32));
+            assert!(turns.is_none_or(|turns| u64::from(count) == turns.unsigned_abs()) && count <= 1, "pixel {k}: {count}");
+        }
+        // Half-open edges: as many pixels as the area says.
+        assert_eq!(counts.into_iter().sum::<u32>(), area);
+    }
+}
+
+#[test]
+fn rows_cover_the_same_pixels_either_way() {
+    let (mut fast, mut general) = (0, 0);
+    for seed in 0..24 {
+        let grid = if seed % 2 == 0 { Grid::with_cell(160.0, 120.0, 5.0) } else { Grid::with_counts(160.0, 120.0, 100, 70) };
+        let mesh = if seed % 5 == 0 { swirl(grid, 0.1 * seed as f64) } else { waves(grid, seed, 0.9) };
+        let target = extent(160, 120);
+        let lattice = lattice(&mesh, &options(target));
+        let counts = paintings(&lattice, target);
+        let drawing = Drawing::new(lattice, options(target), 0, Kernel::new(Level::best()));
+        for row in 0..target.height() {
+            *if drawing.is_general(row) { &mut general } else { &mut fast } += 1;
+            let (_, _, runs) = drawing.row(row);
+            let mut covered = [0; 160];
+            runs.into_iter().for_each(|run| covered[run].fill(1));
+            assert_eq!(counts[row as usize * 160..][..160], covered, "seed {seed}, row {row}");
+        }
+        let whole = counts.iter().all(|&count| count > 0);
+        assert!(whole || !drawing.covered, "coverage is not promised where it is not");
+    }
+    assert!(fast > 500 && general > 200, "{fast} {general}");
+}
+
+#[test]
+fn coordinates_are_those_of_the_bilinear_patch() {
+    let (mut worst, mut fast, mut compared) = (0.0_f64, 0, 0);
+    for seed in 0..12 {
+        let cell = [5.0, 11.0, 24.0][seed as usize % 3];
+        let grid = Grid::with_cell(240.0, 180.0, cell);
+        let mesh = if seed % 4 == 0 { swirl(grid, 0.3 + 0.05 * seed as f64) } else { waves(grid, seed, 0.9) };
+        assert_eq!(mesh.folded_cells().count(), 0, "one place a pixel");
+        let target = extent(240, 180);
+        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::best()));
+        let reference = reference::places(&mesh, target);
+        for row in 0..target.height() {
+            fast += usize::from(!drawing.is_general(row));
+            let (u, v, runs) = drawing.row(row);
+            for x in runs.into_iter().flatten() {
+                let drawn = Point::new((f64::from(u[x]) + 63.5) / 128.0, (f64::from(v[x]) + 63.5) / 128.0);
+                if let Some(place) = reference[row as usize * 240 + x] {
+                    worst = worst.max(drawn.distance(place));
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert!(worst < 1.0 / 16.0, "{worst} px");
+    assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
+}
+
+#[test]
+fn folds_leave_no_holes() {
+    for seed in 0..8 {
+        let mut noise = Noise(seed);
+        let grid = Grid::with_cell(60.0, 60.0, 6.0);
+        let jittered = posed(grid, |p| {
+            let inner = p.x > 0.0 && p.y > 0.0 && p.x < 60.0 && p.y < 60.0;
+            let jitter = if inner { 9.0 } else { 0.0 };
+            // The generator is moved on by place, so that the closure stays pure.
+            let mut local = Noise(seed * 7919 + (p.x * 61.0 + p.y) as u64);
+            local.next();
+            p + Vec2::new(jitter * local.signed(), jitter * local.signed())
+        });
+        noise.next();
+        assert!(jittered.folded_cells().count() > 20);
+        let target = extent(60, 60);
+        assert!(paintings(&lattice(&jittered, &options(target)), target).into_iter().all(|count| count > 0), "seed {seed}");
+    }
+}
+
+#[test]
+fn cells_without_area_paint_nothing() {
+    let grid = Grid::with_cell(20.0, 20.0, 4.0);
+    let target = extent(20, 20);
+    for mesh in [
+        posed(grid, |_| Point::new(7.5, 7.5)),
+        posed(grid, |p| Point::new(p.x, 7.5)),
+        posed(grid, |p| Point::new(7.5, p.y)),
+        posed(grid, |p| Point::new(p.x, p.x)),
+    ] {
+        assert_eq!(paintings(&lattice(&mesh, &options(target)), target).into_iter().sum::<u32>(), 0);
+    }
+    assert_eq!(ONE, 256, "lattice steps in the places above");
+}
