@@ -122,9 +122,9 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of whole macroblocks, and a record of
-    /// each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is wanted, and up to three
-    /// quarter-size images of transforms and code groups.
+    /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
+    /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
+    /// wanted, and up to three quarter-size images of transforms and code groups.
     pub(super) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
