@@ -122,9 +122,9 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Beside the picture: the copy of the frame; for VP8 its planes (3/2 bytes a pixel of whole macroblocks, and a record of
-    /// each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is wanted, and up to three
-    /// quarter-size images of transforms and code groups.
+    /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
+    /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
+    /// wanted, and up to three quarter-size images of transforms and code groups.
     pub(super) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
@@ -132,12 +132,12 @@ impl<'a> WebPFile<'a> {
             Coding::Lossy(vp8, alpha) => {
                 let macroblocks = width.div_ceil(16) * height.div_ceil(16);
                 let alpha_planes = if alpha.is_some() { 6 * pixels } else { 0 };
-                (vp8.len() + alpha.map_or(0, <[u8]>::len), macroblocks * (384 + 2 * 64) + alpha_planes)
+                (3 * vp8.len() + alpha.map_or(0, <[u8]>::len), macroblocks * (384 + 2 * 64) + alpha_planes)
             }
             Coding::Lossless(vp8l, true) => (vp8l.len(), pixels),
             Coding::Lossless(vp8l, false) => (vp8l.len(), 5 * pixels),
         };
-        (1 << 20) + 3 * data as u64 + planes
+        (1 << 20) + data as u64 + planes
     }
 
     /// A container of a canvas and the frame.

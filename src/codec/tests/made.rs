@@ -14,7 +14,7 @@ pub(super) fn deflate(bytes: &[u8]) -> Vec<u8> {
 
 /// Something that passes for an RGB profile.
 pub(super) fn profile(len: usize) -> Vec<u8> {
-    let mut profile: Vec<u8> = (0..len).map(|n| (n * n >> 3) as u8).collect();
+    let mut profile: Vec<u8> = (0..len).map(|n| ((n * n) >> 3) as u8).collect();
     profile[16..20].copy_from_slice(b"RGB ");
     profile
 }
@@ -110,7 +110,7 @@ impl Jpeg {
     pub(super) fn flat(width: u16, height: u16, factors: &[(u8, u8)], levels: &[i32]) -> Self {
         let h = factors.iter().map(|f| u16::from(f.0)).max().unwrap();
         let v = factors.iter().map(|f| u16::from(f.1)).max().unwrap();
-        let mcus = usize::from(width.div_ceil(8 * h) * height.div_ceil(8 * v));
+        let mcus = usize::from(width.div_ceil(8 * h)) * usize::from(height.div_ceil(8 * v));
         let mcus = vec![levels.to_vec(); mcus];
         Self { size: (width, height), sof: 0xC0, factors: factors.to_vec(), segments: vec![], mcus, separate: false }
     }

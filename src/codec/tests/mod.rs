@@ -1,6 +1,8 @@
 //! Reading files: laws over all formats here, one file per format beside, hostile bytes last. Files are made by hand (`made`),
 //! so that every chunk is under the test's control; photographs come from `tests/images`.
 
+#![expect(clippy::cast_possible_truncation, reason = "patterns are cut to their low byte, and sizes are written here")]
+
 mod hostile;
 mod jpeg;
 mod made;
