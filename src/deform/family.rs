@@ -43,7 +43,7 @@ pub(super) fn rho(u: Vec2) -> Vec2 {
     if n < UNDEFINED {
         return Vec2::ZERO;
     }
-    let re = if 1.0 + u.x > 0.0 { -u.y * u.y / (1.0 + u.x + n) } else { 1.0 + u.x - n };
+    let re = if 1.0 + u.x > 0.0 { -u.y * (u.y / (1.0 + u.x + n)) } else { 1.0 + u.x - n };
     Vec2::new(re / n, u.y / n)
 }
 

@@ -67,9 +67,12 @@ fn growth(report: &mut Report) {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
         let plan = Plan::of_grid(&field, &grid);
-        harness::medians(15, &mut [contender("", || {
-            one.install(|| black_box(plan.displace(black_box(&pose))));
-        })])[0]
+        harness::medians(
+            15,
+            &mut [contender("", || {
+                one.install(|| black_box(plan.displace(black_box(&pose))));
+            })],
+        )[0]
     };
     let vertices = (time(200, 20) / time(100, 20)).ln() / 4f64.ln();
     let handles = (time(100, 40) / time(100, 10)).ln() / 4f64.ln();

@@ -26,9 +26,8 @@ impl Fractions {
 /// `n` points 0.25 px off the vertices of a 100 x 100 grid, and where they go.
 pub fn points(n: usize) -> (Vec<Point>, Vec<Point>) {
     let mut random = Fractions::new(7);
-    let p: Vec<Point> = (0..n)
-        .map(|_| Point::new((40.0 + 420.0 * random.next()).floor() + 0.25, (40.0 + 420.0 * random.next()).floor() + 0.25))
-        .collect();
+    let p: Vec<Point> =
+        (0..n).map(|_| Point::new((40.0 + 420.0 * random.next()).floor() + 0.25, (40.0 + 420.0 * random.next()).floor() + 0.25)).collect();
     let q = p
         .iter()
         .map(|p| {

@@ -13,26 +13,27 @@ pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mu
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
 pub(super) fn displace_inline(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
-    let mut least = f32::INFINITY;
+    // The unused lanes of a last block hold zeros: m = 1 there. A least per lane keeps the loops free of a horizontal step.
+    let mut least = [1.0f32; LANES];
     match family {
-        Method::Affine => blocks(table, d.len(), out, |block| (affine(block, d), f32::INFINITY), &mut least),
-        Method::Similarity => blocks(table, 2 * d.len(), out, |block| (similarity(block, d), f32::INFINITY), &mut least),
-        Method::Rigid => blocks(table, 3 * d.len() + 2, out, |block| rigid(block, d), &mut least),
+        Method::Affine => blocks(table, d.len(), out, |block| affine(block, d)),
+        Method::Similarity => blocks(table, 2 * d.len(), out, |block| similarity(block, d)),
+        Method::Rigid => blocks(table, 3 * d.len() + 2, out, |block| rigid(block, d, &mut least)),
     }
-    least.min(1.0)
+    least.into_iter().fold(1.0, f32::min)
 }
 
 type Pair = [[f32; LANES]; 2];
 
 #[inline(always)]
-fn blocks(table: &[Lanes], per_block: usize, out: &mut [[f32; 2]], pose: impl Fn(&[Lanes]) -> (Pair, f32), least: &mut f32) {
+fn blocks(table: &[Lanes], per_block: usize, out: &mut [[f32; 2]], mut pose: impl FnMut(&[Lanes]) -> Pair) {
     for (block, out) in table.chunks_exact(per_block).zip(out.chunks_mut(LANES)) {
-        let ([x, y], m) = pose(block);
-        // The unused lanes of a last block hold zeros: m = 1 there.
-        *least = least.min(m);
-        for ((out, x), y) in out.iter_mut().zip(x).zip(y) {
-            *out = [x, y];
+        let [x, y] = pose(block);
+        let mut pairs = [[0.0; 2]; LANES];
+        for k in 0..LANES {
+            pairs[k] = [x[k], y[k]];
         }
+        out.copy_from_slice(&pairs[..out.len()]);
     }
 }
 
@@ -62,7 +63,7 @@ fn similarity(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
 }
 
 #[inline(always)]
-fn rigid(block: &[Lanes], d: &[[f32; 2]]) -> (Pair, f32) {
+fn rigid(block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES]) -> Pair {
     let (mut ux, mut uy, mut x, mut y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for (c, [dx, dy]) in block.chunks_exact(3).zip(d) {
         let (Lanes(re), Lanes(im), Lanes(wn)) = (&c[0], &c[1], &c[2]);
@@ -74,19 +75,19 @@ fn rigid(block: &[Lanes], d: &[[f32; 2]]) -> (Pair, f32) {
         }
     }
     let (Lanes(ex), Lanes(ey)) = (&block[block.len() - 2], &block[block.len() - 1]);
-    let mut least = f32::INFINITY;
     for k in 0..LANES {
         // rho(u) of mathematics 2.3 without a branch: both forms are computed, one is chosen.
         let mx = 1.0 + ux[k];
         let n = (mx * mx + uy[k] * uy[k]).sqrt();
-        let defined = n >= UNDEFINED;
-        let near = -(uy[k] * uy[k]) / (mx + n);
+        let near = -(uy[k] * (uy[k] / (mx + n)));
         let re = if mx > 0.0 { near } else { mx - n };
-        let rx = if defined { re / n } else { 0.0 };
-        let ry = if defined { uy[k] / n } else { 0.0 };
-        x[k] += ex[k] * rx - ey[k] * ry;
-        y[k] += ex[k] * ry + ey[k] * rx;
-        least = if n < least { n } else { least };
+        let scale = if n >= UNDEFINED { 1.0 / n } else { 0.0 };
+        let (rx, ry) = (re * scale, uy[k] * scale);
+        let turned = [ex[k] * rx - ey[k] * ry, ex[k] * ry + ey[k] * rx];
+        // Where no rotation fits, `near` may be 0/0: the lane is replaced, not multiplied.
+        x[k] += if n >= UNDEFINED { turned[0] } else { 0.0 };
+        y[k] += if n >= UNDEFINED { turned[1] } else { 0.0 };
+        least[k] = if n < least[k] { n } else { least[k] };
     }
-    ([x, y], least)
+    [x, y]
 }
