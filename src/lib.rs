@@ -17,7 +17,6 @@ pub mod pixmap;
 
 pub mod render;
 
-#[forbid(unsafe_code)]
 pub mod codec;
 
 #[forbid(unsafe_code)]

@@ -1,11 +1,16 @@
 //! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `decode` checks every limit on that header
 //! before it takes memory; `PngWriter` turns strips of rows into PNG bytes, strip by strip, in any order.
 
+#[forbid(unsafe_code)]
 mod decode;
+#[forbid(unsafe_code)]
 mod error;
+#[forbid(unsafe_code)]
 mod limits;
+#[forbid(unsafe_code)]
 mod orientation;
 mod png;
+#[forbid(unsafe_code)]
 mod probe;
 mod read_jpeg;
 mod read_png;
@@ -16,5 +21,5 @@ mod tests;
 pub use decode::{Decoded, decode};
 pub use error::CodecError;
 pub use limits::Limits;
-pub use png::{Compression, PngShape, PngWriter, Strip};
+pub use png::{Compression, Level, PngShape, PngWriter, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
