@@ -173,12 +173,6 @@ impl PngWriter {
         (adler, rows.filtered_len() as u64)
     }
 
-    /// No more than this many bytes come out, head and tail included.
-    #[must_use]
-    pub fn max_bytes(&self) -> u64 {
-        todo!()
-    }
-
     /// What follows the last strip: the checksum of all (given `(adler, filtered_len)` of every strip in order) and IEND.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {

@@ -1,0 +1,94 @@
+//! The example handle files on their photographs, drawn with all three families at 256 px, against committed pictures. A sample may differ
+//! by 2/255 (levels and rounding), and no more than 0.5 % of the samples may differ by more. `MLSWARP_BLESS=1` redraws them: then look at them.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mlswarp::codec::{self, Limits as ImageLimits};
+use mlswarp::deform::Method;
+use mlswarp::pixmap::{Pixmap, Samples};
+use mlswarp::service::wire::WarpObject;
+use mlswarp::warp::{Image, Limits, OutputSpec, Setup, Warp};
+
+/// Handle file, photograph.
+const EXAMPLES: [(&str, &str); 5] = [
+    ("stretched-cat", "chelsea.png"),
+    ("leaning-rocket", "rocket.jpg"),
+    ("giraffe", "horse-cutout.png"),
+    ("thinner-face", "astronaut.png"),
+    ("fold", "coffee.png"),
+];
+const METHODS: [(Method, &str); 3] = [(Method::Affine, "affine"), (Method::Similarity, "similarity"), (Method::Rigid, "rigid")];
+const WIDTH: u32 = 256;
+const TOLERANCE: u8 = 2;
+const DEVIATING_SHARE: f64 = 0.005;
+/// Above this a golden is no longer small, bytes.
+const LARGEST: u64 = 200_000;
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+pub fn limits() -> Limits {
+    Limits { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
+}
+
+/// The PNG of an object on a photograph.
+pub fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
+    let image = Arc::new(Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap());
+    let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
+    let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
+    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &limits()).unwrap();
+    let mut bytes = Vec::new();
+    let written = warp.write(1, &(), &mut |strip| {
+        bytes.extend(strip);
+        ControlFlow::Continue(())
+    });
+    assert!(written.is_continue());
+    assert!(bytes.len() as u64 <= warp.max_bytes());
+    bytes
+}
+
+pub fn decode(png: &[u8]) -> Pixmap {
+    codec::decode(png, &ImageLimits::default()).unwrap().pixmap
+}
+
+fn eight(pixmap: &Pixmap) -> &[u8] {
+    match pixmap.samples() {
+        Samples::Eight(samples) => samples,
+        Samples::Sixteen(_) => panic!("goldens have 8 bits"),
+    }
+}
+
+#[test]
+fn golden_examples_of_all_families() {
+    let bless = std::env::var_os("MLSWARP_BLESS").is_some();
+    let mut wanted = Vec::new();
+    for (example, photograph) in EXAMPLES {
+        let json = std::fs::read(root().join(format!("api/examples/{example}.json"))).unwrap();
+        for (method, name) in METHODS {
+            let mut object = WarpObject::parse(&json).unwrap();
+            object.rest.method = method;
+            object.output = OutputSpec { width: Some(WIDTH), compression: codec::Compression::Best, ..object.output };
+            let png = draw(&root().join("tests/images").join(photograph), &object);
+            let file = format!("{example}-{name}.png");
+            let path = root().join("tests/golden").join(&file);
+            if bless {
+                std::fs::write(&path, &png).unwrap();
+            }
+            let golden = std::fs::read(&path).unwrap_or_else(|e| panic!("{file}: {e}"));
+            assert!(golden.len() as u64 <= LARGEST, "{file} has {} bytes", golden.len());
+            let (drawn, golden) = (decode(&png), decode(&golden));
+            assert_eq!((drawn.extent(), drawn.channels()), (golden.extent(), golden.channels()), "{file}");
+            let (drawn, golden) = (eight(&drawn), eight(&golden));
+            let off = drawn.iter().zip(golden).filter(|(a, b)| a.abs_diff(**b) > TOLERANCE).count();
+            assert!(off as f64 <= DEVIATING_SHARE * drawn.len() as f64, "{file}: {off} of {} samples differ", drawn.len());
+            wanted.push(file);
+        }
+    }
+    for entry in std::fs::read_dir(root().join("tests/golden")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        assert!(wanted.contains(&name), "no test draws the golden {name}");
+    }
+}
