@@ -1,0 +1,145 @@
+//! Values to JSON in the form in which they are read: what is written parses to an equal value. f64 is written with the fewest digits
+//! that read back to the same bits. Defaults are written out, so that a client sees what was assumed; what has no default is left out.
+
+use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
+
+use super::WarpObject;
+use super::word::{Canvas, Metric, OutputFormat, Word};
+use crate::codec::Compression;
+use crate::deform::{Handle, Method};
+use crate::geometry::Point;
+use crate::render::{Filter, Outside};
+use crate::warp::{Folds, GridSpec, OutputSpec, RestSpec, Units};
+
+/// A value in its wire form: `Wire(&spec)` serialises as a client would write it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wire<T>(pub T);
+
+macro_rules! words_are_strings {
+    ($($type:ty),+) => {
+        $(impl Serialize for Wire<$type> {
+            fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+                s.serialize_str(self.0.word())
+            }
+        })+
+    };
+}
+
+words_are_strings!(Method, Units, Folds, Compression, Filter);
+
+impl Serialize for Wire<Point> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        [self.0.x, self.0.y].serialize(s)
+    }
+}
+
+impl Serialize for Wire<&[Point]> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut array = s.serialize_seq(Some(self.0.len()))?;
+        self.0.iter().try_for_each(|place| array.serialize_element(&Wire(*place)))?;
+        array.end()
+    }
+}
+
+impl Serialize for Wire<&Handle> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            Handle::Point(place) => Wire(*place).serialize(s),
+            Handle::Polyline(places) => Wire(places.as_slice()).serialize(s),
+        }
+    }
+}
+
+impl Serialize for Wire<&[Handle]> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut array = s.serialize_seq(Some(self.0.len()))?;
+        self.0.iter().try_for_each(|handle| array.serialize_element(&Wire(handle)))?;
+        array.end()
+    }
+}
+
+impl Serialize for Wire<GridSpec> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            GridSpec::Auto => s.serialize_str("auto"),
+            GridSpec::Pixel => s.serialize_str("pixel"),
+            GridSpec::Cell(cell) => {
+                let mut object = s.serialize_map(Some(1))?;
+                object.serialize_entry("cell", &cell)?;
+                object.end()
+            }
+            GridSpec::Counts { columns, rows } => {
+                let mut object = s.serialize_map(Some(2))?;
+                object.serialize_entry("columns", &columns)?;
+                object.serialize_entry("rows", &rows)?;
+                object.end()
+            }
+        }
+    }
+}
+
+impl Serialize for Wire<Outside> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            Outside::Transparent => s.serialize_str("transparent"),
+            Outside::Edge => s.serialize_str("edge"),
+            Outside::Colour([r, g, b, a]) => s.collect_str(&format_args!("#{r:02x}{g:02x}{b:02x}{a:02x}")),
+        }
+    }
+}
+
+impl Serialize for Wire<&OutputSpec> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let OutputSpec { compression, width, filter, outside } = *self.0;
+        let mut object = s.serialize_map(None)?;
+        object.serialize_entry("format", OutputFormat::Png.word())?;
+        object.serialize_entry("compression", &Wire(compression))?;
+        if let Some(width) = width {
+            object.serialize_entry("width", &width)?;
+        }
+        object.serialize_entry("filter", &Wire(filter))?;
+        object.serialize_entry("outside", &Wire(outside))?;
+        object.serialize_entry("canvas", Canvas::Same.word())?;
+        object.end()
+    }
+}
+
+impl Serialize for Wire<&RestSpec> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut object = s.serialize_map(None)?;
+        rest_entries(self.0, &mut object)?;
+        object.end()
+    }
+}
+
+impl Serialize for Wire<&WarpObject> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let WarpObject { rest, q, folds, output } = self.0;
+        let mut object = s.serialize_map(None)?;
+        rest_entries(rest, &mut object)?;
+        if let Some(q) = q {
+            object.serialize_entry("q", &Wire(q.as_slice()))?;
+        }
+        object.serialize_entry("folds", &Wire(*folds))?;
+        object.serialize_entry("metric", Metric::Euclidean.word())?;
+        object.serialize_entry("output", &Wire(output))?;
+        object.end()
+    }
+}
+
+fn rest_entries<M: SerializeMap>(rest: &RestSpec, object: &mut M) -> Result<(), M::Error> {
+    let RestSpec { p, weights, method, alpha, point_mass, units, grid } = rest;
+    object.serialize_entry("p", &Wire(p.as_slice()))?;
+    if let Some(weights) = weights {
+        object.serialize_entry("weights", weights)?;
+    }
+    object.serialize_entry("method", &Wire(*method))?;
+    if let Some(alpha) = alpha {
+        object.serialize_entry("alpha", alpha)?;
+    }
+    if let Some(mass) = point_mass {
+        object.serialize_entry("point_mass", mass)?;
+    }
+    object.serialize_entry("units", &Wire(*units))?;
+    object.serialize_entry("grid", &Wire(*grid))
+}
