@@ -1,4 +1,5 @@
 //! One integration binary: linked once, one module a topic. Name the topic first, then the law.
 
+mod golden;
 mod laws;
 mod oracle;

@@ -156,7 +156,15 @@ fn code_rows<L: Lookup>(
 }
 
 #[inline(always)]
-fn code_piece<L: Lookup>(piece: &[u8], lookup: &L, single: &Single, runs: &Runs, stage: &mut [u8; STAGE + 8], bits: &mut BitWriter, out: &mut Vec<u8>) {
+fn code_piece<L: Lookup>(
+    piece: &[u8],
+    lookup: &L,
+    single: &Single,
+    runs: &Runs,
+    stage: &mut [u8; STAGE + 8],
+    bits: &mut BitWriter,
+    out: &mut Vec<u8>,
+) {
     let mut coder = Coder { waiting: bits.waiting, filled: bits.filled, at: 0, lookup, single, runs, stage };
     walk(piece, &mut coder);
     let Coder { waiting, filled, at, .. } = coder;

@@ -15,7 +15,10 @@ pub(super) struct Rows<'a> {
 impl<'a> Rows<'a> {
     /// `samples` are whole rows, at least one; rows are whole pixels, at least one.
     pub(super) fn new(samples: &'a [u8], row_bytes: usize, bpp: usize) -> Self {
-        assert!(!samples.is_empty() && samples.len().is_multiple_of(row_bytes) && row_bytes.is_multiple_of(bpp), "whole rows of whole pixels");
+        assert!(
+            !samples.is_empty() && samples.len().is_multiple_of(row_bytes) && row_bytes.is_multiple_of(bpp),
+            "whole rows of whole pixels"
+        );
         Self { samples, row_bytes, bpp }
     }
 

@@ -47,7 +47,8 @@ mod tests {
         for (family, per_column, extra) in [(Method::Affine, 1, 0), (Method::Similarity, 2, 0), (Method::Rigid, 3, 2)] {
             for (columns, vertices) in [(1, 1), (7, 100), (3, 16), (11, 33)] {
                 let blocks = usize::div_ceil(vertices, LANES);
-                let table: Vec<Lanes> = (0..blocks * (per_column * columns + extra)).map(|_| Lanes([0.0; LANES].map(|_: f32| next()))).collect();
+                let table: Vec<Lanes> =
+                    (0..blocks * (per_column * columns + extra)).map(|_| Lanes([0.0; LANES].map(|_: f32| next()))).collect();
                 let d: Vec<[f32; 2]> = (0..columns).map(|_| [next(), next()]).collect();
                 let mut reference = vec![[0.0; 2]; vertices];
                 let least = displace_at(Level::Scalar, family, &table, &d, &mut reference);

@@ -57,6 +57,9 @@ fn of_handles(side: &str, error: &DeformError) -> Problem {
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
         DeformError::Contradictory { first, .. } => at_handle(Code::ContradictoryHandles, first),
+        DeformError::TooManyMeetings { limit } => {
+            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_meetings", limit, limit + 1)
+        }
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
     }
 }
