@@ -1,12 +1,12 @@
 //! JSON text to nodes with an address. Syntax is `serde_json`'s alone and comes first: [`root`] checks the whole text (400), after which a
-//! [`Node`] is well-formed text, cut out but not copied, and only its meaning can be wrong (422). No tree is built and nothing is
-//! allocated but for a problem: a level of the document is one more scan of its text, and the forms read here are at most four levels
-//! deep. Numbers stay as they were written until `number.rs` reads them, so `1e999` is a number out of range, not a syntax error.
+//! [`Node`] is well-formed text, cut out but not copied, and only its meaning can be wrong (422). Objects are taken apart by `serde_json`,
+//! arrays by looking for commas, which well-formed text allows. No tree is built and nothing is allocated but for a problem: a level of
+//! the document is one more scan of its text, and the forms read here are at most four levels deep. Numbers stay as they were written until `number.rs` reads them, so `1e999` is a number out of range, not a syntax error.
 
 use std::fmt;
 
 use serde::Deserializer as _;
-use serde::de::{DeserializeSeed, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, IgnoredAny, MapAccess, Visitor};
 use serde_json::value::RawValue;
 
 use crate::service::problem::{Code, Problem};
@@ -169,15 +169,23 @@ impl<'j> Node<'j, '_> {
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.
-    pub(super) fn items(&self, expected: &str, each: impl FnMut(usize, Node<'j, '_>) -> Result<(), Problem>) -> Result<(), Problem> {
+    pub(super) fn items(&self, expected: &str, mut each: impl FnMut(usize, Node<'j, '_>) -> Result<(), Problem>) -> Result<(), Problem> {
         if self.kind() != Kind::Array {
             return Err(self.wrong_kind(expected));
         }
-        let mut problem = None;
-        let read = serde_json::Deserializer::from_str(self.json).deserialize_seq(Items { at: &self.at, each, problem: &mut problem });
-        match problem {
-            Some(problem) => Err(problem),
-            None => read.map_err(|e| self.not_json(&e)),
+        let text = self.json;
+        let bytes = text.as_bytes();
+        let (mut index, mut start) = (0, 1);
+        loop {
+            start += spaces(&bytes[start..]);
+            if matches!(bytes.get(start), None | Some(b']')) {
+                return Ok(());
+            }
+            let end = start + length(&bytes[start..]);
+            each(index, Node { json: text.get(start..end).unwrap_or_default(), at: At::Item(&self.at, index) })?;
+            index += 1;
+            // Past the comma; the bracket that ends the array may be stepped over as well, and then nothing is left.
+            start = (end + spaces(&bytes[end..]) + 1).min(bytes.len());
         }
     }
 
@@ -269,28 +277,96 @@ impl Visitor<'_> for Name<'_> {
     }
 }
 
-struct Items<'a, 'p, F> {
-    at: &'a At<'p>,
-    each: F,
-    problem: &'a mut Option<Problem>,
+/// How many bytes of white space `text` begins with.
+fn spaces(text: &[u8]) -> usize {
+    text.iter().take_while(|b| matches!(b, b' ' | b'\t' | b'\n' | b'\r')).count()
 }
 
-impl<'j, F: FnMut(usize, Node<'j, '_>) -> Result<(), Problem>> Visitor<'j> for Items<'_, '_, F> {
-    type Value = ();
+/// How many bytes the value takes that `text` begins with; `text` is well-formed, so that only its end has to be found.
+fn length(text: &[u8]) -> usize {
+    let (mut depth, mut at) = (0_usize, 0);
+    while let Some(byte) = text.get(at) {
+        match byte {
+            b'"' => {
+                at += 1;
+                while let Some(byte) = text.get(at).filter(|b| **b != b'"') {
+                    at += if *byte == b'\\' { 2 } else { 1 };
+                }
+            }
+            b'[' | b'{' => depth += 1,
+            // The end of the array that the value stands in: the value was a scalar and is over.
+            b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if depth == 0 => return at,
+            b']' | b'}' => depth -= 1,
+            _ => {}
+        }
+        at += 1;
+        if depth == 0 && matches!(byte, b'"' | b']' | b'}') {
+            return at.min(text.len());
+        }
+    }
+    text.len()
+}
 
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array")
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde_json::Value;
+
+    use super::*;
+
+    fn texts(array: &str) -> Vec<String> {
+        let body = format!("{{\"a\": {array}}}");
+        let root = root(body.as_bytes()).unwrap();
+        let [a] = root.fields("an object", &["a"]).unwrap();
+        let mut texts = Vec::new();
+        a.unwrap()
+            .items("an array", |index, item| {
+                assert_eq!(item.at.to_string(), format!("/a/{index}"));
+                texts.push(item.text().to_owned());
+                Ok(())
+            })
+            .unwrap();
+        texts
     }
 
-    fn visit_seq<A: SeqAccess<'j>>(mut self, mut items: A) -> Result<(), A::Error> {
-        let mut index = 0;
-        while let Some(item) = items.next_element::<&'j RawValue>()? {
-            if let Err(problem) = (self.each)(index, Node { json: item.get(), at: At::Item(self.at, index) }) {
-                *self.problem = Some(problem);
-                return Err(A::Error::custom("refused"));
-            }
-            index += 1;
+    #[test]
+    fn items_are_found_between_spaces_strings_and_brackets() {
+        assert_eq!(texts("[]"), [""; 0]);
+        assert_eq!(texts("[ \n\t\r ]"), [""; 0]);
+        assert_eq!(texts("[1]"), ["1"]);
+        assert_eq!(texts("[ -1.5e+3 ,\r\n\ttrue , null]"), ["-1.5e+3", "true", "null"]);
+        assert_eq!(texts("[[],{},\"\"]"), ["[]", "{}", "\"\""]);
+        assert_eq!(texts("[[ 1 , [2] ] , {\"b\": [3, {}]} ]"), ["[ 1 , [2] ]", "{\"b\": [3, {}]}"]);
+        assert_eq!(
+            texts(r#"["]", "\"", "\\", "[\\\",", [",]"], {"}": "{"}]"#),
+            [r#""]""#, r#""\"""#, r#""\\""#, r#""[\\\",""#, r#"[",]"]"#, r#"{"}": "{"}"#]
+        );
+        assert_eq!(texts("[\"\u{e9}]\", 2]"), ["\"\u{e9}]\"", "2"]);
+    }
+
+    fn json() -> impl Strategy<Value = Value> {
+        let scalar = prop_oneof![
+            Just(Value::Null),
+            any::<bool>().prop_map(Value::from),
+            any::<f64>().prop_map(Value::from),
+            any::<i32>().prop_map(Value::from),
+            "[\\[\\]{},:\"\\\\ a\u{e9}]{0,6}".prop_map(Value::from),
+        ];
+        scalar.prop_recursive(4, 32, 4, |inner| {
+            prop_oneof![
+                prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
+                prop::collection::vec(("[\\[\\]{},\"\\\\a]{0,3}", inner), 0..4).prop_map(|f| Value::Object(f.into_iter().collect())),
+            ]
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn items_are_those_that_serde_finds(items in prop::collection::vec(json(), 0..5), pretty: bool) {
+            let array = Value::from(items);
+            let text = if pretty { serde_json::to_string_pretty(&array) } else { serde_json::to_string(&array) }.unwrap();
+            let expected: Vec<&RawValue> = serde_json::from_str(&text).unwrap();
+            prop_assert_eq!(texts(&text), expected.iter().map(|raw| raw.get()).collect::<Vec<_>>());
         }
-        Ok(())
     }
 }
