@@ -3,7 +3,6 @@
 //! given twice is 400 `malformed_request`; everything else is 422 with a JSON pointer. A field that is not known is refused, never
 //! ignored. Cost: a few scans of the text and the values themselves; a drag of twelve points takes about two microseconds.
 
-#![expect(clippy::result_large_err, reason = "a problem is met once a request, and a box would only move it")]
 
 mod handles;
 mod json;
