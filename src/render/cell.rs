@@ -20,8 +20,8 @@ pub(super) struct Line {
 
 /// What cells are drawn on.
 pub(super) trait Canvas {
-    /// Whether a target row is drawn at all.
-    fn wants(&self, row: u32) -> bool;
+    /// Whether cells of a column are drawn in a target row at all.
+    fn wants(&self, row: u32, column: usize) -> bool;
     /// Paints a run of pixels of a row; later paint covers earlier paint.
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line);
 }
@@ -33,7 +33,7 @@ pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), rows: &Range<u32>,
     if right <= 0 || i64::from(left) >= i64::from(width) * i64::from(ONE) {
         return;
     }
-    let window = Window { rows, width: i64::from(width) };
+    let window = Window { rows, width: i64::from(width), column: i };
     match shape(&corners) {
         Shape::Convex(sign) => {
             let patch = Patch::new(&corners, sign);
@@ -77,6 +77,7 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
 struct Window<'a> {
     rows: &'a Range<u32>,
     width: i64,
+    column: usize,
 }
 
 /// What a row meets of a convex polygon: pixels `[first, end)`, and the crossings at either side.
@@ -103,7 +104,7 @@ impl Window<'_> {
             *edge = Edge::new(corners[k], corners[(k + 1) % N]);
         }
         for row in first..end {
-            if !canvas.wants(row) {
+            if !canvas.wants(row, self.column) {
                 continue;
             }
             let y = row_centre(row);

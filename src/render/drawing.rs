@@ -1,6 +1,6 @@
-//! A posed grid drawn strip by strip. Two ways lead to a row's coordinates: column crossings where every cell that the row touches is sound
-//! and the row crosses every column (then the posed picture is one run of pixels), and cell by cell elsewhere. Which way a row goes depends on
-//! the mesh alone, and each row is drawn by itself: any banding gives the same bytes. O(cells touched + pixels) a strip.
+//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, where all cells between two columns are sound
+//! (`kernel::sound`) and the row crosses both, and cell by cell elsewhere (`mixed` divides them). Which way is taken depends on the mesh and
+//! the row alone: any banding gives the same bytes. O(cells touched + pixels).
 
 use std::ops::Range;
 
@@ -9,6 +9,7 @@ use super::cell::{self, Canvas, Line};
 use super::edge::Edge;
 use super::kernel::{CellRow, Kernel, NOTES, Spans};
 use super::lattice::{BLOCK, LIMIT, Lattice, column_centre, first_row, row_centre};
+use super::mixed::Kinds;
 use super::sampler;
 use super::source::Source;
 use super::{Outside, RenderOptions};
@@ -33,8 +34,10 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// Whether a row is drawn cell by cell.
-    general: Vec<bool>,
+    /// Whether each cell may be drawn by column crossings, `[rows - 1][columns - 1]`.
+    sound: Vec<bool>,
+    /// Whether a row crosses every column and meets sound cells only.
+    plain: Vec<bool>,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
 }
@@ -49,6 +52,8 @@ struct Scratch {
     notes: Vec<[f32; BLOCK]>,
     first: Vec<u32>,
     runs: Vec<Range<usize>>,
+    kinds: Kinds,
+    good: Vec<Range<usize>>,
     /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
     pitch: usize,
 }
@@ -60,8 +65,8 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let general = general_rows(&lattice, &options, kernel);
-        Self { lattice, border, options, kernel, level, general, covered }
+        let (sound, plain) = sound_cells(&lattice, &options, kernel);
+        Self { lattice, border, options, kernel, level, sound, plain, covered }
     }
 
     /// Draws target rows.
@@ -96,62 +101,78 @@ impl Drawing {
 
     /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
-        let general = &self.general[strip.start as usize..strip.end as usize];
-        let any = general.iter().any(|&general| general);
-        let pitch = self.options.target.width() as usize + SLACK;
-        scratch.pitch = if any { pitch } else { 0 };
-        let size = if any { strip.len() } else { 1 } * pitch;
+        let width = self.options.target.width();
+        let plain = &self.plain[strip.start as usize..strip.end as usize];
+        let all_plain = plain.iter().all(|&plain| plain);
+        let pitch = width as usize + SLACK;
+        scratch.pitch = if all_plain { 0 } else { pitch };
+        let size = if all_plain { 1 } else { strip.len() } * pitch;
         if scratch.u.len() < size {
             scratch.u.resize(size, BARE);
             scratch.v.resize(size, 0.0);
         }
-        if general.iter().any(|&general| !general) {
-            self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
+        self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
+        if all_plain {
+            return;
         }
-        if any {
-            scratch.u[..size].fill(BARE);
-            let mut canvas = Strip { first: strip.start, general, pitch, u: &mut scratch.u, v: &mut scratch.v };
-            for cell in self.lattice.cells_touching(strip.clone()) {
-                cell::draw(&self.lattice, cell, strip, self.options.target.width(), &mut canvas);
+        scratch.kinds.begin(&self.lattice, &self.sound, strip);
+        for row in strip.clone().filter(|&row| !self.plain[row as usize]) {
+            let index = (row - strip.start) as usize;
+            let stride = self.lattice.pitch + BLOCK;
+            let mut good = std::mem::take(&mut scratch.good);
+            scratch.kinds.decide(&self.lattice, row, &scratch.x_crossings[index * stride..(index + 1) * stride], &mut good);
+            scratch.runs.clear();
+            for cells in &good {
+                self.spans(row, index, cells.clone(), scratch);
             }
+            for gap in gaps(&scratch.runs, width as usize) {
+                scratch.u[index * pitch..][gap].fill(BARE);
+            }
+            scratch.good = good;
+        }
+        let kinds = &scratch.kinds;
+        let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
+        for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
+            cell::draw(&self.lattice, cell, strip, width, &mut canvas);
         }
     }
 
     /// Finds a row's coordinates and notes the runs of pixels that the picture covers; returns where the row begins in the scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
-        let width = self.options.target.width() as usize;
         let index = (row - strip.start) as usize;
         let start = index * scratch.pitch;
         scratch.runs.clear();
-        if self.general[row as usize] {
-            runs(&scratch.u[start..start + width], &mut scratch.runs);
-            return start;
+        if self.plain[row as usize] {
+            self.spans(row, index, 0..self.lattice.columns - 1, scratch);
+        } else {
+            runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs);
+        }
+        start
+    }
+
+    /// Coordinates of a row between the first and the last column of a range of good strips, and the run of pixels that they cover.
+    fn spans(&self, row: u32, index: usize, cells: Range<usize>, scratch: &mut Scratch) {
+        let width = self.options.target.width() as usize;
+        let pixel = |column| self.crossing(column, row).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
+        let covered = pixel(cells.start)..pixel(cells.end);
+        if covered.is_empty() {
+            return;
         }
         let stride = self.lattice.pitch + BLOCK;
-        let covered = self.covered_run(row);
+        let crossings = index * stride + cells.start..(index + 1) * stride;
         let mut spans = Spans {
-            x: &scratch.x_crossings[index * stride..(index + 1) * stride],
-            v: &scratch.v_crossings[index * stride..(index + 1) * stride],
-            u: &self.lattice.u,
-            columns: self.lattice.columns,
+            x: &scratch.x_crossings[crossings.clone()],
+            v: &scratch.v_crossings[crossings],
+            u: &self.lattice.u[cells.start..],
+            columns: cells.len() + 1,
             width,
             covered: covered.clone(),
             notes: &mut scratch.notes,
             first: &mut scratch.first,
         };
-        self.kernel.spans(&mut spans, &mut scratch.u[start..start + width + SLACK], &mut scratch.v[start..start + width + SLACK]);
-        if !covered.is_empty() {
-            scratch.runs.push(covered);
-        }
-        start
-    }
-
-    /// The pixels between the first and the last column, exactly; for rows that cross both once.
-    fn covered_run(&self, row: u32) -> Range<usize> {
-        let width = self.options.target.width() as usize;
-        let pixel = |column| self.crossing(column, row).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
-        let (first, end) = (pixel(0), pixel(self.lattice.columns - 1));
-        first..end.max(first)
+        let row = index * scratch.pitch..index * scratch.pitch + width + SLACK;
+        self.kernel.spans(&mut spans, &mut scratch.u[row.clone()], &mut scratch.v[row]);
+        scratch.runs.push(covered);
     }
 
     /// The first pixel right of where a column crosses a row.
@@ -193,10 +214,10 @@ impl Drawing {
         }
     }
 
-    /// Whether a row is drawn cell by cell.
+    /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
-    pub(super) fn is_general(&self, row: u32) -> bool {
-        self.general[row as usize]
+    pub(super) fn is_plain(&self, row: u32) -> bool {
+        self.plain[row as usize]
     }
 
     /// A row's coordinates and the runs that are covered.
@@ -211,18 +232,19 @@ impl Drawing {
     }
 }
 
-/// The rows of a strip that are drawn cell by cell.
+/// The rows of a strip in which cells are drawn one by one.
 struct Strip<'a> {
     first: u32,
-    general: &'a [bool],
+    kinds: &'a Kinds,
+    plain: &'a [bool],
     pitch: usize,
     u: &'a mut [f32],
     v: &'a mut [f32],
 }
 
 impl Canvas for Strip<'_> {
-    fn wants(&self, row: u32) -> bool {
-        self.general[(row - self.first) as usize]
+    fn wants(&self, row: u32, column: usize) -> bool {
+        !self.plain[(row - self.first) as usize] && self.kinds.drawn(row, column)
     }
 
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
@@ -253,42 +275,42 @@ fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize
     starts.zip(ends).map(|(start, end)| start..end).filter(|gap| !gap.is_empty())
 }
 
-/// Which target rows are drawn cell by cell: those that touch a cell that is not sound, and those that do not cross every column.
-fn general_rows(lattice: &Lattice, options: &RenderOptions, kernel: Kernel) -> Vec<bool> {
+/// Which cells are sound, and which target rows cross every column and meet sound cells only.
+fn sound_cells(lattice: &Lattice, options: &RenderOptions, kernel: Kernel) -> (Vec<bool>, Vec<bool>) {
     let height = options.target.height();
+    let cells = lattice.columns - 1;
+    let mut sound = vec![false; cells * (lattice.rows - 1)];
+    let mut plain = vec![false; height as usize];
     if height > FARTHEST || options.target.width() > FARTHEST {
-        return vec![true; height as usize];
+        return (sound, plain);
     }
     let clip = |y: i32| usize::try_from(first_row(y)).unwrap_or(0).min(height as usize);
-    let mut general = vec![false; height as usize];
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(-LIMIT, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1).iter().fold(LIMIT, |bottom, &y| bottom.min(y));
-    general[..clip(top)].fill(true);
-    general[clip(bottom).max(clip(top))..].fill(true);
+    plain[clip(top)..clip(bottom).max(clip(top))].fill(true);
 
-    let cells = lattice.columns - 1;
     let row_of_cells = |j: usize| {
         let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
         let unit = lattice.unit.recip();
         CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
     };
     let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
-    let mut sound = vec![false; cells];
-    for j in 0..lattice.rows - 1 {
+    for (j, sound) in sound.chunks_exact_mut(cells).enumerate() {
         let row = row_of_cells(j);
         if j + 2 < lattice.rows {
             kernel.bends(&row, &row_of_cells(j + 1), &mut below);
         } else {
             below.fill(0.0);
         }
-        kernel.sound(&row, &above, &below, &mut sound);
-        for (i, _) in sound.iter().enumerate().filter(|(_, sound)| !**sound) {
-            let ys = [row.top.1[i], row.top.1[i + 1], row.bottom.1[i], row.bottom.1[i + 1]];
-            let (top, bottom) = ys.iter().fold((i32::MAX, i32::MIN), |(top, bottom), &y| (top.min(y), bottom.max(y)));
-            general[clip(top)..clip(bottom)].fill(true);
+        kernel.sound(&row, &above, &below, sound);
+        if sound.iter().any(|sound| !sound) {
+            for (i, _) in sound.iter().enumerate().filter(|(_, sound)| !**sound) {
+                let reach = lattice.cell_reach(i, j);
+                plain[clip(reach.top)..clip(reach.bottom)].fill(false);
+            }
         }
         std::mem::swap(&mut above, &mut below);
     }
-    general
+    (sound, plain)
 }

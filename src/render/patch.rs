@@ -88,7 +88,7 @@ impl Patch {
         let lowest = |a: f64, b: f64| if a * b > 0.0 { a.abs().min(b.abs()) } else { 0.0 };
         let slant = (e.y.abs().max(e1.y.abs()) / lowest(f.y, f1.y)).min(1.0);
         let (width, height) = ((self.u[1] - self.u[0]) / f64::from(unit), (self.v[1] - self.v[0]) / f64::from(unit));
-        let reach = (f.norm().max(f1.norm()) * width).max(e.norm().max(e1.norm()) * height);
-        0.25 * slant * d.norm() * reach / area
+        let reach2 = (f.norm2().max(f1.norm2()) * width * width).max(e.norm2().max(e1.norm2()) * height * height);
+        0.25 * slant * (d.norm2() * reach2).sqrt() / area
     }
 }

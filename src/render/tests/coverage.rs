@@ -14,7 +14,7 @@ struct Counter {
 }
 
 impl Canvas for Counter {
-    fn wants(&self, _row: u32) -> bool {
+    fn wants(&self, _row: u32, _column: usize) -> bool {
         true
     }
 
@@ -115,7 +115,7 @@ fn rows_cover_the_same_pixels_either_way() {
         let counts = paintings(&lattice, target);
         let drawing = Drawing::new(lattice, options(target), 0, Kernel::new(Level::best()));
         for row in 0..target.height() {
-            *if drawing.is_general(row) { &mut general } else { &mut fast } += 1;
+            *if drawing.is_plain(row) { &mut fast } else { &mut general } += 1;
             let (_, _, runs) = drawing.row(row);
             let mut covered = [0; 160];
             runs.into_iter().for_each(|run| covered[run].fill(1));
@@ -139,7 +139,7 @@ fn coordinates_are_those_of_the_bilinear_patch() {
         let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::best()));
         let reference = reference::places(&mesh, target);
         for row in 0..target.height() {
-            fast += usize::from(!drawing.is_general(row));
+            fast += usize::from(drawing.is_plain(row));
             let (u, v, runs) = drawing.row(row);
             for x in runs.into_iter().flatten() {
                 let drawn = Point::new((f64::from(u[x]) + 63.5) / 128.0, (f64::from(v[x]) + 63.5) / 128.0);
