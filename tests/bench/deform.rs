@@ -73,7 +73,7 @@ fn growth(report: &mut Report) {
         harness::medians(
             15,
             &mut [contender("", || {
-                one.install(|| black_box(plan.displace(black_box(&pose))));
+                black_box(plan.displace(black_box(&pose)));
             })],
         )[0]
     };
