@@ -1,3 +1,55 @@
 //! The program: `mlswarp` serves, `mlswarp warp` bends one picture offline, `mlswarp health` asks a running server.
+//! Exit codes: 0 done, 1 failed, 2 the command line or the environment has mistakes.
 
-fn main() {}
+use std::fmt::Display;
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use mlswarp::service::config::{Cli, Command, Config};
+use mlswarp::service::{health, offline, server, telemetry};
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(said) => {
+            // Help and the version are printed the same way; there is nobody to tell when that fails.
+            let _ = said.print();
+            return ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(2));
+        }
+    };
+    let config = match cli.options.resolve() {
+        Ok(config) => config,
+        Err(mistakes) => {
+            eprintln!("{mistakes}");
+            return ExitCode::from(2);
+        }
+    };
+    run(cli.command.unwrap_or(Command::Serve), config)
+}
+
+fn run(command: Command, config: Config) -> ExitCode {
+    match command {
+        Command::Serve => {
+            telemetry::start(&config);
+            exit(server::run(config).map_err(|e| format!("error: {e}")))
+        }
+        Command::Health => exit(health::ask(config.listen).map_err(|e| format!("error: {e}"))),
+        Command::Warp { image, warp, out } => exit(match offline::run(&config, &image, &warp, &out) {
+            Ok(report) => {
+                eprintln!("{}", offline::Summary(&report));
+                Ok(())
+            }
+            Err(problem) => Err(offline::complaint(&problem)),
+        }),
+    }
+}
+
+fn exit(done: Result<(), impl Display>) -> ExitCode {
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}

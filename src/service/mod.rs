@@ -1,4 +1,214 @@
-//! The application: sessions, caches, admission, HTTP.
+//! The application: what stays between requests (pool, caches, sessions) and the walk of one request through the warp. No HTTP outside
+//! of [`http`]; every error is a [`Problem`].
 
+pub mod cache;
+pub mod config;
+pub mod health;
+pub mod http;
+pub mod offline;
+pub mod picture;
+pub mod pool;
 pub mod problem;
+pub mod server;
+pub mod session;
+pub mod store;
+pub mod telemetry;
+pub mod walk;
 pub mod wire;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use cache::Shelf;
+use config::Config;
+use pool::{Pool, PoolError};
+use problem::{Code, Problem};
+use session::Lanes;
+use store::memory::{Bounds, MemoryStore};
+use store::{Store, StoreError};
+
+use crate::warp::{Image, Plan, Setup};
+
+/// Setups of sessions are small beside plans; they take this share of the plans' memory.
+const SETUP_SHARE: u64 = 8;
+/// Seconds after which a request that found the queue full may come again.
+const RETRY_QUEUE: u32 = 1;
+/// Seconds after which a request that found the store full may come again.
+const RETRY_STORE: u32 = 30;
+
+/// Everything that requests share. Cloning shares it.
+#[derive(Clone, Debug)]
+pub struct App(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    config: Config,
+    pool: Pool,
+    images: Shelf<Image>,
+    plans: Shelf<Plan>,
+    setups: Shelf<Known>,
+    store: Arc<dyn Store>,
+    lanes: Lanes,
+    draining: AtomicBool,
+    pictures: Pictures,
+}
+
+/// A session's setup and what it weighs.
+#[derive(Debug)]
+struct Known {
+    setup: Arc<Setup>,
+    bytes: u64,
+}
+
+/// Pictures begun, and how they ended.
+#[derive(Debug, Default)]
+struct Pictures {
+    begun: AtomicU64,
+    finished: AtomicU64,
+    abandoned: AtomicU64,
+    superseded: AtomicU64,
+}
+
+/// What has happened so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Tables of coefficients filled.
+    pub plans_built: u64,
+    /// Files decoded.
+    pub images_decoded: u64,
+    /// Pictures whose drawing began.
+    pub pictures_begun: u64,
+    /// Pictures drawn to the end.
+    pub pictures_finished: u64,
+    /// Pictures that were given up because the client had left.
+    pub pictures_abandoned: u64,
+    /// Requests answered 409 because a newer pose had been seen.
+    pub superseded: u64,
+}
+
+impl App {
+    /// Starts the compute pool; sessions live in memory.
+    ///
+    /// # Errors
+    /// The operating system gives no threads.
+    pub fn new(config: Config) -> Result<Self, rayon::ThreadPoolBuildError> {
+        let bounds = Bounds { idle: config.session_idle, sessions: config.max_sessions, bytes: config.store_bytes };
+        Self::with_store(config, Arc::new(MemoryStore::new(bounds)))
+    }
+
+    /// Starts the compute pool over a store.
+    ///
+    /// # Errors
+    /// The operating system gives no threads.
+    pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, rayon::ThreadPoolBuildError> {
+        Ok(Self(Arc::new(Shared {
+            pool: Pool::new(config.workers, config.queue)?,
+            images: Shelf::new("images", config.image_cache_bytes, Image::bytes),
+            plans: Shelf::new("plans", config.plan_cache_bytes, Plan::bytes),
+            setups: Shelf::new("setups", config.plan_cache_bytes / SETUP_SHARE, |known: &Known| known.bytes),
+            store,
+            lanes: Lanes::default(),
+            draining: AtomicBool::new(false),
+            pictures: Pictures::default(),
+            config,
+        })))
+    }
+
+    /// The options.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.0.config
+    }
+
+    /// Admission and compute threads.
+    #[must_use]
+    pub fn pool(&self) -> &Pool {
+        &self.0.pool
+    }
+
+    /// What has happened so far.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let pictures = &self.0.pictures;
+        Counters {
+            plans_built: self.0.plans.built(),
+            images_decoded: self.0.images.built(),
+            pictures_begun: read(&pictures.begun),
+            pictures_finished: read(&pictures.finished),
+            pictures_abandoned: read(&pictures.abandoned),
+            superseded: read(&pictures.superseded),
+        }
+    }
+
+    /// Drops every cached picture, plan and setup, as if all had been evicted. Sessions stay.
+    pub fn forget_caches(&self) {
+        self.0.images.clear();
+        self.0.plans.clear();
+        self.0.setups.clear();
+    }
+
+    /// The service is stopping: it is not ready for new work any more.
+    pub fn drain(&self) {
+        self.0.draining.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether work that arrives now would be admitted.
+    ///
+    /// # Errors
+    /// [`Code::Overloaded`], with the reason.
+    pub fn ready(&self) -> Result<(), Problem> {
+        if self.0.draining.load(Ordering::Relaxed) {
+            return Err(Problem::new(Code::Overloaded, "the service is stopping").retry_after(RETRY_QUEUE));
+        }
+        self.admits()
+    }
+
+    /// Whether the queue has a place.
+    ///
+    /// # Errors
+    /// [`Code::Overloaded`].
+    pub fn admits(&self) -> Result<(), Problem> {
+        if self.0.pool.is_full() { Err(PoolError::Full.into()) } else { Ok(()) }
+    }
+
+    /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
+    pub fn spawn_sweeper(&self) {
+        let store = Arc::downgrade(&self.0.store);
+        let pause = (self.0.config.session_idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
+        tokio::spawn(async move {
+            loop {
+                tokio::time::sleep(pause).await;
+                let Some(store) = store.upgrade() else { return };
+                match store.sweep().await {
+                    Ok(0) => {}
+                    Ok(sessions) => tracing::debug!(sessions, "sessions expired"),
+                    Err(error) => tracing::warn!(%error, "the store was not swept"),
+                }
+            }
+        });
+    }
+}
+
+impl From<PoolError> for Problem {
+    fn from(error: PoolError) -> Self {
+        match error {
+            PoolError::Full => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_QUEUE),
+            PoolError::Panicked => Self::new(Code::Internal, "the server made a mistake; its log has more"),
+        }
+    }
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        let detail = error.to_string();
+        match error {
+            StoreError::NoSuchSession => Self::new(Code::NoSuchSession, detail),
+            StoreError::Expired => Self::new(Code::SessionExpired, detail),
+            StoreError::Full { what, limit, actual } => {
+                Self::new(Code::Overloaded, detail).limit(what, limit, actual).retry_after(RETRY_STORE)
+            }
+        }
+    }
+}

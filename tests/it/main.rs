@@ -1,6 +1,19 @@
 //! One integration binary: linked once, one module a topic. Name the topic first, then the law.
 
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod bad_input;
+mod binary;
+mod clients;
+mod drag;
 mod golden;
 mod identity;
 mod laws;
+mod leaving;
+mod offline;
+mod openapi;
 mod oracle;
+mod overload;
+mod problems;
+mod sessions;
+mod support;

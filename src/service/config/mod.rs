@@ -1,0 +1,334 @@
+//! Flags and `MLSWARP_*` variables. A flag wins over its variable, a variable over the default. Every value travels as text until
+//! [`Options::resolve`] reads all of them, so that all mistakes are told at once.
+
+mod units;
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::warp::{ImageLimits, Limits};
+
+/// Even one core serves a page full of hands: a drag takes milliseconds.
+const LEAST_QUEUE: usize = 64;
+
+/// The command line.
+#[derive(Debug, Parser)]
+#[command(name = "mlswarp", version, about = "Bends images as if they were real objects (moving least squares), over HTTP or offline.")]
+#[command(after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option has the variable that its help names.")]
+pub struct Cli {
+    /// What to do; without it the server starts.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// The options, as text.
+    #[command(flatten)]
+    pub options: Options,
+}
+
+/// What the program does.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start the server (the default).
+    Serve,
+    /// Bend one picture offline: the same walk as POST /warp, into a file.
+    Warp {
+        /// The picture (PNG, JPEG, WebP); `-` reads standard input.
+        image: PathBuf,
+        /// The warp object (JSON); `-` reads standard input.
+        warp: PathBuf,
+        /// Where the PNG goes; `-` writes standard output.
+        #[arg(short, long)]
+        out: PathBuf,
+    },
+    /// Ask the server at the listen address whether it can take work; exit code 0 or 1.
+    Health,
+}
+
+/// Every option as text; [`Options::resolve`] reads them.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Address and port to listen on.
+    #[arg(long, env = "MLSWARP_LISTEN", value_name = "ADDR", default_value = "127.0.0.1:8080", global = true)]
+    listen: String,
+    /// Threads that compute, and jobs that run at one time; auto = one a core.
+    #[arg(long, env = "MLSWARP_WORKERS", value_name = "N", default_value = "auto", global = true)]
+    workers: String,
+    /// Requests that may wait for a worker; one more is answered 503. auto = 4 times the workers, at least 64.
+    #[arg(long, env = "MLSWARP_QUEUE", value_name = "N", default_value = "auto", global = true)]
+    queue: String,
+    /// Largest request body.
+    #[arg(long, env = "MLSWARP_MAX_BODY_BYTES", value_name = "SIZE", default_value = "32MiB", global = true)]
+    max_body_bytes: String,
+    /// Largest warp object beside an image. (A drag has 64 KiB + 64 bytes a column.)
+    #[arg(long, env = "MLSWARP_MAX_WARP_JSON_BYTES", value_name = "SIZE", default_value = "4MiB", global = true)]
+    max_warp_json_bytes: String,
+    /// Most pixels of a picture, in or out.
+    #[arg(long, env = "MLSWARP_MAX_IMAGE_PIXELS", value_name = "N", default_value = "50M", global = true)]
+    max_image_pixels: String,
+    /// Most pixels along a side, in or out.
+    #[arg(long, env = "MLSWARP_MAX_IMAGE_SIDE", value_name = "N", default_value = "16384", global = true)]
+    max_image_side: String,
+    /// Most columns of a plan: 1 a point, 2 a segment.
+    #[arg(long, env = "MLSWARP_MAX_COLUMNS", value_name = "N", default_value = "10000", global = true)]
+    max_columns: String,
+    /// Largest table of coefficients; a larger one is evaluated without a table.
+    #[arg(long, env = "MLSWARP_MAX_PLAN_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
+    max_plan_bytes: String,
+    /// Memory for decoded pictures.
+    #[arg(long, env = "MLSWARP_IMAGE_CACHE_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
+    image_cache_bytes: String,
+    /// Memory for tables of coefficients.
+    #[arg(long, env = "MLSWARP_PLAN_CACHE_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
+    plan_cache_bytes: String,
+    /// How long a session lives without being used.
+    #[arg(long, env = "MLSWARP_SESSION_IDLE", value_name = "TIME", default_value = "15m", global = true)]
+    session_idle: String,
+    /// Most sessions; one more is answered 503.
+    #[arg(long, env = "MLSWARP_MAX_SESSIONS", value_name = "N", default_value = "10000", global = true)]
+    max_sessions: String,
+    /// Memory for the sessions' picture files; one more is answered 503.
+    #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
+    store_bytes: String,
+    /// Longest time from a request's head to its answer's head.
+    #[arg(long, env = "MLSWARP_REQUEST_TIMEOUT", value_name = "TIME", default_value = "60s", global = true)]
+    request_timeout: String,
+    /// Longest time for a connection's first byte, for a request's head, and between two requests.
+    #[arg(long, env = "MLSWARP_HEADER_TIMEOUT", value_name = "TIME", default_value = "10s", global = true)]
+    header_timeout: String,
+    /// Longest time for a request's body.
+    #[arg(long, env = "MLSWARP_BODY_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
+    body_timeout: String,
+    /// How long requests may go on after SIGTERM or Ctrl-C.
+    #[arg(long, env = "MLSWARP_SHUTDOWN_GRACE", value_name = "TIME", default_value = "20s", global = true)]
+    shutdown_grace: String,
+    /// What is logged, such as `info`, `mlswarp=debug,warn` or `off`.
+    #[arg(long, env = "MLSWARP_LOG", value_name = "FILTER", default_value = "info", global = true)]
+    log: String,
+    /// Log lines as `text` or `json`.
+    #[arg(long, env = "MLSWARP_LOG_FORMAT", value_name = "FORMAT", default_value = "text", global = true)]
+    log_format: String,
+}
+
+/// How log lines look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Everything that can be set, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// Address and port to listen on.
+    pub listen: SocketAddr,
+    /// Threads that compute, and jobs that run at one time.
+    pub workers: usize,
+    /// Requests that may wait for a worker.
+    pub queue: usize,
+    /// Largest request body.
+    pub max_body_bytes: u64,
+    /// Largest warp object beside an image.
+    pub max_warp_json_bytes: u64,
+    /// What one warp may ask for.
+    pub limits: Limits,
+    /// Memory for decoded pictures.
+    pub image_cache_bytes: u64,
+    /// Memory for tables of coefficients.
+    pub plan_cache_bytes: u64,
+    /// How long a session lives without being used.
+    pub session_idle: Duration,
+    /// Most sessions.
+    pub max_sessions: usize,
+    /// Memory for the sessions' picture files.
+    pub store_bytes: u64,
+    /// Longest time from a request's head to its answer's head.
+    pub request_timeout: Duration,
+    /// Longest time for a connection's first byte, a request's head, and between two requests.
+    pub header_timeout: Duration,
+    /// Longest time for a request's body.
+    pub body_timeout: Duration,
+    /// How long requests may go on after a signal to stop.
+    pub shutdown_grace: Duration,
+    /// What is logged.
+    pub log: String,
+    /// How log lines look.
+    pub log_format: LogFormat,
+}
+
+/// Every mistake in the options.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mistakes(Vec<String>);
+
+impl fmt::Display for Mistakes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for mistake in &self.0 {
+            writeln!(f, "error: {mistake}")?;
+        }
+        write!(f, "mlswarp --help lists the options with their defaults")
+    }
+}
+
+impl std::error::Error for Mistakes {}
+
+impl Mistakes {
+    /// The value, or its type's default and a note of the mistake.
+    fn read<T: Default>(&mut self, flag: &str, text: &str, parse: impl FnOnce(&str) -> Result<T, String>) -> T {
+        parse(text).unwrap_or_else(|mistake| {
+            let variable = flag.to_ascii_uppercase().replace('-', "_");
+            self.0.push(format!("--{flag} (MLSWARP_{variable}): {mistake}"));
+            T::default()
+        })
+    }
+}
+
+impl Options {
+    /// Reads every option.
+    ///
+    /// # Errors
+    /// All mistakes at once.
+    pub fn resolve(&self) -> Result<Config, Mistakes> {
+        let mut m = Mistakes(Vec::new());
+        let workers = m.read("workers", &self.workers, |t| if t == "auto" { Ok(cores()) } else { whole(t, 1, 1024) });
+        let config = Config {
+            listen: m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080))),
+            workers,
+            queue: m.read("queue", &self.queue, |t| if t == "auto" { Ok((4 * workers).max(LEAST_QUEUE)) } else { whole(t, 0, 1_000_000) }),
+            max_body_bytes: m.read("max-body-bytes", &self.max_body_bytes, size),
+            max_warp_json_bytes: m.read("max-warp-json-bytes", &self.max_warp_json_bytes, size),
+            limits: Limits {
+                image: ImageLimits {
+                    max_pixels: m.read("max-image-pixels", &self.max_image_pixels, |t| whole(t, 1, u64::from(u32::MAX))),
+                    max_side: m.read("max-image-side", &self.max_image_side, |t| whole(t, 1, 1_000_000)),
+                },
+                columns: m.read("max-columns", &self.max_columns, |t| whole(t, 1, 1_000_000)),
+                plan_bytes: m.read("max-plan-bytes", &self.max_plan_bytes, size),
+            },
+            image_cache_bytes: m.read("image-cache-bytes", &self.image_cache_bytes, units::bytes),
+            plan_cache_bytes: m.read("plan-cache-bytes", &self.plan_cache_bytes, units::bytes),
+            session_idle: m.read("session-idle", &self.session_idle, units::span),
+            max_sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
+            store_bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
+            request_timeout: m.read("request-timeout", &self.request_timeout, units::span),
+            header_timeout: m.read("header-timeout", &self.header_timeout, units::span),
+            body_timeout: m.read("body-timeout", &self.body_timeout, units::span),
+            shutdown_grace: m.read("shutdown-grace", &self.shutdown_grace, units::span),
+            log: m.read("log", &self.log, filter),
+            log_format: m.read("log-format", &self.log_format, log_format).unwrap_or(LogFormat::Text),
+        };
+        if m.0.is_empty() { Ok(config) } else { Err(m) }
+    }
+}
+
+impl Default for Config {
+    /// What `mlswarp` without options has.
+    fn default() -> Self {
+        let defaults = Cli::parse_from_defaults();
+        defaults.options.resolve().expect("the defaults are read by the same parser, and a test reads them")
+    }
+}
+
+impl Cli {
+    /// The defaults alone: neither flags nor the environment.
+    fn parse_from_defaults() -> Self {
+        use clap::{CommandFactory as _, FromArgMatches as _};
+        let command = Self::command().mut_args(|arg| arg.env(None::<&str>));
+        let matches = command.try_get_matches_from(["mlswarp"]).expect("every option has a default");
+        Self::from_arg_matches(&matches).expect("the matches are of this command")
+    }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+fn address(text: &str) -> Result<Option<SocketAddr>, String> {
+    text.replace("localhost:", "127.0.0.1:")
+        .parse()
+        .map(Some)
+        .map_err(|_| format!("`{text}` is not an address and port such as 127.0.0.1:8080, 0.0.0.0:80 or [::]:8080"))
+}
+
+fn whole<T: TryFrom<u64>>(text: &str, least: u64, most: u64) -> Result<T, String> {
+    let n = units::count(text)?;
+    let outside = || format!("`{text}` is not between {least} and {most}");
+    if !(least..=most).contains(&n) {
+        return Err(outside());
+    }
+    T::try_from(n).map_err(|_| outside())
+}
+
+/// At least one byte: a limit of none would refuse everything.
+fn size(text: &str) -> Result<u64, String> {
+    units::bytes(text).and_then(|n| if n == 0 { Err("0 would refuse everything".to_owned()) } else { Ok(n) })
+}
+
+fn filter(text: &str) -> Result<String, String> {
+    tracing_subscriber::EnvFilter::from_str(text)
+        .map(|_| text.to_owned())
+        .map_err(|e| format!("`{text}` is not a filter such as info or mlswarp=debug,warn: {e}"))
+}
+
+fn log_format(text: &str) -> Result<Option<LogFormat>, String> {
+    match text {
+        "text" => Ok(Some(LogFormat::Text)),
+        "json" => Ok(Some(LogFormat::Json)),
+        _ => Err(format!("`{text}` is neither text nor json")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn resolve(args: &[&str]) -> Result<Config, Mistakes> {
+        Cli::try_parse_from([&["mlswarp"], args].concat()).expect("known flags").options.resolve()
+    }
+
+    #[test]
+    fn defaults_are_those_of_the_contract() {
+        let config = Config::default();
+        assert_eq!(config.listen, SocketAddr::from(([127, 0, 0, 1], 8080)));
+        assert_eq!(config.max_body_bytes, 32 << 20);
+        assert_eq!(config.max_warp_json_bytes, 4 << 20);
+        assert_eq!(config.limits.image, ImageLimits::default());
+        assert_eq!((config.limits.columns, config.limits.plan_bytes), (10_000, 512 << 20));
+        assert_eq!(config.queue, (4 * config.workers).max(LEAST_QUEUE));
+        assert_eq!(config.session_idle, Duration::from_secs(900));
+    }
+
+    #[test]
+    fn mistakes_are_told_all_at_once() {
+        let mistakes =
+            resolve(&["--listen", "here", "--workers", "none", "--max-body-bytes", "0", "--body-timeout", "30", "--log-format", "xml"])
+                .expect_err("five mistakes");
+        assert_eq!(mistakes.0.len(), 5, "{mistakes}");
+        for flag in ["--listen (MLSWARP_LISTEN)", "--workers", "--max-body-bytes", "--body-timeout", "--log-format"] {
+            assert!(mistakes.0.iter().any(|m| m.starts_with(flag)), "{flag} in {mistakes}");
+        }
+    }
+
+    #[test]
+    fn options_may_stand_before_and_after_the_subcommand() {
+        assert_eq!(resolve(&["--workers", "30", "serve"]).expect("valid").queue, 120);
+        assert_eq!(resolve(&["serve", "--workers", "30"]).expect("valid").queue, 120);
+    }
+
+    #[test]
+    fn every_flag_has_the_variable_of_its_name() {
+        use clap::CommandFactory as _;
+        let command = Cli::command();
+        let options: Vec<_> = command.get_arguments().filter(|a| !["help", "version"].contains(&a.get_id().as_str())).collect();
+        assert!(options.len() > 15);
+        for option in options {
+            let flag = option.get_long().expect("a long flag");
+            let expected = format!("MLSWARP_{}", flag.to_uppercase().replace('-', "_"));
+            assert_eq!(option.get_env().and_then(|e| e.to_str()), Some(expected.as_str()));
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! `mlswarp health`: asks `GET /readyz` of the server at the listen address, over a plain socket with a deadline. For health checks of
+//! containers: no shell, no HTTP client, no runtime.
+
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
+use std::time::Duration;
+
+/// Longest wait for each of connecting, asking and answering.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// Enough for a status line.
+const STATUS_LINE: usize = 64;
+
+/// Whether the server can take work now.
+///
+/// # Errors
+/// It cannot be reached, or says no.
+pub fn ask(listen: SocketAddr) -> io::Result<()> {
+    let address = reachable(listen);
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    stream.write_all(format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").as_bytes())?;
+    let mut line = Vec::with_capacity(STATUS_LINE);
+    stream.take(STATUS_LINE as u64).read_to_end(&mut line)?;
+    let status = line.split(|b| *b == b'\r').next().unwrap_or_default();
+    if status.starts_with(b"HTTP/1.1 200") {
+        return Ok(());
+    }
+    Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status))))
+}
+
+/// An address that means "all of them" is asked on the loopback.
+fn reachable(listen: SocketAddr) -> SocketAddr {
+    let ip = match listen.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
+        IpAddr::V6(ip) if ip.is_unspecified() => IpAddr::V6(Ipv6Addr::LOCALHOST),
+        ip => ip,
+    };
+    SocketAddr::new(ip, listen.port())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unspecified_addresses_are_asked_on_the_loopback() {
+        for (listen, asked) in [("0.0.0.0:80", "127.0.0.1:80"), ("[::]:81", "[::1]:81"), ("10.0.0.1:82", "10.0.0.1:82")] {
+            assert_eq!(reachable(listen.parse().unwrap()), asked.parse().unwrap());
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! Request bodies behind a limit and one deadline for the whole of them. A body that is dropped before its end is drained for a while, so
+//! that a client which writes first and reads later finds the answer instead of a broken connection.
+
+use std::future::Future as _;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use axum::body::{Body, HttpBody};
+use axum::extract::Request;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use bytes::{Bytes, BytesMut};
+use http_body::Frame;
+use http_body_util::BodyExt as _;
+use tokio::time::{Sleep, sleep};
+
+use crate::service::problem::{Code, Problem};
+
+/// Longest drain.
+const DRAIN_TIME: Duration = Duration::from_secs(5);
+/// Longest drain, in bodies of the largest size.
+const DRAIN_BODIES: u64 = 2;
+
+/// Why a body ended early.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+pub(super) enum ReadError {
+    /// More bytes than the limit.
+    #[error("the body is larger than {limit} bytes")]
+    TooLarge {
+        /// The limit.
+        limit: u64,
+    },
+    /// Not whole in time.
+    #[error("the body was not whole within {} s", .within.as_secs_f64())]
+    TooSlow {
+        /// The deadline.
+        within: Duration,
+    },
+}
+
+impl From<ReadError> for Problem {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::TooLarge { limit } => too_large("body_bytes", limit, limit.saturating_add(1)),
+            ReadError::TooSlow { .. } => Self::new(Code::Timeout, error.to_string()),
+        }
+    }
+}
+
+/// 413.
+pub(super) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem {
+    let of = match what {
+        "warp_json_bytes" => "the part `warp`",
+        "drag_json_bytes" => "the JSON of a drag",
+        _ => "the body",
+    };
+    Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; at most {limit}")).limit(what, limit, actual)
+}
+
+/// What went wrong while a body was read; `doing` says what it was read for.
+pub(super) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &str) -> Problem {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if let Some(ours) = error.downcast_ref::<ReadError>() {
+            return (*ours).into();
+        }
+        cause = error.source();
+    }
+    Problem::new(Code::MalformedRequest, format!("{doing}: {error}"))
+}
+
+/// A body with a limit and a deadline.
+#[derive(Debug)]
+pub(super) struct Guard {
+    body: Option<Body>,
+    left: u64,
+    limit: u64,
+    within: Duration,
+    deadline: Pin<Box<Sleep>>,
+}
+
+impl Guard {
+    /// `waits`: the client asked for permission first (`Expect: 100-continue`); there is nothing to drain.
+    pub(super) fn wrap(body: Body, limit: u64, within: Duration, waits: bool) -> Body {
+        if body.is_end_stream() {
+            return body;
+        }
+        let guard = Self { body: Some(body), left: limit, limit, within, deadline: Box::pin(sleep(within)) };
+        if waits { Body::new(Patient(guard)) } else { Body::new(guard) }
+    }
+}
+
+impl HttpBody for Guard {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let this = &mut *self;
+        let Some(body) = &mut this.body else { return Poll::Ready(None) };
+        if this.deadline.as_mut().poll(cx).is_ready() {
+            this.body = None;
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { within: this.within }))));
+        }
+        let frame = ready!(Pin::new(body).poll_frame(cx));
+        match &frame {
+            None | Some(Err(_)) => this.body = None,
+            Some(Ok(frame)) => {
+                let read = frame.data_ref().map_or(0, |data| data.len() as u64);
+                if read > this.left {
+                    // Dropping `self` drains what is left of the body.
+                    this.left = 0;
+                    return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooLarge { limit: this.limit }))));
+                }
+                this.left -= read;
+            }
+        }
+        Poll::Ready(frame)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.as_ref().is_none_or(HttpBody::is_end_stream)
+    }
+
+    fn size_hint(&self) -> http_body::SizeHint {
+        self.body.as_ref().map(HttpBody::size_hint).unwrap_or_default()
+    }
+}
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        if let Some(body) = self.body.take().filter(|body| !body.is_end_stream())
+            && let Ok(runtime) = tokio::runtime::Handle::try_current()
+        {
+            runtime.spawn(drain(body, self.limit.saturating_mul(DRAIN_BODIES)));
+        }
+    }
+}
+
+async fn drain(mut body: Body, most: u64) {
+    let read = async {
+        let mut read = 0;
+        while let Some(Ok(frame)) = body.frame().await {
+            read += frame.data_ref().map_or(0, |data| data.len() as u64);
+            if read > most {
+                return;
+            }
+        }
+    };
+    // Whether it ended or was given up, the body is dropped now.
+    let _ = tokio::time::timeout(DRAIN_TIME, read).await;
+}
+
+/// A guarded body whose client sends nothing before it is told to.
+#[derive(Debug)]
+struct Patient(Guard);
+
+impl HttpBody for Patient {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.0).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.0.is_end_stream()
+    }
+
+    fn size_hint(&self) -> http_body::SizeHint {
+        self.0.size_hint()
+    }
+}
+
+impl Drop for Patient {
+    fn drop(&mut self) {
+        // Reading would give the permission.
+        if self.0.left == self.0.limit {
+            self.0.body = None;
+        }
+    }
+}
+
+/// The media type of the body, lower case, without parameters.
+pub(super) fn media_type(request: &Request) -> Option<String> {
+    let text = request.headers().get(CONTENT_TYPE)?.to_str().ok()?;
+    Some(text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
+}
+
+/// A JSON body of at most `limit` bytes.
+pub(super) async fn json(request: Request, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+    if media_type(&request).as_deref() != Some("application/json") {
+        return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
+    }
+    let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
+    if let Some(length) = length.filter(|n| *n > limit) {
+        return Err(too_large(what, limit, length));
+    }
+    let mut body = request.into_body();
+    let mut read = BytesMut::new();
+    while let Some(frame) = body.frame().await {
+        let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
+        if let Ok(data) = frame.into_data() {
+            read.extend_from_slice(&data);
+        }
+        if read.len() as u64 > limit {
+            return Err(too_large(what, limit, read.len() as u64));
+        }
+    }
+    Ok(read.freeze())
+}

@@ -1,0 +1,110 @@
+//! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane), the
+//! body's limit and deadline, panics, the request's own deadline, problem documents, and one log line.
+
+use std::panic::AssertUnwindSafe;
+use std::time::Instant;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::header::{CONTENT_LENGTH, EXPECT};
+use axum::http::{HeaderMap, HeaderName, HeaderValue};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use futures_util::FutureExt as _;
+use uuid::Uuid;
+
+use super::body::{Guard, too_large};
+use super::refuse::finish;
+use crate::service::App;
+use crate::service::pool::panic_text;
+use crate::service::problem::{Code, Problem};
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+const LONGEST_REQUEST_ID: usize = 64;
+
+pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) -> Response {
+    let began = Instant::now();
+    let id = request_id(request.headers());
+    let method = request.method().clone();
+    // The pattern, never the path: a log must not hold session ids.
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let mut response = finish(answer(&app, request, next, &id).await, &id);
+    if let Ok(id) = HeaderValue::from_str(&id) {
+        response.headers_mut().insert(REQUEST_ID, id);
+    }
+    let status = response.status().as_u16();
+    let route = route.as_ref().map_or("-", MatchedPath::as_str);
+    let ms = began.elapsed().as_secs_f64() * 1e3;
+    tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), id, "answered");
+    response
+}
+
+async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
+    let config = app.config();
+    let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
+    let waits_for_permission = request.headers().contains_key(EXPECT);
+    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.body_timeout, waits_for_permission));
+    if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
+        return too_large("body_bytes", config.max_body_bytes, length).into_response();
+    }
+    let run = AssertUnwindSafe(next.run(request)).catch_unwind();
+    match tokio::time::timeout(config.request_timeout, run).await {
+        Ok(Ok(response)) => response,
+        Ok(Err(panic)) => {
+            tracing::error!(message = panic_text(panic.as_ref()), id, "a handler panicked");
+            Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
+        }
+        Err(_) => {
+            let seconds = config.request_timeout.as_secs_f64();
+            Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
+        }
+    }
+}
+
+/// The client's id where it is a short plain word, otherwise a new one.
+fn request_id(headers: &HeaderMap) -> String {
+    let plain = |id: &&str| {
+        (1..=LONGEST_REQUEST_ID).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.'))
+    };
+    headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).filter(plain).map_or_else(|| Uuid::new_v4().to_string(), str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_handler_that_panics_is_a_problem_and_the_next_request_is_answered() {
+        use tower::ServiceExt as _;
+        async fn boom() -> &'static str {
+            panic!("on purpose")
+        }
+        let app = App::new(crate::service::config::Config::default()).unwrap();
+        let router = axum::Router::new()
+            .route("/boom", axum::routing::get(boom))
+            .route("/well", axum::routing::get(|| async { "well" }))
+            .layer(axum::middleware::from_fn_with_state(app, fence));
+        let get = |path: &str| router.clone().oneshot(Request::get(path).body(axum::body::Body::empty()).unwrap());
+        let response = get("/boom").await.unwrap();
+        assert_eq!(response.status(), 500);
+        let id = response.headers()[REQUEST_ID].to_str().unwrap().to_owned();
+        let body = axum::body::to_bytes(response.into_body(), 1 << 16).await.unwrap();
+        let document: serde_json::Value = serde_json::from_slice(&body).unwrap();
+        assert_eq!((&document["code"], &document["request_id"]), (&"internal".into(), &id.into()));
+        assert!(!document.to_string().contains("purpose"), "a panic's words stay in the log");
+        assert_eq!(get("/well").await.unwrap().status(), 200);
+    }
+
+    #[test]
+    fn a_sane_request_id_is_kept_and_others_are_replaced() {
+        let id = |text: &[u8]| {
+            let mut headers = HeaderMap::new();
+            headers.insert(REQUEST_ID, HeaderValue::from_bytes(text).unwrap());
+            request_id(&headers)
+        };
+        assert_eq!(id(b"trace-1.A_z"), "trace-1.A_z");
+        for bad in [&b""[..], b"two words", b"\"quoted\"", &[b'x'; 65], b"\xff"] {
+            assert_eq!(id(bad).len(), 36, "{bad:?}");
+        }
+        assert_ne!(request_id(&HeaderMap::new()), request_id(&HeaderMap::new()));
+    }
+}

@@ -1,0 +1,74 @@
+//! HTTP: routes, and the layers around them. Every answer that is not a success is a problem document, whoever refused.
+//!
+//! From the outside in: [`fence`] (request id, body limits and deadline, panics, the request's own deadline, problem documents, one log
+//! line a request), then [`shed`] on the routes that compute (a full queue answers before a body is read), then the handlers.
+
+mod accept;
+mod answer;
+mod body;
+mod fence;
+mod health;
+mod openapi;
+mod points;
+mod refuse;
+mod sessions;
+mod upload;
+mod warp;
+
+use axum::Router;
+use axum::extract::{Request, State};
+use axum::http::{Method, Uri};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::Response;
+use axum::routing::{MethodRouter, get, post};
+
+use super::App;
+use super::problem::{Code, Problem};
+
+/// Every route; the OpenAPI document lists the same (tested).
+fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
+    let computes = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
+    vec![
+        ("/warp", computes(post(warp::warp))),
+        ("/sessions", computes(post(sessions::create))),
+        ("/sessions/{id}", get(sessions::read).delete(sessions::delete)),
+        ("/sessions/{id}/warp", computes(post(warp::drag))),
+        ("/sessions/{id}/points", computes(post(points::of_session))),
+        ("/points", computes(post(points::once))),
+        ("/healthz", get(health::alive)),
+        ("/readyz", get(health::ready)),
+        ("/openapi.json", get(openapi::document)),
+    ]
+}
+
+/// The paths that are served.
+#[must_use]
+pub fn paths(app: &App) -> Vec<&'static str> {
+    routes(app).into_iter().map(|(path, _)| path).collect()
+}
+
+/// The service.
+pub fn router(app: App) -> Router {
+    routes(&app)
+        .into_iter()
+        .fold(Router::new(), |router, (path, route)| router.route(path, route))
+        .fallback(no_such_route)
+        .method_not_allowed_fallback(no_such_method)
+        .layer(from_fn_with_state(app.clone(), fence::fence))
+        .with_state(app)
+}
+
+/// Refuses at once, before the body is read, when there is no place for the work.
+async fn shed(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
+    app.admits()?;
+    Ok(next.run(request).await)
+}
+
+async fn no_such_route(uri: Uri) -> Problem {
+    Problem::new(Code::NotFound, format!("nothing is served at {}", uri.path()))
+}
+
+/// axum adds `Allow`.
+async fn no_such_method(method: Method, uri: Uri) -> Problem {
+    Problem::new(Code::MethodNotAllowed, format!("{method} is not served at {}; see Allow", uri.path()))
+}

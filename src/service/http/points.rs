@@ -1,0 +1,32 @@
+//! `POST /points` and `POST /sessions/{id}/points`: places mapped by f exactly, not by the grid.
+
+use axum::extract::{Path, Request, State};
+use axum::response::Response;
+use serde::Serialize;
+
+use super::answer;
+use super::body::json;
+use super::sessions::session_id;
+use crate::geometry::Point;
+use crate::service::App;
+use crate::service::problem::Problem;
+use crate::service::wire::{PointsObject, Wire};
+
+#[derive(Serialize)]
+struct Mapped<'a> {
+    points: Wire<&'a [Point]>,
+}
+
+pub(super) async fn once(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+    let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let mapped = app.map_once(PointsObject::parse(&body)?).await?;
+    Ok(answer::json(&Mapped { points: Wire(&mapped) }))
+}
+
+pub(super) async fn of_session(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let id = session_id(&id)?;
+    app.session(id).await?;
+    let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let mapped = app.map_session(id, PointsObject::parse_posed(&body)?).await?;
+    Ok(answer::json(&Mapped { points: Wire(&mapped) }))
+}

@@ -1,0 +1,103 @@
+//! `/sessions`: made of a file and rest handles, looked at, ended.
+
+use std::time::SystemTime;
+
+use axum::extract::{Path, Request, State};
+use axum::http::header::LOCATION;
+use axum::http::{HeaderValue, StatusCode};
+use axum::response::{IntoResponse as _, Response};
+
+use super::answer::json;
+use super::upload;
+use crate::service::App;
+use crate::service::problem::{Code, Problem};
+use crate::service::session::SessionId;
+use crate::service::store::Session;
+use crate::service::wire::{SessionGrid, SessionImage, SessionObject, Wire};
+use crate::warp::Setup;
+
+/// A new session, its picture decoded and its table filled: the first drag finds both.
+pub(super) async fn create(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+    let upload = upload::read(&app, request).await?;
+    let (session, setup) = app.open(upload.image, upload.warp).await?;
+    let location = HeaderValue::from_str(&format!("/sessions/{}", session.record.id)).expect("a UUID is visible ASCII");
+    Ok((StatusCode::CREATED, [(LOCATION, location)], object(&session, &setup)).into_response())
+}
+
+/// The session object. Looking does not prolong its life.
+pub(super) async fn read(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let session = app.session(session_id(&id)?).await?;
+    let setup = app.session_setup(&session.record).await?;
+    Ok(object(&session, &setup))
+}
+
+/// Ends the session.
+pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+    app.close(session_id(&id)?).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// What is no id names no session.
+pub(super) fn session_id(text: &str) -> Result<SessionId, Problem> {
+    text.parse().map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
+}
+
+fn object(session: &Session, setup: &Setup) -> Response {
+    let record = &session.record;
+    let (columns, rows) = setup.grid();
+    json(&SessionObject {
+        id: &record.id.to_string(),
+        image: SessionImage { width: record.extent.width(), height: record.extent.height(), digest: Wire(record.image) },
+        p: Wire(&record.rest.p),
+        weights: record.rest.weights.as_deref(),
+        method: Wire(record.rest.method),
+        alpha: setup.alpha(),
+        point_mass: setup.point_mass(),
+        units: Wire(record.rest.units),
+        grid: SessionGrid { columns, rows, requested: Wire(record.rest.grid) },
+        folds: Wire(record.folds),
+        output: Wire(&record.output),
+        created: &rfc3339(record.created),
+        expires: &rfc3339(session.expires),
+        seq: session.seq,
+    })
+}
+
+/// `2026-11-21T09:30:00.125Z`: RFC 3339, UTC, milliseconds. Days to a date by the civil calendar of 400-year eras.
+fn rfc3339(time: SystemTime) -> String {
+    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let (days, seconds) = (since.as_secs() / 86400, since.as_secs() % 86400);
+    // Days since 0000-03-01: a year that begins in March ends with the day that comes and goes.
+    let days = days + 719_468;
+    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let march_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * march_month + 2) / 5 + 1;
+    let month = if march_month < 10 { march_month + 3 } else { march_month - 9 };
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (hour, minute, second) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{:03}Z", since.subsec_millis())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (seconds, date) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (951_782_400, "2000-02-29T00:00:00.000Z"),
+            (951_868_799, "2000-02-29T23:59:59.000Z"),
+            (1_709_164_800, "2024-02-29T00:00:00.000Z"),
+            (4_107_542_399, "2100-02-28T23:59:59.000Z"),
+            (4_107_542_400, "2100-03-01T00:00:00.000Z"),
+            (1_798_761_599, "2026-12-31T23:59:59.000Z"),
+        ] {
+            assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)), date);
+        }
+        assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_millis(86_400_125)), "1970-01-02T00:00:00.125Z");
+    }
+}

@@ -1,0 +1,240 @@
+//! Admission and the one compute pool. A request takes a place (running or waiting; none left: refused at once), waits its turn in
+//! order of arrival, and then runs closures on rayon threads. No async thread ever computes, no compute thread ever waits for a client.
+//!
+//! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
+//! request's future was dropped before.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+
+/// Why nothing was computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PoolError {
+    /// All workers are busy and the queue is full.
+    #[error("all workers are busy and the queue is full")]
+    Full,
+    /// A computation panicked; its message is in the log.
+    #[error("a computation failed")]
+    Panicked,
+}
+
+/// Compute threads behind a bounded queue. Cloning shares them.
+#[derive(Clone, Debug)]
+pub struct Pool {
+    threads: Arc<ThreadPool>,
+    /// One permit a request that runs or waits.
+    places: Arc<Semaphore>,
+    /// One permit a request that runs.
+    turns: Arc<Semaphore>,
+    running: Arc<AtomicUsize>,
+}
+
+/// The right to compute.
+#[derive(Clone, Debug)]
+pub struct Ticket {
+    _held: Arc<Held>,
+    waited: Duration,
+}
+
+#[derive(Debug)]
+struct Held {
+    _turn: OwnedSemaphorePermit,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Ticket {
+    /// Time spent in the queue.
+    #[must_use]
+    pub const fn waited(&self) -> Duration {
+        self.waited
+    }
+}
+
+/// Whether anyone still wants the result; long work asks between its steps.
+#[derive(Clone, Debug, Default)]
+pub struct Cancel(Arc<AtomicBool>);
+
+impl Cancel {
+    /// Nobody waits for the result any more.
+    #[must_use]
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Cancels when dropped.
+struct CancelOnDrop(Cancel);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Counts a computation for as long as it lives.
+struct Running(Arc<AtomicUsize>);
+
+impl Running {
+    fn begin(counter: &Arc<AtomicUsize>) -> Self {
+        counter.fetch_add(1, Ordering::Relaxed);
+        Self(Arc::clone(counter))
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Pool {
+    /// Starts `workers` threads; `queue` requests may wait beside the `workers` that run.
+    ///
+    /// # Errors
+    /// The operating system gives no threads.
+    pub fn new(workers: usize, queue: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+        let threads = ThreadPoolBuilder::new()
+            .num_threads(workers)
+            .thread_name(|i| format!("compute-{i}"))
+            // Without a handler a panic that reaches a rayon thread aborts the process.
+            .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
+            .build()?;
+        Ok(Self {
+            threads: Arc::new(threads),
+            places: Arc::new(Semaphore::new(workers.saturating_add(queue).min(Semaphore::MAX_PERMITS))),
+            turns: Arc::new(Semaphore::new(workers)),
+            running: Arc::new(AtomicUsize::new(0)),
+        })
+    }
+
+    /// No request would be admitted now.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.places.available_permits() == 0
+    }
+
+    /// Computations that go on now, those of clients that have left included.
+    #[must_use]
+    pub fn running(&self) -> usize {
+        self.running.load(Ordering::Relaxed)
+    }
+
+    /// Takes a place, at once or not at all, and waits for its turn. Dropping the future gives the place back.
+    ///
+    /// # Errors
+    /// [`PoolError::Full`].
+    pub async fn admit(&self) -> Result<Ticket, PoolError> {
+        let began = Instant::now();
+        let place = Arc::clone(&self.places).try_acquire_owned().map_err(|_| PoolError::Full)?;
+        let turn = Arc::clone(&self.turns).acquire_owned().await.expect("the semaphore is never closed");
+        Ok(Ticket { _held: Arc::new(Held { _turn: turn, _place: place }), waited: began.elapsed() })
+    }
+
+    /// Runs `work` on a compute thread. When the future is dropped, `work` finds its [`Cancel`] set.
+    ///
+    /// # Errors
+    /// [`PoolError::Panicked`].
+    pub async fn run<T, F>(&self, ticket: &Ticket, work: F) -> Result<T, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(&Cancel) -> T + Send + 'static,
+    {
+        let guard = CancelOnDrop(Cancel::default());
+        let cancel = guard.0.clone();
+        let (answer, result) = oneshot::channel();
+        self.start(ticket, move || {
+            // Nobody listens when the request was dropped meanwhile.
+            let _ = answer.send(work(&cancel));
+        });
+        result.await.map_err(|_| PoolError::Panicked)
+    }
+
+    /// Starts `work` on a compute thread and does not wait. A panic ends `work` alone, and drops what it holds.
+    pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
+        let ticket = ticket.clone();
+        let running = Running::begin(&self.running);
+        self.threads.spawn(move || {
+            // What a panic leaves half-done is owned by `work` and dropped with it.
+            if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
+                tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
+            }
+            drop((running, ticket));
+        });
+    }
+}
+
+/// The words of a panic.
+pub(super) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+    panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without words")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    #[tokio::test]
+    async fn a_full_queue_refuses_at_once_and_a_freed_place_is_given_again() {
+        let pool = Pool::new(1, 1).unwrap();
+        let first = pool.admit().await.unwrap();
+        let waiting = tokio::spawn({
+            let pool = pool.clone();
+            async move { pool.admit().await }
+        });
+        while !pool.is_full() {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(pool.admit().await.unwrap_err(), PoolError::Full);
+        waiting.abort();
+        let _ = waiting.await;
+        assert!(!pool.is_full(), "a waiter that left gives its place back");
+        drop(first);
+        pool.admit().await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_panic_ends_its_own_work_alone() {
+        let pool = Pool::new(1, 0).unwrap();
+        let ticket = pool.admit().await.unwrap();
+        assert_eq!(pool.run(&ticket, |_| panic!("on purpose")).await.map(|()| 0), Err(PoolError::Panicked));
+        assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7));
+    }
+
+    #[tokio::test]
+    async fn a_dropped_request_cancels_its_work_and_keeps_its_turn_until_the_work_has_ended() {
+        let pool = Pool::new(1, 0).unwrap();
+        let (seen, sees) = mpsc::channel();
+        let (go, wait) = mpsc::channel::<()>();
+        let task = tokio::spawn({
+            let pool = pool.clone();
+            async move {
+                let ticket = pool.admit().await.unwrap();
+                pool.run(&ticket, move |cancel| {
+                    seen.send("began").unwrap();
+                    wait.recv().unwrap();
+                    seen.send(if cancel.is_cancelled() { "cancelled" } else { "wanted" }).unwrap();
+                })
+                .await
+            }
+        });
+        let sees = tokio::task::spawn_blocking(move || {
+            assert_eq!(sees.recv().unwrap(), "began");
+            sees
+        });
+        let sees = sees.await.unwrap();
+        task.abort();
+        assert!(task.await.unwrap_err().is_cancelled());
+        assert!(pool.is_full(), "the work holds the only place");
+        go.send(()).unwrap();
+        let seen = tokio::task::spawn_blocking(move || sees.recv().unwrap());
+        assert_eq!(seen.await.unwrap(), "cancelled");
+        while pool.is_full() {
+            tokio::task::yield_now().await;
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Names of sessions, and the rule that the newest pose wins: a request whose `seq` is lower than one already seen costs no rendering,
+//! also while it waits. The rule across processes is the store's; the lanes here wake those who wait in this one.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::watch;
+use uuid::{Uuid, Variant};
+
+/// A UUID of version 4: 122 bits of the operating system's randomness, so that nobody guesses another's session.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SessionId(Uuid);
+
+impl SessionId {
+    /// A new name.
+    #[must_use]
+    pub fn random() -> Self {
+        Self(Uuid::new_v4())
+    }
+
+    /// The 16 bytes of the name.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &[u8; 16] {
+        self.0.as_bytes()
+    }
+}
+
+/// Not a UUID of version 4 in its usual form.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not a UUID of version 4")]
+pub struct NotASessionId;
+
+impl FromStr for SessionId {
+    type Err = NotASessionId;
+
+    /// Hyphenated form alone: one session has one name.
+    fn from_str(text: &str) -> Result<Self, NotASessionId> {
+        let id = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
+        let version_4 = id.get_version_num() == 4 && id.get_variant() == Variant::RFC4122;
+        if text.len() == 36 && version_4 { Ok(Self(id)) } else { Err(NotASessionId) }
+    }
+}
+
+impl fmt::Display for SessionId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Shortened: whoever reads a log must not be able to use the session.
+impl fmt::Debug for SessionId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.8}..", self.0.to_string())
+    }
+}
+
+/// The sessions for which numbered requests are under way.
+#[derive(Clone, Debug, Default)]
+pub struct Lanes(Arc<Mutex<HashMap<SessionId, Arc<watch::Sender<u64>>>>>);
+
+/// A numbered request under way.
+#[derive(Debug)]
+pub struct Place {
+    lanes: Lanes,
+    id: SessionId,
+    newest: Arc<watch::Sender<u64>>,
+    seq: u64,
+}
+
+impl Lanes {
+    /// Enters a request; those with a lower number are superseded from now on.
+    #[must_use]
+    pub fn enter(&self, id: SessionId, seq: u64) -> Place {
+        let newest = Arc::clone(self.lock().entry(id).or_insert_with(|| Arc::new(watch::Sender::new(seq))));
+        newest.send_if_modified(|newest| {
+            let higher = seq > *newest;
+            *newest = seq.max(*newest);
+            higher
+        });
+        Place { lanes: self.clone(), id, newest, seq }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<SessionId, Arc<watch::Sender<u64>>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Place {
+    /// A higher number has been seen.
+    #[must_use]
+    pub fn is_superseded(&self) -> bool {
+        *self.newest.borrow() > self.seq
+    }
+
+    /// Waits until a higher number is seen.
+    pub async fn superseded(&self) {
+        let mut newest = self.newest.subscribe();
+        // The sender lives as long as `self`, so waiting cannot fail.
+        let _ = newest.wait_for(|newest| *newest > self.seq).await;
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut lanes = self.lanes.lock();
+        // The map's and this one: arcs are cloned under the lock alone.
+        if Arc::strong_count(&self.newest) <= 2 {
+            lanes.remove(&self.id);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_hyphenated_uuids_of_version_4() {
+        let id = SessionId::random();
+        assert_eq!(id.to_string().parse(), Ok(id));
+        for text in ["", "x", "00000000-0000-0000-0000-000000000000", "6ba7b810-9dad-11d1-80b4-00c04fd430c8"] {
+            assert_eq!(text.parse::<SessionId>(), Err(NotASessionId), "{text}");
+        }
+        assert!(id.to_string().replace('-', "").parse::<SessionId>().is_err());
+    }
+
+    #[test]
+    fn a_log_does_not_give_a_session_away() {
+        let id = SessionId::random();
+        assert!(format!("{id:?}").len() < 12);
+    }
+
+    #[tokio::test]
+    async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
+        let lanes = Lanes::default();
+        let id = SessionId::random();
+        let old = lanes.enter(id, 4);
+        let retry = lanes.enter(id, 4);
+        let other = lanes.enter(SessionId::random(), 1);
+        assert!(!old.is_superseded() && !retry.is_superseded());
+        let waiting = tokio::spawn(async move {
+            old.superseded().await;
+            old.seq
+        });
+        let new = lanes.enter(id, 5);
+        assert_eq!(waiting.await.unwrap(), 4);
+        assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded());
+        assert!(lanes.enter(id, 3).is_superseded());
+    }
+
+    #[test]
+    fn a_lane_goes_with_its_last_request() {
+        let lanes = Lanes::default();
+        let id = SessionId::random();
+        let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
+        drop(a);
+        assert_eq!(lanes.lock().len(), 1);
+        drop(b);
+        assert_eq!(lanes.lock().len(), 0);
+    }
+}

@@ -1,0 +1,338 @@
+//! The walk of one request through the warp: file and handles to a prepared [`Warp`]. Everything that can fail because of the client
+//! fails here; afterwards only drawing is left. CPU work runs on the pool, under one ticket a request.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant, SystemTime};
+
+use bytes::Bytes;
+
+use super::pool::{PoolError, Ticket};
+use super::problem::{Code, Problem};
+use super::session::SessionId;
+use super::store::{Record, Session};
+use super::wire::{DragObject, PointsObject, WarpObject};
+use super::{App, Known};
+use crate::codec::CodecError;
+use crate::deform::Handle;
+use crate::geometry::Point;
+use crate::warp::{Digest, Folds, Image, OutputSpec, Plan, Setup, Warp, WarpError};
+
+/// Places mapped between two looks at whether the client is still there.
+const PLACES_PER_STEP: usize = 4096;
+
+/// Wall time of the steps before drawing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timing {
+    /// Waiting for a worker.
+    pub queue: Duration,
+    /// Digest and decoding of the file, or waiting for who does.
+    pub decode: Duration,
+    /// The table of coefficients, or waiting for who fills it.
+    pub plan: Duration,
+    /// Posing the grid.
+    pub deform: Duration,
+}
+
+/// A warp that is ready to be drawn.
+#[derive(Debug)]
+pub struct Ready {
+    /// The warp.
+    pub warp: Warp,
+    /// Cost so far.
+    pub timing: Timing,
+    /// The coefficients were built for this request, not found.
+    pub plan_built: bool,
+    /// The right to draw it.
+    pub ticket: Ticket,
+}
+
+/// What a warp is made of, and what a session keeps.
+#[derive(Debug)]
+pub struct Material {
+    file: Bytes,
+    digest: Digest,
+    object: WarpObject,
+    image: Arc<Image>,
+    setup: Arc<Setup>,
+}
+
+impl App {
+    /// A picture from a file and a warp object with `q`.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn warp_once(&self, file: Bytes, json: Bytes) -> Result<(Ready, Material), Problem> {
+        let ticket = self.0.pool.admit().await?;
+        let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, true).await?;
+        let q = material.object.q.clone().unwrap_or_default();
+        let (folds, output) = (material.object.folds, material.object.output);
+        let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
+        let ready = self.pose(ticket, image, setup, plan, q, folds, output, timing, plan_built).await?;
+        Ok((ready, material))
+    }
+
+    /// A session from a file and a warp object; `q` is checked when it is there. Picture and plan are made before the answer.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn open(&self, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit().await?;
+        let (material, ..) = self.prepare(&ticket, file, json, false).await?;
+        self.keep(material).await
+    }
+
+    /// Makes a session of what was warped.
+    ///
+    /// # Errors
+    /// No room.
+    pub async fn keep(&self, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+        let Material { file, digest, object, image, setup } = material;
+        let record = Arc::new(Record {
+            id: SessionId::random(),
+            image: digest,
+            extent: image.extent(),
+            rest: object.rest,
+            folds: object.folds,
+            output: object.output,
+            created: SystemTime::now(),
+        });
+        let session = self.0.store.create(Arc::clone(&record), file).await?;
+        let known = Known { setup: Arc::clone(&setup), bytes: weight(&record) };
+        self.0.setups.get(shelf_key(record.id), async { Ok::<_, Problem>(known) }, lost).await?;
+        Ok((session, setup))
+    }
+
+    /// The session, without using it.
+    ///
+    /// # Errors
+    /// Unknown or expired.
+    pub async fn session(&self, id: SessionId) -> Result<Session, Problem> {
+        Ok(self.0.store.peek(id).await?)
+    }
+
+    /// The session's resolved setup.
+    ///
+    /// # Errors
+    /// No room.
+    pub async fn session_setup(&self, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
+        let (app, theirs) = (self.clone(), Arc::clone(record));
+        let build = async move {
+            let ticket = app.0.pool.admit().await?;
+            let bytes = weight(&theirs);
+            let limits = app.0.config.limits;
+            let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
+            Ok(Known { setup: Arc::new(setup), bytes })
+        };
+        let known = self.0.setups.get(shelf_key(record.id), build, lost).await?;
+        Ok(Arc::clone(&known.value.setup))
+    }
+
+    /// Ends the session.
+    ///
+    /// # Errors
+    /// Unknown or expired.
+    pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
+        Ok(self.0.store.delete(id).await?)
+    }
+
+    /// One step of a drag: q alone.
+    ///
+    /// # Errors
+    /// Unknown session, superseded, whatever is wrong with q, or no room.
+    pub async fn drag(&self, id: SessionId, drag: DragObject) -> Result<Ready, Problem> {
+        let session = self.0.store.touch(id, drag.seq).await?;
+        let superseded = |seq: u64| {
+            self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
+            Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq")
+        };
+        let place = match drag.seq {
+            Some(seq) if session.seq > drag.seq => return Err(superseded(seq)),
+            Some(seq) => Some((self.0.lanes.enter(id, seq), seq)),
+            None => None,
+        };
+        let record = session.record;
+        let walk = async {
+            let setup = self.session_setup(&record).await?;
+            let ticket = self.0.pool.admit().await?;
+            let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+            let began = Instant::now();
+            let image = self.session_image(&ticket, &record).await?;
+            timing.decode = began.elapsed();
+            let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+            Ok::<_, Problem>((setup, ticket, timing, image, plan, plan_built))
+        };
+        let (setup, ticket, timing, image, plan, plan_built) = match &place {
+            None => walk.await?,
+            Some((place, seq)) => tokio::select! {
+                biased;
+                () = place.superseded() => return Err(superseded(*seq)),
+                walked = walk => walked?,
+            },
+        };
+        let output = drag.output.over(&record.output);
+        self.pose(ticket, image, setup, plan, drag.q, record.folds, output, timing, plan_built).await
+    }
+
+    /// Maps places by f exactly.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the handles, or no room.
+    pub async fn map_once(&self, object: PointsObject) -> Result<Vec<Point>, Problem> {
+        let ticket = self.0.pool.admit().await?;
+        let (rest, extent) = object.warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        let limits = self.0.config.limits;
+        let setup = self.0.pool.run(&ticket, move |_| Setup::new(&rest, extent, &limits)).await??;
+        self.map(&ticket, Arc::new(setup), object.q, object.points).await
+    }
+
+    /// Maps places by f of a session.
+    ///
+    /// # Errors
+    /// Unknown session, whatever is wrong with the handles, or no room.
+    pub async fn map_session(&self, id: SessionId, object: PointsObject) -> Result<Vec<Point>, Problem> {
+        let session = self.0.store.touch(id, None).await?;
+        let setup = self.session_setup(&session.record).await?;
+        let ticket = self.0.pool.admit().await?;
+        self.map(&ticket, setup, object.q, object.points).await
+    }
+
+    async fn map(&self, ticket: &Ticket, setup: Arc<Setup>, q: Vec<Handle>, places: Vec<Point>) -> Result<Vec<Point>, Problem> {
+        let mapped = self.0.pool.run(ticket, move |cancel| {
+            let pose = setup.pose(&q)?;
+            let mut mapped = Vec::with_capacity(places.len());
+            for step in places.chunks(PLACES_PER_STEP) {
+                if cancel.is_cancelled() {
+                    break;
+                }
+                mapped.extend(setup.map(&pose, step));
+            }
+            Ok::<_, WarpError>(mapped)
+        });
+        Ok(mapped.await??)
+    }
+
+    /// Reads the object, decodes the file, resolves the handles, checks q, fills the table.
+    async fn prepare(
+        &self,
+        ticket: &Ticket,
+        file: Bytes,
+        json: Bytes,
+        needs_q: bool,
+    ) -> Result<(Material, Arc<Plan>, Timing, bool), Problem> {
+        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let began = Instant::now();
+        let read = {
+            let file = file.clone();
+            move |_: &_| WarpObject::parse(&json).map(|object| (object, Image::digest_of(&file)))
+        };
+        let (object, digest) = self.0.pool.run(ticket, read).await??;
+        if needs_q && object.q.is_none() && !object.rest.p.is_empty() {
+            return Err(q_is_missing());
+        }
+        let image = self.image(ticket, digest, file.clone()).await?;
+        timing.decode = began.elapsed();
+        let resolve = {
+            let (limits, extent) = (self.0.config.limits, image.extent());
+            move |_: &_| {
+                let setup = Setup::new(&object.rest, extent, &limits)?;
+                object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
+                Ok::<_, WarpError>((object, setup))
+            }
+        };
+        let (object, setup) = self.0.pool.run(ticket, resolve).await??;
+        let setup = Arc::new(setup);
+        let (plan, plan_built) = self.plan(ticket, &setup, &mut timing).await?;
+        Ok((Material { file, digest, object, image, setup }, plan, timing, plan_built))
+    }
+
+    async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Arc<Image>, Problem> {
+        let (pool, ticket, limits) = (self.0.pool.clone(), ticket.clone(), self.0.config.limits.image);
+        let decode = async move {
+            match pool.run(&ticket, move |_| Image::decode(&file, &limits)).await {
+                // Decoders are known to panic on hostile files: the file is at fault, not the request's other parts.
+                Err(PoolError::Panicked) => {
+                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "its decoder gave up".to_owned() }).into())
+                }
+                Err(error) => Err(error.into()),
+                Ok(decoded) => decoded.map_err(Problem::from),
+            }
+        };
+        Ok(self.0.images.get(digest, decode, lost).await?.value)
+    }
+
+    /// The session's picture; decoded again from the stored file when the cache has dropped it.
+    async fn session_image(&self, ticket: &Ticket, record: &Record) -> Result<Arc<Image>, Problem> {
+        match self.0.images.peek(record.image).await {
+            Some(image) => Ok(image),
+            None => {
+                let file = self.0.store.image(record.image).await?;
+                self.image(ticket, record.image, file).await
+            }
+        }
+    }
+
+    async fn plan(&self, ticket: &Ticket, setup: &Arc<Setup>, timing: &mut Timing) -> Result<(Arc<Plan>, bool), Problem> {
+        let began = Instant::now();
+        let (pool, ticket, theirs) = (self.0.pool.clone(), ticket.clone(), Arc::clone(setup));
+        let build = async move { pool.run(&ticket, move |_| theirs.plan()).await.map_err(Problem::from) };
+        let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;
+        timing.plan = began.elapsed();
+        Ok((fetched.value, fetched.built))
+    }
+
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "the whole state of a request between its two halves; a struct would be built and unpacked once"
+    )]
+    async fn pose(
+        &self,
+        ticket: Ticket,
+        image: Arc<Image>,
+        setup: Arc<Setup>,
+        plan: Arc<Plan>,
+        q: Vec<Handle>,
+        folds: Folds,
+        output: OutputSpec,
+        mut timing: Timing,
+        plan_built: bool,
+    ) -> Result<Ready, Problem> {
+        let began = Instant::now();
+        let limits = self.0.config.limits;
+        let pose = move |_: &_| {
+            let pose = setup.pose(&q)?;
+            Warp::new(&image, &setup, &plan, &pose, folds, &output, &limits)
+        };
+        let warp = self.0.pool.run(&ticket, pose).await??;
+        timing.deform = began.elapsed();
+        Ok(Ready { warp, timing, plan_built, ticket })
+    }
+}
+
+/// A warp of handles needs to know where they go.
+pub(super) fn q_is_missing() -> Problem {
+    Problem::new(Code::BadValue, "q is missing: where do the handles go?").pointer("/q")
+}
+
+/// The task that built a cached value was torn down: the runtime is stopping.
+fn lost() -> Problem {
+    PoolError::Panicked.into()
+}
+
+/// Records never change, so a session's name stands for its setup.
+fn shelf_key(id: SessionId) -> Digest {
+    let mut key = [0; 32];
+    key[..16].copy_from_slice(id.as_bytes());
+    Digest(key)
+}
+
+/// Columns of a session's plan: what its drags may send follows from it.
+#[must_use]
+pub fn columns(record: &Record) -> u64 {
+    record.rest.p.iter().map(|h| h.columns() as u64).sum()
+}
+
+/// About what a setup holds: a few copies of each column's place and weight.
+fn weight(record: &Record) -> u64 {
+    1024 + 256 * columns(record)
+}

@@ -1,0 +1,111 @@
+//! The program as a user starts it: options, health, signals.
+
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::time::Duration;
+
+use crate::support::photo;
+use crate::support::program::{Program, mlswarp};
+use crate::support::server::form;
+
+#[test]
+fn mistakes_in_flags_and_variables_are_told_all_at_once() {
+    let output = mlswarp(&["--workers", "many", "--body-timeout", "30"])
+        .env("MLSWARP_MAX_BODY_BYTES", "huge")
+        .env("MLSWARP_LISTEN", "nowhere")
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8(output.stderr).unwrap();
+    for (option, value) in [
+        ("--workers (MLSWARP_WORKERS)", "many"),
+        ("--body-timeout", "30"),
+        ("MLSWARP_MAX_BODY_BYTES", "huge"),
+        ("MLSWARP_LISTEN", "nowhere"),
+    ] {
+        assert!(said.lines().any(|line| line.contains(option) && line.contains(&format!("`{value}`"))), "{option} in {said}");
+    }
+    assert_eq!(mlswarp(&["--no-such-flag"]).output().unwrap().status.code(), Some(2));
+}
+
+#[test]
+fn a_flag_wins_over_its_variable() {
+    let output = mlswarp(&["--listen", "wrong-flag"]).env("MLSWARP_LISTEN", "wrong-variable").output().unwrap();
+    assert!(String::from_utf8(output.stderr).unwrap().contains("wrong-flag"));
+}
+
+#[test]
+fn help_names_every_default_and_variable() {
+    let output = mlswarp(&["--help"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let help = String::from_utf8(output.stdout).unwrap();
+    for word in
+        ["MLSWARP_LISTEN", "127.0.0.1:8080", "MLSWARP_MAX_BODY_BYTES", "32MiB", "MLSWARP_SESSION_IDLE", "15m", "health", "serve", "warp"]
+    {
+        assert!(help.contains(word), "{word} in {help}");
+    }
+    let version = mlswarp(&["--version"]).output().unwrap();
+    assert_eq!(String::from_utf8(version.stdout).unwrap().trim(), concat!("mlswarp ", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn a_port_in_use_is_named() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let output = mlswarp(&["--listen", &address]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains(&format!("cannot listen on {address}")), "{said}");
+}
+
+#[test]
+fn health_asks_the_server() {
+    let program = Program::start(&[]);
+    let port = program.address.port();
+    for listen in [format!("127.0.0.1:{port}"), format!("0.0.0.0:{port}")] {
+        assert!(mlswarp(&["health", "--listen", &listen]).status().unwrap().success(), "{listen}");
+    }
+    program.terminate();
+    assert!(program.wait().0.success());
+    let output = mlswarp(&["health"]).env("MLSWARP_LISTEN", format!("127.0.0.1:{port}")).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[tokio::test]
+async fn a_terminated_server_finishes_what_it_has_begun() {
+    let program = Program::start(&["--log-format", "json"]);
+    let url = format!("http://{}/warp", program.address);
+    let warp = r#"{"p": [[100, 100], [900, 700]], "q": [[140, 130], [900, 700]], "output": {"compression": "best"}}"#;
+    let mut response = reqwest::Client::new().post(url).multipart(form(&photo(2000, 1500), warp)).send().await.unwrap();
+    assert_eq!(response.status(), 200);
+    let mut file = response.chunk().await.unwrap().unwrap().to_vec();
+    program.terminate();
+    while let Some(chunk) = response.chunk().await.unwrap() {
+        file.extend_from_slice(&chunk);
+    }
+    let (width, height, _) = crate::support::picture::decoded(&file);
+    assert_eq!((width, height), (2000, 1500));
+    drop(response);
+    let (status, log) = program.wait();
+    assert_eq!(status.code(), Some(0), "{log}");
+    let lines: Vec<serde_json::Value> = log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let answered = lines.iter().find(|line| line["message"] == "answered").unwrap();
+    assert_eq!((&answered["route"], &answered["status"]), (&"/warp".into(), &200.into()));
+    assert!(lines.iter().any(|line| line["message"] == "stopped"));
+}
+
+#[test]
+fn silent_and_slow_connections_are_closed() {
+    let program = Program::start(&["--header-timeout", "300ms"]);
+    for said in ["", "GET /hea", "GET /healthz HTTP/1.1\r\nHost: x\r\n"] {
+        let mut stream = TcpStream::connect(program.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.write_all(said.as_bytes()).unwrap();
+        let mut rest = Vec::new();
+        // An end or a reset: either is a closed connection, a timeout is not.
+        match stream.read_to_end(&mut rest) {
+            Ok(_) => {}
+            Err(e) => assert_eq!(e.kind(), std::io::ErrorKind::ConnectionReset, "{said:?}"),
+        }
+    }
+}

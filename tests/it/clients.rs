@@ -1,0 +1,56 @@
+//! Many clients at once.
+
+use futures_util::future::join_all;
+use serde_json::{Value, json};
+
+use crate::support::{Server, photo};
+
+fn warp(client: u32) -> Value {
+    let c = f64::from(client);
+    json!({"p": [[20, 20], [100, 70]], "q": [[20.0 + c / 4.0, 20], [100, 70.0 - c / 5.0]], "method": (["rigid", "similarity", "affine"][client as usize % 3])})
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn thirty_two_clients_get_the_right_picture_each() {
+    let server = Server::start(&[]).await;
+    let pictures: Vec<Vec<u8>> = (0..4).map(|n| photo(120 + n, 90)).collect();
+    let picture = |client: u32| pictures[client as usize % 4].as_slice();
+    let mut alone = Vec::new();
+    for client in 0..32 {
+        alone.push(server.upload("/warp", picture(client), &warp(client)).await.bytes().await.unwrap());
+    }
+    server.app.forget_caches();
+    let together = join_all((0..32).map(|client| {
+        let server = &server;
+        let image = picture(client);
+        async move {
+            let response = server.upload("/warp", image, &warp(client)).await;
+            (response.status(), response.bytes().await.unwrap())
+        }
+    }))
+    .await;
+    for (client, (status, bytes)) in together.iter().enumerate() {
+        assert_eq!(*status, 200, "client {client}");
+        assert_eq!(*bytes, alone[client], "client {client}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn thirty_two_hands_drag_one_session() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(120, 90), &json!({"p": [[20, 20], [100, 70]]})).await;
+    server.app.forget_caches();
+    let decoded = server.app.counters();
+    let pose = |hand: u32| json!({"session": id, "q": [[20 + hand, 20], [100, 70]]});
+    let together = join_all((0..32).map(|hand| {
+        let (server, pose) = (&server, pose(hand));
+        async move { server.drag(&pose).await.bytes().await.unwrap() }
+    }))
+    .await;
+    let now = server.app.counters();
+    assert_eq!(now.plans_built - decoded.plans_built, 1, "one build for many waiting requests");
+    assert_eq!(now.images_decoded - decoded.images_decoded, 1);
+    for (hand, bytes) in (0..).zip(&together) {
+        assert_eq!(server.drag(&pose(hand)).await.bytes().await.unwrap(), *bytes, "hand {hand}");
+    }
+}

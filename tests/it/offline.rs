@@ -1,0 +1,51 @@
+//! `mlswarp warp`: the same walk without a server.
+
+use std::io::Write as _;
+use std::process::Stdio;
+
+use serde_json::json;
+
+use crate::support::program::mlswarp;
+use crate::support::{Server, photo};
+
+fn directory(name: &str) -> std::path::PathBuf {
+    let directory = std::env::temp_dir().join(format!("mlswarp-test-{}-{name}", std::process::id()));
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+#[tokio::test]
+async fn the_program_writes_the_bytes_that_the_server_answers() {
+    let directory = directory("offline");
+    let path = |name: &str| directory.join(name).to_str().unwrap().to_owned();
+    let (image, warp) = (photo(400, 300), json!({"p": [[20, 20], [300, 200]], "q": [[40, 20], [300, 180]], "method": "similarity"}));
+    std::fs::write(path("in.png"), &image).unwrap();
+    std::fs::write(path("warp.json"), warp.to_string()).unwrap();
+    let server = Server::start(&[]).await;
+    let answer = server.upload("/warp", &image, &warp).await.bytes().await.unwrap();
+
+    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("400 x 300 px, 0 folded cells, residual"), "{output:?}");
+    assert_eq!(std::fs::read(path("out.png")).unwrap(), answer);
+
+    let mut child = mlswarp(&["warp", "-", &path("warp.json"), "-o", "-"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&image).unwrap();
+    assert_eq!(child.wait_with_output().unwrap().stdout, answer);
+
+    std::fs::write(path("warp.json"), r#"{"p": [[1, 1]], "q": [[1, 1]], "methd": "rigid"}"#).unwrap();
+    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("never.png")]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.starts_with("unknown_field: ") && said.contains("(/methd)"), "{said}");
+    assert!(!directory.join("never.png").exists());
+    let output = mlswarp(&["warp", &path("missing.png"), &path("warp.json"), "-o", &path("never.png")]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 3, "no half picture is left behind");
+    std::fs::remove_dir_all(directory).unwrap();
+}

@@ -1,0 +1,102 @@
+//! The service on a real socket of the loopback, in this process, so that its counters can be read.
+
+use std::net::SocketAddr;
+
+use clap::Parser as _;
+use mlswarp::service::App;
+use mlswarp::service::config::{Cli, Config};
+use mlswarp::service::server::{listen, serve};
+use reqwest::multipart::{Form, Part};
+use reqwest::{Client, RequestBuilder, Response};
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+/// Options as on the command line.
+pub(crate) fn config(options: &[&str]) -> Config {
+    Cli::try_parse_from([&["mlswarp", "--listen", "127.0.0.1:0"], options].concat()).unwrap().options.resolve().unwrap()
+}
+
+/// A running server and a client.
+pub(crate) struct Server {
+    pub(crate) app: App,
+    pub(crate) address: SocketAddr,
+    pub(crate) client: Client,
+    _stop: oneshot::Sender<()>,
+}
+
+impl Server {
+    pub(crate) async fn start(options: &[&str]) -> Self {
+        let config = config(options);
+        let listener = listen(config.listen).unwrap();
+        let address = listener.local_addr().unwrap();
+        let app = App::new(config).unwrap();
+        let (stop, stopped) = oneshot::channel();
+        tokio::spawn(serve(app.clone(), listener, async {
+            let _ = stopped.await;
+        }));
+        Self { app, address, client: Client::new(), _stop: stop }
+    }
+
+    pub(crate) fn url(&self, path: &str) -> String {
+        format!("http://{}{path}", self.address)
+    }
+
+    pub(crate) fn post(&self, path: &str) -> RequestBuilder {
+        self.client.post(self.url(path))
+    }
+
+    pub(crate) fn get(&self, path: &str) -> RequestBuilder {
+        self.client.get(self.url(path))
+    }
+
+    pub(crate) async fn upload(&self, path: &str, image: &[u8], warp: &Value) -> Response {
+        self.post(path).multipart(form(image, warp.to_string())).send().await.unwrap()
+    }
+
+    /// The id of a new session.
+    pub(crate) async fn session(&self, image: &[u8], warp: &Value) -> String {
+        let response = self.upload("/sessions", image, warp).await;
+        assert_eq!(response.status(), 201, "{:?}", response.text().await);
+        response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    }
+
+    pub(crate) async fn drag(&self, body: &Value) -> Response {
+        self.post("/warp").json(body).send().await.unwrap()
+    }
+
+    /// A request that must succeed, whatever happened before.
+    pub(crate) async fn is_well(&self) {
+        let response = self.upload("/warp", &super::photo(16, 12), &json!({"p": [[2, 2]], "q": [[3, 2]]})).await;
+        assert_eq!(response.status(), 200, "{:?}", response.text().await);
+        assert_eq!(self.get("/readyz").send().await.unwrap().status(), 200);
+    }
+}
+
+/// The two parts.
+pub(crate) fn form(image: &[u8], warp: impl Into<String>) -> Form {
+    Form::new().part("image", Part::bytes(image.to_vec()).file_name("picture")).text("warp", warp.into())
+}
+
+/// A header as text.
+pub(crate) fn header<'a>(response: &'a Response, name: &str) -> &'a str {
+    response.headers().get(name).unwrap_or_else(|| panic!("{name} in {:?}", response.headers())).to_str().unwrap()
+}
+
+/// Checks that the answer is a whole problem document with this status and code, and gives it back.
+pub(crate) async fn problem(response: Response, status: u16, code: &str) -> Value {
+    let request_id = header(&response, "x-request-id").to_owned();
+    let got = response.status().as_u16();
+    let media_type = header(&response, "content-type").to_owned();
+    let text = response.text().await.unwrap();
+    assert_eq!(got, status, "{code}: {}", text.chars().take(300).collect::<String>());
+    assert_eq!(media_type, "application/problem+json");
+    let document: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(document["code"], code, "{text}");
+    assert_eq!(document["status"], status);
+    assert_eq!(document["type"], format!("/problems/{code}"));
+    assert_eq!(document["request_id"], request_id);
+    for field in ["title", "detail"] {
+        assert!(document[field].as_str().is_some_and(|s| !s.is_empty()), "{field} in {text}");
+    }
+    document
+}
