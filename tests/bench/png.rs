@@ -2,7 +2,13 @@
 //! and the strips on two threads. Also 1920 x 1080 made from the same photograph. Buffers are reused where an encoder allows it.
 //! Run: `cargo bench --bench png`; an argument is a filter on names.
 
-#![allow(missing_docs, clippy::print_stdout, clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a program that prints a table")]
+#![allow(
+    missing_docs,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    reason = "a program that prints a table"
+)]
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -121,7 +127,11 @@ fn bench(picture: &Picture, filter: &str) {
     };
     let median = |contender: &Contender<'_>| quantile(contender, 0.5);
     let rival = contenders.iter().find(|c| c.name == "png Fastest").map(|c| (median(c), quantile(c, 0.05), c.bytes));
-    println!("\n{} ({} bytes); F is png Fastest; p5 is the twentieth part of the runs that was fastest", picture.name, picture.samples.len());
+    println!(
+        "\n{} ({} bytes); F is png Fastest; p5 is the twentieth part of the runs that was fastest",
+        picture.name,
+        picture.samples.len()
+    );
     println!("{:<24} {:>9} {:>9} {:>7} {:>9} {:>8} {:>8} {:>8}", "", "ms", "p5 ms", "MB/s", "bytes", "ms / F", "p5 / F", "size / F");
     for contender in &contenders {
         let (ms, low) = (median(contender), quantile(contender, 0.05));

@@ -22,7 +22,7 @@ const STAGE: usize = 8192;
 const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
 
 /// Filtered bytes that the code table is made from.
-const SAMPLE: usize = 32 << 10;
+const SAMPLE: usize = 16 << 10;
 
 /// How much a byte that was sampled outweighs one that was not.
 const SAMPLED: u32 = 8;
@@ -60,14 +60,34 @@ pub(super) fn body(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -
         adler
     }?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
+    end(last, &mut bits, out);
+    (out.len() <= most).then_some(adler)
+}
+
+/// Ends a strip on a byte. An empty stored block does, where another strip follows.
+pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     if !last {
-        // An empty stored block ends on a byte: the next strip begins there.
         bits.put(out, 0, 3);
         bits.pad(out);
         out.extend_from_slice(&[0, 0, 0xff, 0xff]);
     }
     bits.pad(out);
-    (out.len() <= most).then_some(adler)
+}
+
+/// One block of filtered bytes with the code that is best for exactly them; for `Compression::Best`.
+pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    let mut counts = Counts::default();
+    filtered.chunks(PIECE).for_each(|piece| walk(piece, &mut counts));
+    let mut weights = counts.total();
+    weights[END] = 1;
+    let codes = Codes::new(&weights, LIMIT);
+    huffman::block_header(&codes, last, bits, out);
+    let (single, runs) = (Single::new(&codes), Runs::new(&codes));
+    let mut stage = [0; STAGE + 8];
+    for piece in filtered.chunks(PIECE) {
+        code_piece(piece, &single, &single, &runs, &mut stage, bits, out);
+    }
+    bits.put(out, codes.bits[END].into(), codes.length[END].into());
 }
 
 thread_local! {
@@ -78,7 +98,7 @@ thread_local! {
 /// Weights of all symbols, from about `SAMPLE` bytes of evenly spread rows.
 #[inline(always)]
 fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
-    let mut counts = Counts { bytes: [[0; 256]; 4], lengths: [0; LITERALS] };
+    let mut counts = Counts::default();
     let step = (rows.filtered_len() / SAMPLE).clamp(1, rows.count());
     // The middle of every stretch of `step` rows; never the first row alone, which has a filter of its own.
     let mut index = step / 2;
@@ -92,13 +112,7 @@ fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
         }
         index += step;
     }
-    let mut weights = counts.lengths;
-    for (symbol, weight) in weights.iter_mut().enumerate() {
-        if symbol < 256 {
-            *weight += counts.bytes.iter().map(|counts| counts[symbol]).sum::<u32>();
-        }
-        *weight = weight.saturating_mul(SAMPLED).saturating_add(1);
-    }
+    let mut weights = counts.total().map(|weight| weight.saturating_mul(SAMPLED).saturating_add(1));
     let sampled = u32::try_from(rows.count() / step).unwrap_or(u32::MAX);
     weights[usize::from(PAETH)] = weights[usize::from(PAETH)].saturating_add(sampled.saturating_mul(SAMPLED));
     weights
@@ -156,7 +170,15 @@ fn code_rows<L: Lookup>(
 }
 
 #[inline(always)]
-fn code_piece<L: Lookup>(piece: &[u8], lookup: &L, single: &Single, runs: &Runs, stage: &mut [u8; STAGE + 8], bits: &mut BitWriter, out: &mut Vec<u8>) {
+fn code_piece<L: Lookup>(
+    piece: &[u8],
+    lookup: &L,
+    single: &Single,
+    runs: &Runs,
+    stage: &mut [u8; STAGE + 8],
+    bits: &mut BitWriter,
+    out: &mut Vec<u8>,
+) {
     let mut coder = Coder { waiting: bits.waiting, filled: bits.filled, at: 0, lookup, single, runs, stage };
     walk(piece, &mut coder);
     let Coder { waiting, filled, at, .. } = coder;
@@ -259,6 +281,24 @@ struct Counts {
     lengths: [u32; LITERALS],
 }
 
+impl Default for Counts {
+    fn default() -> Self {
+        Self { bytes: [[0; 256]; 4], lengths: [0; LITERALS] }
+    }
+}
+
+impl Counts {
+    fn total(&self) -> [u32; LITERALS] {
+        let mut total = self.lengths;
+        for table in &self.bytes {
+            for (total, count) in total.iter_mut().zip(table) {
+                *total += count;
+            }
+        }
+        total
+    }
+}
+
 impl Sink for Counts {
     #[inline(always)]
     fn eight(&mut self, bytes: u64) {
@@ -284,9 +324,23 @@ impl Sink for Counts {
     }
 }
 
-/// `code << 6 | length`: a shift by an entry is a shift by its length, because shifts of 64-bit words look at six bits.
+/// Bits of an entry below its code. Seven, although a length needs five: four entries may be added and their lengths with them.
+const LENGTH_BITS: u32 = 7;
+
+/// `code << 7 | length`: a shift by an entry is a shift by its length, because shifts of 64-bit words look at six bits.
 const fn entry(code: u32, length: u32) -> u32 {
-    code << 6 | length
+    code << LENGTH_BITS | length
+}
+
+#[inline(always)]
+const fn code(entry: u32) -> u64 {
+    (entry >> LENGTH_BITS) as u64
+}
+
+/// The length of an entry, or of a sum of entries.
+#[inline(always)]
+const fn length(entry: u32) -> u32 {
+    entry & ((1 << LENGTH_BITS) - 1)
 }
 
 /// Codes of two neighbouring bytes, the first lowest.
@@ -318,8 +372,8 @@ impl Lookup for Single {
 
 #[inline(always)]
 fn pair(first: u32, second: u32) -> u32 {
-    let second_code = second & !63;
-    (second_code << (first & 63)) + first + (second & 63)
+    let second_code = second - length(second);
+    (second_code << length(first)) + first + length(second)
 }
 
 struct Pairs<'a>(&'a [u32; 1 << 16]);
@@ -385,22 +439,30 @@ impl<L: Lookup> Coder<'_, L> {
 
     #[inline(always)]
     fn put_entry(&mut self, entry: u32) {
-        self.put(u64::from(entry >> 6), entry & 63);
+        self.put(code(entry), length(entry));
     }
+}
 
-    #[inline(always)]
-    fn four(&mut self, first: u32, second: u32) {
-        let code = u64::from(first >> 6) | u64::from(second >> 6) << (first & 63);
-        self.put(code, (first + second) & 63);
-    }
+/// `code << length`, where `length < 64` are the low bits of an entry or of a sum of entries.
+#[inline(always)]
+const fn shifted(code: u64, entry: u32) -> u64 {
+    code.wrapping_shl(entry)
 }
 
 impl<L: Lookup> Sink for Coder<'_, L> {
     #[inline(always)]
     fn eight(&mut self, bytes: u64) {
         let [a, b, c, d] = [0, 16, 32, 48].map(|shift| self.lookup.two((bytes >> shift) as u16));
-        self.four(a, b);
-        self.four(c, d);
+        let (ab, cd) = (a.wrapping_add(b), c.wrapping_add(d));
+        let first = code(a) | shifted(code(b), a);
+        let second = code(c) | shifted(code(d), c);
+        let whole = length(ab.wrapping_add(cd));
+        if whole <= 56 {
+            self.put(first | shifted(second, ab), whole);
+        } else {
+            self.put(first, length(ab));
+            self.put(second, length(cd));
+        }
     }
 
     #[inline(always)]

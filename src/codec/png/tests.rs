@@ -20,8 +20,7 @@ enum Content {
     Drawing,
 }
 
-const CONTENTS: [Content; 6] =
-    [Content::Flat(0), Content::Flat(0xff), Content::Noise, Content::Gradient, Content::Photo, Content::Drawing];
+const CONTENTS: [Content; 6] = [Content::Flat(0), Content::Flat(0xff), Content::Noise, Content::Gradient, Content::Photo, Content::Drawing];
 
 fn shape(width: u32, height: u32, (channels, depth): (Channels, Depth)) -> PngShape {
     PngShape { extent: Extent::new(width, height).unwrap(), channels, depth }
@@ -74,8 +73,7 @@ fn samples_of<'a>(writer: &PngWriter, shape: PngShape, samples: &'a [u8], strip:
 
 fn file(writer: &PngWriter, shape: PngShape, samples: &[u8]) -> Vec<u8> {
     let mut bytes = writer.head();
-    let checksums: Vec<_> =
-        (0..writer.strips()).map(|k| writer.strip_into(k, samples_of(writer, shape, samples, k), &mut bytes)).collect();
+    let checksums: Vec<_> = (0..writer.strips()).map(|k| writer.strip_into(k, samples_of(writer, shape, samples, k), &mut bytes)).collect();
     bytes.extend_from_slice(&writer.tail(&checksums));
     bytes
 }
@@ -98,7 +96,10 @@ fn by_zune(bytes: &[u8], depth: Depth) -> Vec<u8> {
     use zune_png::zune_core::bytestream::ZCursor;
     use zune_png::zune_core::options::DecoderOptions;
     use zune_png::zune_core::result::DecodingResult;
-    let options = DecoderOptions::default().set_strict_mode(true).png_set_confirm_crc(true).inflate_set_confirm_adler(true)
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .png_set_confirm_crc(true)
+        .inflate_set_confirm_adler(true)
         .set_max_width(usize::MAX)
         .set_max_height(usize::MAX);
     let mut decoder = zune_png::PngDecoder::new_with_options(ZCursor::new(bytes), options);

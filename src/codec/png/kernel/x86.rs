@@ -6,7 +6,10 @@ use super::super::rows::Rows;
 
 /// The features of `fast_avx2`.
 pub(super) fn is_available() -> bool {
-    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2") && is_x86_feature_detected!("lzcnt")
+    is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
 }
 
 pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
