@@ -10,7 +10,7 @@ use super::{Compression, PngShape, chunk, stored};
 
 /// Filtered bytes that one strip aims at. Below, every strip's own code table begins to weigh (0.1 % and 40 us a strip, `notes.md`);
 /// above, two threads share a 500 x 500 picture unevenly and the first bytes of a large one leave late.
-const STRIP: u64 = 256 << 10;
+const STRIP: u64 = 512 << 10;
 
 /// The same for `Compression::Best`, which forgets its window at every strip.
 const STRIP_BEST: u64 = 1 << 20;

@@ -14,6 +14,8 @@ mod bits;
 #[forbid(unsafe_code)]
 mod chunk;
 #[forbid(unsafe_code)]
+mod coder;
+#[forbid(unsafe_code)]
 mod fast;
 #[forbid(unsafe_code)]
 mod huffman;

@@ -121,11 +121,17 @@ pub(super) fn average(row: &[u8], above: &[u8], bpp: usize, out: &mut [u8]) {
 /// otherwise it is their sum, which never wins.
 #[inline(always)]
 fn predict_paeth(a: u8, b: u8, c: u8) -> u8 {
-    let (to_a, to_b) = (b.abs_diff(c), a.abs_diff(c));
+    let (to_a, to_b) = (distance(b, c), distance(a, c));
     let outside = (c <= a.min(b)) | (c >= a.max(b));
-    let to_c = if outside { u8::MAX } else { to_a.abs_diff(to_b) };
+    let to_c = if outside { u8::MAX } else { distance(to_a, to_b) };
     let nearer = if to_a <= to_b { a } else { b };
     if to_a.min(to_b) <= to_c { nearer } else { c }
+}
+
+/// `u8::abs_diff` goes through `i32`, and so would the vectors.
+#[inline(always)]
+fn distance(a: u8, b: u8) -> u8 {
+    a.max(b) - a.min(b)
 }
 
 #[cfg(test)]

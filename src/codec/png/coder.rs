@@ -1,0 +1,337 @@
+//! From filtered bytes to the bits of a deflate block. Bytes are taken apart into eights that are not all zero, runs of at least eight zeros
+//! (a literal and matches of distance 1), and an end of less than eight; the same walk counts symbols and writes codes. Bytes are looked up two at a
+//! time (`Pairs`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
+//! store. Cost: about 0.4 ns a byte with pairs, 0.6 without.
+
+use super::bits::BitWriter;
+use super::huffman::{Codes, END, LITERALS};
+
+/// Longest code. Two fit 26 bits with room for their length in a `u32`; four fit a 64-bit store beside 7 waiting bits.
+pub(super) const LIMIT: usize = 12;
+
+/// Filtered bytes that are coded at once; a multiple of 8.
+pub(super) const PIECE: usize = 4096;
+
+/// Most bytes a piece is coded to (12 bits a byte; a run is never longer than its bytes).
+const STAGE: usize = 8192;
+/// Where a piece is coded to; a store may reach 8 bytes beyond.
+pub(super) type Stage = [u8; STAGE + 8];
+
+/// An empty stage.
+pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 8];
+
+const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
+
+/// What a strip is coded with.
+#[derive(Debug)]
+pub(super) struct Tables<'a, L> {
+    pub(super) pairs: &'a L,
+    pub(super) single: &'a Single,
+    pub(super) runs: &'a Runs,
+}
+
+/// Appends the codes of at most `PIECE` bytes to `out`.
+#[inline(always)]
+pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    let mut coder = Coder { waiting: bits.waiting, filled: bits.filled, at: 0, tables, stage };
+    walk(piece, &mut coder);
+    let Coder { waiting, filled, at, .. } = coder;
+    *bits = BitWriter { waiting, filled };
+    out.extend_from_slice(&stage[..at]);
+}
+
+/// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
+pub(super) trait Sink {
+    fn eight(&mut self, bytes: u64);
+    /// `count >= 8`.
+    fn zeros(&mut self, count: usize);
+    fn one(&mut self, byte: u8);
+}
+
+#[inline(always)]
+pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
+    let mut rest = bytes;
+    while let Some((eight, after)) = rest.split_first_chunk::<8>() {
+        let eight = u64::from_le_bytes(*eight);
+        rest = after;
+        if eight != 0 {
+            sink.eight(eight);
+            continue;
+        }
+        let mut count = 8;
+        while let Some((eight, after)) = rest.split_first_chunk::<8>() {
+            let zeros = (u64::from_le_bytes(*eight).trailing_zeros() / 8) as usize;
+            count += zeros;
+            if zeros < 8 {
+                rest = &rest[zeros..];
+                break;
+            }
+            rest = after;
+        }
+        sink.zeros(count);
+    }
+    for &byte in rest {
+        sink.one(byte);
+    }
+}
+
+/// `count` zeros taken apart: a literal, `longest` matches of the longest length, a match of `matched` when not 0, and `literals` that are too few for one.
+struct Zeros {
+    longest: usize,
+    matched: usize,
+    literals: usize,
+}
+
+#[inline(always)]
+fn split_zeros(count: usize) -> Zeros {
+    let (longest, left) = ((count - 1) / LONGEST, (count - 1) % LONGEST);
+    if left < SHORTEST { Zeros { longest, matched: 0, literals: left } } else { Zeros { longest, matched: left, literals: 0 } }
+}
+
+const SHORTEST: usize = 3;
+const LONGEST: usize = 258;
+
+/// First length and number of extra bits of the symbols 257 and on (RFC 1951, 3.2.5).
+const LENGTHS: [(u16, u8); 29] = [
+    (3, 0),
+    (4, 0),
+    (5, 0),
+    (6, 0),
+    (7, 0),
+    (8, 0),
+    (9, 0),
+    (10, 0),
+    (11, 1),
+    (13, 1),
+    (15, 1),
+    (17, 1),
+    (19, 2),
+    (23, 2),
+    (27, 2),
+    (31, 2),
+    (35, 3),
+    (43, 3),
+    (51, 3),
+    (59, 3),
+    (67, 4),
+    (83, 4),
+    (99, 4),
+    (115, 4),
+    (131, 5),
+    (163, 5),
+    (195, 5),
+    (227, 5),
+    (258, 0),
+];
+
+fn length_symbol(length: usize) -> usize {
+    let above = LENGTHS.partition_point(|&(first, _)| usize::from(first) <= length);
+    END + above
+}
+
+#[derive(Debug)]
+pub(super) struct Counts {
+    /// Four tables, so that equal neighbours do not wait for each other's store.
+    bytes: [[u32; 256]; 4],
+    lengths: [u32; LITERALS],
+}
+
+impl Default for Counts {
+    fn default() -> Self {
+        Self { bytes: [[0; 256]; 4], lengths: [0; LITERALS] }
+    }
+}
+
+impl Counts {
+    pub(super) fn total(&self) -> [u32; LITERALS] {
+        let mut total = self.lengths;
+        for table in &self.bytes {
+            for (total, count) in total.iter_mut().zip(table) {
+                *total += count;
+            }
+        }
+        total
+    }
+}
+
+impl Sink for Counts {
+    #[inline(always)]
+    fn eight(&mut self, bytes: u64) {
+        for (byte, lane) in bytes.to_le_bytes().into_iter().zip([0, 1, 2, 3, 0, 1, 2, 3]) {
+            self.bytes[lane][usize::from(byte)] += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn zeros(&mut self, count: usize) {
+        let zeros = split_zeros(count);
+        let count = |n: usize| u32::try_from(n).expect("at most a piece");
+        self.bytes[0][0] += count(1 + zeros.literals);
+        self.lengths[END + LENGTHS.len()] += count(zeros.longest);
+        if zeros.matched > 0 {
+            self.lengths[length_symbol(zeros.matched)] += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn one(&mut self, byte: u8) {
+        self.bytes[0][usize::from(byte)] += 1;
+    }
+}
+
+/// Bits of an entry below its code. Six, although a length needs five: two entries may be added and their lengths with them.
+const LENGTH_BITS: u32 = 6;
+
+/// `code << 6 | length`: a shift by an entry is a shift by its length, because shifts of 64-bit words look at six bits.
+const fn entry(code: u32, length: u32) -> u32 {
+    code << LENGTH_BITS | length
+}
+
+#[inline(always)]
+pub(super) const fn code(entry: u32) -> u64 {
+    (entry >> LENGTH_BITS) as u64
+}
+
+/// The length of an entry, or of a sum of two.
+#[inline(always)]
+pub(super) const fn length(entry: u32) -> u32 {
+    entry & ((1 << LENGTH_BITS) - 1)
+}
+
+/// Codes of two neighbouring bytes, the first lowest.
+pub(super) trait Lookup {
+    fn two(&self, bytes: u16) -> u32;
+}
+
+/// One entry a byte.
+#[derive(Debug)]
+pub(super) struct Single([u32; 256]);
+
+impl Single {
+    pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
+        Self(std::array::from_fn(|byte| entry(codes.bits[byte].into(), codes.length[byte].into())))
+    }
+
+    #[inline(always)]
+    fn one(&self, byte: u8) -> u32 {
+        self.0[usize::from(byte)]
+    }
+}
+
+impl Lookup for Single {
+    #[inline(always)]
+    fn two(&self, bytes: u16) -> u32 {
+        let [first, second] = bytes.to_le_bytes();
+        pair(self.one(first), self.one(second))
+    }
+}
+
+#[inline(always)]
+fn pair(first: u32, second: u32) -> u32 {
+    let second_code = second - length(second);
+    (second_code << length(first)) + first + length(second)
+}
+
+#[derive(Debug)]
+pub(super) struct Pairs<'a>(pub(super) &'a [u32; 1 << 16]);
+
+impl Lookup for Pairs<'_> {
+    #[inline(always)]
+    fn two(&self, bytes: u16) -> u32 {
+        self.0[usize::from(bytes)]
+    }
+}
+
+#[inline(always)]
+pub(super) fn fill_pairs(single: &Single, pairs: &mut [u32; 1 << 16]) {
+    for (row, &second) in pairs.chunks_exact_mut(256).zip(&single.0) {
+        for (two, &first) in row.iter_mut().zip(&single.0) {
+            *two = pair(first, second);
+        }
+    }
+}
+
+/// Codes of runs by length, with extra bits and the distance's one bit.
+#[derive(Debug)]
+pub(super) struct Runs([u32; LONGEST + 1]);
+
+impl Runs {
+    pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
+        Self(std::array::from_fn(|length| {
+            if length < SHORTEST {
+                return 0;
+            }
+            let symbol = length_symbol(length);
+            let (first, extra_bits) = LENGTHS[symbol - END - 1];
+            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
+            let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
+            // The distance code is a single zero bit.
+            entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
+        }))
+    }
+}
+
+struct Coder<'a, L> {
+    waiting: u64,
+    filled: u32,
+    at: usize,
+    tables: &'a Tables<'a, L>,
+    stage: &'a mut Stage,
+}
+
+impl<L: Lookup> Coder<'_, L> {
+    /// `length <= 56`.
+    #[inline(always)]
+    fn put(&mut self, code: u64, length: u32) {
+        self.waiting |= code << self.filled;
+        self.filled += length;
+        // Never masks anything (STAGE holds the longest coded piece); it stands for a bounds check.
+        self.at &= STAGE - 1;
+        self.stage[self.at..self.at + 8].copy_from_slice(&self.waiting.to_le_bytes());
+        self.at += (self.filled / 8) as usize;
+        self.waiting >>= self.filled & 56;
+        self.filled &= 7;
+    }
+
+    #[inline(always)]
+    fn put_entry(&mut self, entry: u32) {
+        self.put(code(entry), length(entry));
+    }
+
+    /// Two pairs, 48 bits at most.
+    #[inline(always)]
+    fn four(&mut self, first: u32, second: u32) {
+        self.put(code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)));
+    }
+}
+
+impl<L: Lookup> Sink for Coder<'_, L> {
+    #[inline(always)]
+    #[expect(clippy::cast_possible_truncation, reason = "the low half word of a shifted word is what is meant")]
+    fn eight(&mut self, bytes: u64) {
+        let [a, b, c, d] = [0, 16, 32, 48].map(|shift| self.tables.pairs.two((bytes >> shift) as u16));
+        self.four(a, b);
+        self.four(c, d);
+    }
+
+    #[inline(always)]
+    fn zeros(&mut self, count: usize) {
+        let zeros = split_zeros(count);
+        let literal = self.tables.single.one(0);
+        self.put_entry(literal);
+        for _ in 0..zeros.longest {
+            self.put_entry(self.tables.runs.0[LONGEST]);
+        }
+        if zeros.matched > 0 {
+            self.put_entry(self.tables.runs.0[zeros.matched]);
+        }
+        for _ in 0..zeros.literals {
+            self.put_entry(literal);
+        }
+    }
+
+    #[inline(always)]
+    fn one(&mut self, byte: u8) {
+        self.put_entry(self.tables.single.one(byte));
+    }
+}
