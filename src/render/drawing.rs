@@ -54,6 +54,8 @@ struct Scratch {
     runs: Vec<Range<usize>>,
     kinds: Kinds,
     good: Vec<Range<usize>>,
+    /// The rows of cells where the outer columns crossed the last row.
+    cells: [usize; 2],
     /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
     pitch: usize,
 }
@@ -111,6 +113,8 @@ impl Drawing {
             scratch.u.resize(size, BARE);
             scratch.v.resize(size, 0.0);
         }
+        scratch.x_crossings.fill(0.0);
+        scratch.v_crossings.fill(0.0);
         self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
         if all_plain {
             return;
@@ -153,8 +157,9 @@ impl Drawing {
     /// Coordinates of a row between the first and the last column of a range of good strips, and the run of pixels that they cover.
     fn spans(&self, row: u32, index: usize, cells: Range<usize>, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
-        let pixel = |column| self.crossing(column, row).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
-        let covered = pixel(cells.start)..pixel(cells.end);
+        let [left, right] = &mut scratch.cells;
+        let pixel = |column, cell| self.crossing(column, row, cell).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
+        let covered = pixel(cells.start, left)..pixel(cells.end, right);
         if covered.is_empty() {
             return;
         }
@@ -175,15 +180,20 @@ impl Drawing {
         scratch.runs.push(covered);
     }
 
-    /// The first pixel right of where a column crosses a row.
-    fn crossing(&self, column: usize, row: u32) -> Option<i64> {
+    /// The first pixel right of where a column crosses a row, once; `cell` is the row of cells where it may be, and where it was found.
+    fn crossing(&self, column: usize, row: u32, cell: &mut usize) -> Option<i64> {
         let y = row_centre(row);
-        let (mut above, mut below) = (0, self.lattice.rows - 1);
-        // Invariant of a column that crosses once: it is above the row at `above`, below it at `below`.
-        while below - above > 1 {
-            let middle = (above + below) / 2;
-            if i64::from(self.lattice.y[middle * self.lattice.pitch + column]) <= y { above = middle } else { below = middle }
+        let is_above = |line: usize| i64::from(self.lattice.y[line * self.lattice.pitch + column]) <= y;
+        let (mut above, mut below) = (*cell, *cell + 1);
+        if !is_above(above) || is_above(below) {
+            (above, below) = (0, self.lattice.rows - 1);
         }
+        // The column is above the row at `above`, below it at `below`.
+        while below - above > 1 {
+            let middle = above.midpoint(below);
+            if is_above(middle) { above = middle } else { below = middle }
+        }
+        *cell = above;
         Edge::new(self.lattice.corner(column, above), self.lattice.corner(column, below))?.crossing(y).map(|crossing| crossing.pixel)
     }
 
@@ -196,7 +206,7 @@ impl Drawing {
         if !whole {
             if let Some(colour) = sampler::outside_pixel(self.options.outside, depth) {
                 for gap in gaps(&scratch.runs, width) {
-                    out[gap.start * pixel..gap.end * pixel].chunks_exact_mut(pixel).for_each(|p| p.copy_from_slice(&colour[..pixel]));
+                    sampler::fill(&mut out[gap.start * pixel..gap.end * pixel], &colour[..pixel]);
                 }
             } else {
                 #[expect(clippy::cast_precision_loss, reason = "rows on the target have far fewer than 53 bits")]
@@ -263,7 +273,10 @@ impl Canvas for Strip<'_> {
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
     while let Some(start) = u[at..].iter().position(|&u| u > BARE).map(|k| at + k) {
-        at = u[start..].iter().position(|&u| u <= BARE).map_or(u.len(), |k| start + k);
+        // Whole groups first: runs are long as a rule.
+        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u > BARE));
+        at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
+        at = u[at..].iter().position(|&u| u <= BARE).map_or(u.len(), |k| at + k);
         runs.push(start..at);
     }
 }

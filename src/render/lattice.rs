@@ -17,7 +17,7 @@ pub(super) const HALF: i32 = ONE / 2;
 /// The farthest lattice place: 2^21 px; vertices beyond are drawn there. Products of two differences stay below 2^62.
 pub(super) const LIMIT: i32 = 1 << 29;
 /// Columns that are handled together.
-pub(super) const BLOCK: usize = 16;
+pub(super) const BLOCK: usize = 8;
 
 /// A range of lattice y, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +31,12 @@ impl Reach {
 
     fn join(self, other: Self) -> Self {
         Self { top: self.top.min(other.top), bottom: self.bottom.max(other.bottom) }
+    }
+
+    /// Those of `rows` whose pixel centres may lie inside.
+    pub(super) fn rows(self, rows: &std::ops::Range<u32>) -> std::ops::Range<u32> {
+        let clip = |y: i32| u32::try_from(first_row(y).max(0)).unwrap_or(u32::MAX).clamp(rows.start, rows.end);
+        clip(self.top)..clip(self.bottom)
     }
 
     /// Some row of pixel centres out of `rows` may lie inside.

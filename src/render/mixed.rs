@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use super::lattice::{Lattice, ONE, Reach, first_row, row_centre};
+use super::lattice::{Lattice, ONE, Reach, row_centre};
 
 /// What a strip of cells is in a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,12 +37,6 @@ pub(super) struct Kinds {
     pushed: Vec<f32>,
 }
 
-/// A range of rows that a cell touches.
-fn touched(reach: Reach, rows: &Range<u32>) -> Range<u32> {
-    let clip = |y: i32| u32::try_from(first_row(y).max(0)).unwrap_or(u32::MAX).clamp(rows.start, rows.end);
-    clip(reach.top)..clip(reach.bottom)
-}
-
 impl Kinds {
     /// Begins with a few target rows: marks what is not sound, and notes how far every strip reaches.
     pub(super) fn begin(&mut self, lattice: &Lattice, sound: &[bool], rows: &Range<u32>) {
@@ -59,7 +53,7 @@ impl Kinds {
             let reach = &mut self.reach[i];
             *reach = (reach.0.min(left), reach.1.max(right));
             if !sound[j * cells + i] {
-                for row in touched(lattice.cell_reach(i, j), rows) {
+                for row in lattice.cell_reach(i, j).rows(rows) {
                     self.kinds[(row - rows.start) as usize * cells + i] = Kind::Mixed;
                 }
             }

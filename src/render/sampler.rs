@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::kernel::{Kernel, fixed};
+use super::kernel::{Kernel, ROUND_SAMPLE, fixed};
 use super::source::Source;
 use super::{Filter, Outside};
 use crate::pixmap::{Channels, Depth, Pixmap, Samples};
@@ -101,7 +101,7 @@ impl Texels<'_, u16> {
         }
         let alpha = sums[3];
         let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u16);
-        [r, g, b, if self.opaque { u16::MAX } else { ((alpha + 8192) >> 14) as u16 }]
+        [r, g, b, if self.opaque { u16::MAX } else { ((alpha + ROUND_SAMPLE) >> 14) as u16 }]
     }
 }
 
@@ -131,6 +131,15 @@ pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
         Depth::Sixteen => bytes = [colour[0], colour[0], colour[1], colour[1], colour[2], colour[2], colour[3], colour[3]],
     }
     Some(bytes)
+}
+
+/// Fills pixels with one colour.
+pub(super) fn fill(out: &mut [u8], pixel: &[u8]) {
+    match (pixel.iter().all(|byte| byte == &pixel[0]), pixel) {
+        (true, _) => out.fill(pixel[0]),
+        (false, &[r, g, b, a]) => out.as_chunks_mut().0.fill([r, g, b, a]),
+        (false, _) => out.chunks_exact_mut(pixel.len()).for_each(|out| out.copy_from_slice(pixel)),
+    }
 }
 
 /// Copies rows of the source as they are.

@@ -14,7 +14,7 @@ use super::lattice::Lattice;
 use super::source::Packed;
 use crate::pixmap::Channels;
 
-pub(super) use scalar::{CellRow, NOTES, Spans, fixed};
+pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, Spans, fixed};
 
 /// An instruction set that kernels are written for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -99,7 +99,8 @@ impl Kernel {
         dispatch!(self, bends(above, below, bends));
     }
 
-    /// Where every column crosses target rows: x, px, and v, `[rows][pitch + BLOCK]`; only what is crossed is written.
+    /// Where every column crosses target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before and where nothing is crossed; of no meaning for a
+    /// column that crosses a row more than once.
     pub(super) fn crossings(self, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
         dispatch!(self, crossings(lattice, rows, x, v));
     }

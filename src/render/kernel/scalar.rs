@@ -1,6 +1,6 @@
 //! The reference kernels, and the definition of every result. Snapping: f64 to 1/256 px, to nearest. Column crossings: f32. Bilinear samples:
-//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (the same for v), the value is `(sum of w t + 8192) >> 14` over the
-//! four texels t and their weights w = (128 - fx)(128 - fy), ...; with alpha `round(sum of w a t / sum of w a)`, so colours under alpha 0 never
+//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (the same for v), the value is `(sum of w t + 8256) >> 14` over the
+//! four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 is rounding in two steps of 7 bits, which 16-bit lanes can do); with alpha `round(sum of w a t / sum of w a)`, so colours under alpha 0 never
 //! show. The functions are inlined so that `x86` can compile them again for wider registers.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to their range before they are narrowed")]
@@ -9,13 +9,15 @@
 use std::ops::Range;
 
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, first_row};
+use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Adding 2^23 leaves the nearest integer in the low bits of an f32 from 0 to 2^22.
-const ROUND_F32: f32 = 8_388_608.0;
+pub(super) const ROUND_F32: f32 = 8_388_608.0;
+/// Added to a weighted sum of samples before 14 bits are dropped.
+pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
 /// Pixels that are written together.
 const LANES: usize = 8;
 
@@ -46,7 +48,13 @@ pub(in crate::render) struct CellRow<'a> {
 }
 
 /// Lattice steps to px.
-const STEP: f32 = 1.0 / ONE as f32;
+pub(super) const STEP: f32 = 1.0 / ONE as f32;
+
+/// y of the centres of a row of pixels, px.
+#[inline(always)]
+pub(super) fn centre(row: u32) -> f32 {
+    row as f32 + 0.5
+}
 
 #[inline(always)]
 fn px(place: i32) -> f32 {
@@ -118,10 +126,8 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
     for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(&rows)) {
         let (top, fall) = (lattice.v[j], lattice.v[j + 1] - lattice.v[j]);
         for b in 0..blocks {
-            let reach = lattice.block_reach[j * blocks + b];
-            let clip = |row: i64| row.clamp(i64::from(rows.start), i64::from(rows.end)) as u32;
-            let (first, end) = (clip(first_row(reach.top)), clip(first_row(reach.bottom)));
-            if first >= end {
+            let touched = lattice.block_reach[j * blocks + b].rows(&rows);
+            if touched.is_empty() {
                 continue;
             }
             let at = j * lattice.pitch + b * BLOCK;
@@ -135,11 +141,11 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
                 slope_x[c] = (px(xb[c]) - x0[c]) * per_px;
                 slope_v[c] = fall * per_px;
             }
-            for row in first..end {
+            for row in touched {
                 let at = (row - rows.start) as usize * stride + b * BLOCK;
                 let x: &mut [f32; BLOCK] = x[at..].first_chunk_mut().expect("a row has all blocks");
                 let v: &mut [f32; BLOCK] = v[at..].first_chunk_mut().expect("a row has all blocks");
-                let centre = row as f32 + 0.5;
+                let centre = centre(row);
                 for c in 0..BLOCK {
                     let below = centre - y0[c];
                     let crosses = (below >= 0.0) & (centre < y1[c]);
@@ -185,10 +191,35 @@ fn first_pixel(x: f32, width: f32) -> (u32, f32) {
 
 #[inline(always)]
 pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
+    note(spans);
+    for c in 0..spans.columns - 1 {
+        let (mut at, end) = (spans.first[c] as usize, spans.first[c + 1] as usize);
+        let [nu, ndu, nv, ndv]: &[[f32; BLOCK]; NOTES] = notes(spans.notes, c / BLOCK);
+        let c = c % BLOCK;
+        let mut k = 0.0;
+        while at < end {
+            // Whole groups: what is written beyond the end belongs to later spans, or lies outside.
+            for lane in 0..LANES {
+                let k = k + lane as f32;
+                u[at + lane] = nu[c] + k * ndu[c];
+                v[at + lane] = nv[c] + k * ndv[c];
+            }
+            at += LANES;
+            k += LANES as f32;
+        }
+    }
+}
+
+#[inline(always)]
+fn notes(notes: &[[f32; BLOCK]], block: usize) -> &[[f32; BLOCK]; NOTES] {
+    notes[block * NOTES..].first_chunk().expect("there is room for whole blocks")
+}
+
+/// Notes the first pixel of every span, the coordinates there and their steps.
+#[inline(always)]
+pub(super) fn note(spans: &mut Spans<'_>) {
     let width = spans.width as f32;
-    let cells = spans.columns - 1;
-    let blocks = spans.columns.div_ceil(BLOCK);
-    for b in 0..blocks {
+    for b in 0..spans.columns.div_ceil(BLOCK) {
         let at = b * BLOCK;
         let (x0, x1) = (block(&spans.x[at..]), block(&spans.x[at + 1..]));
         let (v0, v1) = (block(&spans.v[at..]), block(&spans.v[at + 1..]));
@@ -205,39 +236,17 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
             (nu[c], ndu[c], nv[c], ndv[c]) = (u0[c] + inside * du, du, v0[c] + inside * dv, dv);
         }
     }
-    // The ends are exact, whatever f32 made of them.
+    pin_ends(spans);
+}
+
+/// The ends of a run are exact, whatever f32 made of them.
+#[inline(always)]
+pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     let inside = spans.covered.start as f32 + 0.5 - spans.x[0];
     spans.notes[0][0] = spans.u[0] + inside * spans.notes[1][0];
     spans.notes[2][0] = spans.v[0] + inside * spans.notes[3][0];
     spans.first[0] = spans.covered.start as u32;
-    spans.first[cells] = spans.covered.end as u32;
-    for c in 0..cells {
-        let (first, end) = (spans.first[c] as usize, spans.first[c + 1] as usize);
-        if first >= end {
-            continue;
-        }
-        let [nu, ndu, nv, ndv]: &[[f32; BLOCK]; NOTES] =
-            spans.notes[c / BLOCK * NOTES..].first_chunk().expect("there is room for whole blocks");
-        let c = c % BLOCK;
-        line([nu[c], ndu[c], nv[c], ndv[c]], first, end, u, v);
-    }
-}
-
-/// Writes `u + k du`, `v + k dv` at the k-th pixel, in whole groups of lanes: what is written beyond the end is written again or not read.
-#[inline(always)]
-fn line([u0, du, v0, dv]: [f32; 4], first: usize, end: usize, u: &mut [f32], v: &mut [f32]) {
-    let mut at = first;
-    let mut k = 0.0;
-    while at < end {
-        let (u, v) = (&mut u[at..at + LANES], &mut v[at..at + LANES]);
-        for lane in 0..LANES {
-            let k = k + lane as f32;
-            u[lane] = u0 + k * du;
-            v[lane] = v0 + k * dv;
-        }
-        at += LANES;
-        k += LANES as f32;
-    }
+    spans.first[spans.columns - 1] = spans.covered.end as u32;
 }
 
 /// U of a coordinate: kept in the picture, then truncated. NaN is 0.
@@ -271,6 +280,12 @@ pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
     let (u, v) = (fixed(u, (last_x * 128) as f32), fixed(v, (last_y * 128) as f32));
     let (fx, fy) = ((u & 127) as u64, (v & 127) as u64);
     let at = (v >> 7).min(last_y) * packed.stride() + (u >> 7).min(last_x);
+    blend(packed, at, fx, fy)
+}
+
+/// The four texels from index `at` on, blended.
+#[inline(always)]
+pub(super) fn blend(packed: &Packed, at: usize, fx: u64, fy: u64) -> [u8; 4] {
     let below = at + packed.stride();
     let texels = [packed.texels[at] ^ FLIP, packed.texels[at + 1] ^ FLIP, packed.texels[below] ^ FLIP, packed.texels[below + 1] ^ FLIP];
     if packed.opaque || texels[0] & texels[1] & texels[2] & texels[3] >= 0xff00_0000 {
@@ -294,7 +309,7 @@ fn opaque(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
     let (above, below) = (across(texels[0], texels[1]), across(texels[2], texels[3]));
     let down = |shift: u32| {
         let part = |row: u64| (row >> shift) & 0x0000_ffff_0000_ffff;
-        part(above) * (128 - fy) + part(below) * fy + 0x0000_2000_0000_2000
+        part(above) * (128 - fy) + part(below) * fy + (ROUND_SAMPLE | (ROUND_SAMPLE << 32))
     };
     let (even, odd) = (down(0) >> 14, down(16) >> 14);
     [even as u8, odd as u8, (even >> 32) as u8, (odd >> 32) as u8]
@@ -319,5 +334,5 @@ fn translucent(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
     }
     let alpha = sums[3];
     let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u8);
-    [r, g, b, ((alpha + 8192) >> 14) as u8]
+    [r, g, b, ((alpha + ROUND_SAMPLE as u32) >> 14) as u8]
 }

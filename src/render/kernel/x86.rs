@@ -4,10 +4,10 @@
 use std::arch::x86_64::*;
 use std::ops::Range;
 
-use super::scalar::{self, CellRow, Spans};
+use super::scalar::{self, CellRow, NOTES, Spans};
 use super::{Kernel, Level};
 use crate::pixmap::Channels;
-use crate::render::lattice::Lattice;
+use crate::render::lattice::{BLOCK, Lattice};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -29,12 +29,151 @@ widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
     sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]);
-    spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]);
 }
 
-/// Pixels of a group.
+/// Pixels of a group, and columns of a block.
 const LANES: usize = 8;
+const _: () = assert!(LANES == BLOCK, "a block of columns fills a register");
+
+/// Where columns cross rows: [`scalar::crossings`], a block of columns in registers for all rows that it reaches.
+pub(super) fn crossings(kernel: Kernel, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    debug_assert_eq!(kernel.0, Level::Avx2);
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
+    unsafe { wide_crossings(lattice, &rows, x, v) }
+}
+
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    let blocks = lattice.pitch / BLOCK;
+    let stride = lattice.pitch + BLOCK;
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(rows)) {
+        let (top, fall) = (_mm256_set1_ps(lattice.v[j]), _mm256_set1_ps(lattice.v[j + 1] - lattice.v[j]));
+        let above = j * lattice.pitch..(j + 1) * lattice.pitch;
+        let below = above.end..above.end + lattice.pitch;
+        let lines = lattice.x[above.clone()].as_chunks().0.iter().zip(lattice.y[above].as_chunks().0);
+        let lines = lines.zip(lattice.x[below.clone()].as_chunks().0.iter().zip(lattice.y[below].as_chunks().0));
+        for ((b, reach), ((xa, ya), (xb, yb))) in lattice.block_reach[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
+            let touched = reach.rows(rows);
+            if touched.is_empty() {
+                continue;
+            }
+            let (x0, y0, x1, y1) = (px(xa), px(ya), px(xb), px(yb));
+            let per_px = _mm256_div_ps(_mm256_set1_ps(1.0), _mm256_sub_ps(y1, y0));
+            let slope_x = _mm256_mul_ps(_mm256_sub_ps(x1, x0), per_px);
+            let slope_v = _mm256_mul_ps(fall, per_px);
+            for row in touched {
+                let at = (row - rows.start) as usize * stride + b * BLOCK;
+                let centre = _mm256_set1_ps(scalar::centre(row));
+                let below = _mm256_sub_ps(centre, y0);
+                let starts = _mm256_cmp_ps::<_CMP_GE_OQ>(below, _mm256_setzero_ps());
+                let crosses = _mm256_and_ps(starts, _mm256_cmp_ps::<_CMP_LT_OQ>(centre, y1));
+                let (x, v) = (first_of(&mut x[at..]), first_of(&mut v[at..]));
+                let x_new = _mm256_add_ps(x0, _mm256_mul_ps(below, slope_x));
+                let v_new = _mm256_add_ps(top, _mm256_mul_ps(below, slope_v));
+                // Into zeros: a blend would be compiled to a masked store, which takes ten times as long on some machines.
+                put(x, _mm256_or_ps(get(x), _mm256_and_ps(x_new, crosses)));
+                put(v, _mm256_or_ps(get(v), _mm256_and_ps(v_new, crosses)));
+            }
+        }
+    }
+}
+
+fn first_of<T>(values: &mut [T]) -> &mut [T; LANES] {
+    values.first_chunk_mut().expect("a row has all blocks")
+}
+
+fn block_of<T>(values: &[T]) -> &[T; LANES] {
+    values.first_chunk().expect("a row has all blocks")
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn get(values: &[f32; LANES]) -> __m256 {
+    // SAFETY: eight floats are loaded from eight floats.
+    unsafe { _mm256_loadu_ps(values.as_ptr()) }
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn put(values: &mut [f32; LANES], lanes: __m256) {
+    // SAFETY: eight floats are stored into eight floats.
+    unsafe { _mm256_storeu_ps(values.as_mut_ptr(), lanes) }
+}
+
+/// Lattice steps to px.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn px(places: &[i32; LANES]) -> __m256 {
+    // SAFETY: eight integers are loaded from eight integers.
+    let places = unsafe { _mm256_loadu_si256(places.as_ptr().cast()) };
+    _mm256_mul_ps(_mm256_cvtepi32_ps(places), _mm256_set1_ps(scalar::STEP))
+}
+
+/// [`scalar::note`].
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn note(spans: &mut Spans<'_>) {
+    #[expect(clippy::cast_precision_loss, reason = "rows are shorter than 2^22 pixels where columns are used")]
+    let width = _mm256_set1_ps(spans.width as f32);
+    let (one, half, round) = (_mm256_set1_ps(1.0), _mm256_set1_ps(0.5), _mm256_set1_ps(scalar::ROUND_F32));
+    let notes = spans.notes.as_chunks_mut::<NOTES>().0.iter_mut().zip(spans.first.as_chunks_mut::<BLOCK>().0);
+    for (b, ([nu, ndu, nv, ndv], first)) in notes.enumerate().take(spans.columns.div_ceil(BLOCK)) {
+        let at = b * BLOCK;
+        let pair = |values: &[f32]| (get(block_of(&values[at..])), get(block_of(&values[at + 1..])));
+        let ((x0, x1), (v0, v1), (u0, u1)) = (pair(spans.x), pair(spans.v), pair(spans.u));
+        // NaN is 0, as the second operand.
+        let kept = _mm256_min_ps(_mm256_max_ps(x0, _mm256_setzero_ps()), width);
+        let rounded = _mm256_add_ps(kept, round);
+        let pixel = _mm256_and_si256(_mm256_castps_si256(rounded), _mm256_set1_epi32(0x007f_ffff));
+        let per_px = _mm256_div_ps(one, _mm256_sub_ps(x1, x0));
+        let (du, dv) = (_mm256_mul_ps(_mm256_sub_ps(u1, u0), per_px), _mm256_mul_ps(_mm256_sub_ps(v1, v0), per_px));
+        let inside = _mm256_sub_ps(_mm256_add_ps(_mm256_sub_ps(rounded, round), half), x0);
+        put(nu, _mm256_add_ps(u0, _mm256_mul_ps(inside, du)));
+        put(nv, _mm256_add_ps(v0, _mm256_mul_ps(inside, dv)));
+        put(ndu, du);
+        put(ndv, dv);
+        // SAFETY: eight integers are stored into eight integers.
+        unsafe { _mm256_storeu_si256(first.as_mut_ptr().cast(), pixel) };
+    }
+    scalar::pin_ends(spans);
+}
+
+/// Coordinates along a row: [`note`], then eight pixels a time. A span always writes its first group: what lies beyond its end
+/// belongs to a later span, which overwrites it, or outside the run that is covered.
+pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+    unsafe fn wide(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
+        note(spans);
+        let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+        let (u, v) = (u.as_mut_ptr(), v.as_mut_ptr());
+        let blocks = spans.notes.as_chunks::<NOTES>().0.iter().zip(spans.first.windows(BLOCK + 1).step_by(BLOCK));
+        let mut cells = spans.columns - 1;
+        for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK)) {
+            for c in 0..cells.min(BLOCK) {
+                let (mut at, end) = ((first[c] as usize).min(spans.width), (first[c + 1] as usize).min(spans.width));
+                let (nu, ndu, nv, ndv) = (_mm256_set1_ps(nu[c]), _mm256_set1_ps(ndu[c]), _mm256_set1_ps(nv[c]), _mm256_set1_ps(ndv[c]));
+                let mut k = lanes;
+                loop {
+                    // SAFETY: `at <= width`, and `u` and `v` have room for a group behind the row, asserted by the caller.
+                    unsafe {
+                        _mm256_storeu_ps(u.add(at), _mm256_add_ps(nu, _mm256_mul_ps(k, ndu)));
+                        _mm256_storeu_ps(v.add(at), _mm256_add_ps(nv, _mm256_mul_ps(k, ndv)));
+                    }
+                    at += LANES;
+                    if at >= end {
+                        break;
+                    }
+                    k = _mm256_add_ps(k, _mm256_set1_ps(8.0));
+                }
+            }
+            cells -= cells.min(BLOCK);
+        }
+    }
+    debug_assert_eq!(kernel.0, Level::Avx2);
+    assert!(u.len() >= spans.width + LANES && v.len() >= spans.width + LANES, "a group may end behind the row");
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
+    unsafe { wide(spans, u, v) }
+}
+
 /// Rows of the source that are fetched ahead.
 const AHEAD: usize = 4;
 
@@ -62,21 +201,61 @@ pub(super) fn sample(kernel: Kernel, packed: &Packed, u: &[f32], v: &[f32], chan
 /// The sizes are those that [`sample`] asserts.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(packed: &Packed, u: &[f32], v: &[f32], out: &mut [u8]) {
+    // Places are found for a chunk first and texels fetched after: fetches then wait for nothing but themselves.
+    let mut places = [Places { index: [0; LANES], fractions: [0; LANES] }; CHUNK];
     let (us, u_rest) = u.as_chunks::<LANES>();
     let (vs, v_rest) = v.as_chunks::<LANES>();
-    let whole = us.len() * LANES * CHANNELS;
-    let (body, tail) = out.split_at_mut(whole);
-    for ((u, v), out) in us.iter().zip(vs).zip(body.chunks_exact_mut(LANES * CHANNELS)) {
-        // SAFETY: `packed` is passed on as it is; `out` has room for a group.
-        unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, u, v), out.as_mut_ptr()) };
+    let (body, tail) = out.split_at_mut(us.len() * LANES * CHANNELS);
+    for ((us, vs), out) in us.chunks(CHUNK).zip(vs.chunks(CHUNK)).zip(body.chunks_mut(CHUNK * LANES * CHANNELS)) {
+        for ((places, u), v) in places.iter_mut().zip(us).zip(vs) {
+            locate(packed, u, v, places);
+        }
+        for (places, out) in places.iter().zip(out.chunks_exact_mut(LANES * CHANNELS)) {
+            // SAFETY: the places are in the picture, as `locate` makes them; `out` has room for a group.
+            unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, places), out.as_mut_ptr()) };
+        }
     }
     if !tail.is_empty() {
         let (mut u, mut v, mut last) = ([0.0; LANES], [0.0; LANES], [0; LANES * 4]);
         u[..u_rest.len()].copy_from_slice(u_rest);
         v[..v_rest.len()].copy_from_slice(v_rest);
+        locate(packed, &u, &v, &mut places[0]);
         // SAFETY: as above.
-        unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, &u, &v), last.as_mut_ptr()) };
+        unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, &places[0]), last.as_mut_ptr()) };
         tail.copy_from_slice(&last[..tail.len()]);
+    }
+}
+
+/// Groups that are located before they are fetched.
+const CHUNK: usize = 8;
+
+/// Where eight pixels are read: the upper left texel, and fx and fy in 16 bits each.
+#[derive(Clone, Copy)]
+struct Places {
+    index: [u32; LANES],
+    fractions: [u32; LANES],
+}
+
+/// Places of eight pixels, kept in the picture.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Places) {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "sides are at most 2^15")]
+    let (last_x, last_y, stride) = ((packed.width as i32 - 1) * 128, (packed.height as i32 - 1) * 128, packed.stride() as i32);
+    let inside = |places: &[f32; LANES], last: i32| {
+        // The second operand is the result where the first is NaN.
+        let kept = _mm256_max_ps(get(places), _mm256_setzero_ps());
+        _mm256_cvttps_epi32(_mm256_min_ps(kept, _mm256_cvtepi32_ps(_mm256_set1_epi32(last))))
+    };
+    let (across, down) = (inside(u, last_x), inside(v, last_y));
+    let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
+    let index = _mm256_add_epi32(index, _mm256_srli_epi32::<7>(across));
+    let both = _mm256_or_si256(across, _mm256_slli_epi32::<16>(down));
+    let fractions = _mm256_and_si256(both, _mm256_set1_epi32(0x007f_007f));
+    // SAFETY: eight integers are stored into eight integers, twice.
+    unsafe {
+        _mm256_storeu_si256(places.index.as_mut_ptr().cast(), index);
+        _mm256_storeu_si256(places.fractions.as_mut_ptr().cast(), fractions);
     }
 }
 
@@ -104,27 +283,11 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
 /// Eight pixels, RGBA.
 ///
 /// # Safety
-/// `packed.texels` holds `(width + 1) (height + 1)` texels, both sides at most 2^15.
+/// `packed.texels` holds `(width + 1) (height + 1)` texels, and `places` is what [`locate`] made for it.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-unsafe fn group<const OPAQUE: bool>(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES]) -> __m256i {
-    let stride = packed.stride();
-    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "sides are at most 2^15")]
-    let (last_x, last_y, step) = ((packed.width as i32 - 1) * 128, (packed.height as i32 - 1) * 128, stride as i32);
-    let inside = |places: &[f32; LANES], last: i32| {
-        // SAFETY: eight floats are loaded from eight floats.
-        let places = unsafe { _mm256_loadu_ps(places.as_ptr()) };
-        // The second operand is the result where the first is NaN.
-        let places = _mm256_max_ps(places, _mm256_setzero_ps());
-        _mm256_cvttps_epi32(_mm256_min_ps(places, _mm256_cvtepi32_ps(_mm256_set1_epi32(last))))
-    };
-    let (across, down) = (inside(u, last_x), inside(v, last_y));
-    let at = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(step));
-    let at = _mm256_add_epi32(at, _mm256_srli_epi32::<7>(across));
-    let mut index = [0_u32; LANES];
-    // SAFETY: eight integers are stored into eight integers.
-    unsafe { _mm256_storeu_si256(index.as_mut_ptr().cast(), at) };
-
+unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i {
+    let (stride, index) = (packed.stride(), &places.index);
     // A pair of texels left and right for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the row above and the row below.
     let texels = packed.texels.as_ptr();
     let pair = |row: *const u32, a: usize, b: usize| {
@@ -148,40 +311,36 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, u: &[f32; LANES], v: &[f32;
         let full = _mm256_cmpgt_epi32(common, _mm256_set1_epi32(0x7eff_ffff));
         if _mm256_movemask_epi8(full) != -1 {
             let mut pixels = [[0_u8; 4]; LANES];
-            for (pixel, (u, v)) in pixels.iter_mut().zip(u.iter().zip(v)) {
-                *pixel = scalar::pixel(packed, *u, *v);
+            for ((pixel, index), fractions) in pixels.iter_mut().zip(index).zip(places.fractions) {
+                *pixel = scalar::blend(packed, *index as usize, u64::from(fractions & 127), u64::from(fractions >> 16));
             }
             // SAFETY: 32 bytes are loaded from 32 bytes.
             return unsafe { _mm256_loadu_si256(pixels.as_ptr().cast()) };
         }
     }
 
-    let fraction = _mm256_set1_epi32(127);
-    let (fx, fy) = (_mm256_and_si256(across, fraction), _mm256_and_si256(down, fraction));
-    let whole = _mm256_set1_epi32(128);
-    // Pairs of weights (128 - f, f): bytes across, 16 bits down.
-    let wx = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32::<8>(fx), fx), whole);
-    let wy = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32::<16>(fy), fy), whole);
-    let spread = |a: i8, b: i8| {
+    // SAFETY: eight integers are loaded from eight integers.
+    let fractions = unsafe { _mm256_loadu_si256(places.fractions.as_ptr().cast()) };
+    // Per pixel: bytes 128 - fx and fx, and 16 bits 256 fy.
+    let fx = _mm256_and_si256(fractions, _mm256_set1_epi32(127));
+    let wx = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32::<8>(fx), fx), _mm256_set1_epi32(128));
+    let wy = _mm256_slli_epi32::<8>(fractions);
+    let spread = |weights: __m256i, a: i8, b: i8| {
         let both = _mm_setr_epi8(a, a + 1, a, a + 1, a, a + 1, a, a + 1, b, b + 1, b, b + 1, b, b + 1, b, b + 1);
-        _mm256_shuffle_epi8(wx, _mm256_broadcastsi128_si256(both))
+        _mm256_shuffle_epi8(weights, _mm256_broadcastsi128_si256(both))
     };
-    let (wx_a, wx_b) = (spread(0, 4), spread(8, 12));
+    let (wx_a, wx_b) = (spread(wx, 0, 4), spread(wx, 8, 12));
+    let (wy_a, wy_b) = (spread(wy, 2, 6), spread(wy, 10, 14));
     let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15));
     // Across: the sum of w (t - 128), at most 2^14 either way.
     let blend = |pairs: __m256i, weights: __m256i| _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pairs, beside));
     let (above_a, above_b) = (blend(rows[0], wx_a), blend(rows[1], wx_b));
     let (below_a, below_b) = (blend(rows[2], wx_a), blend(rows[3], wx_b));
-    // Down: 128 * 128 * 128 gives back what was taken off each texel, 2^13 rounds.
-    let bias = _mm256_set1_epi32((1 << 21) + (1 << 13));
-    let mean = |pairs: __m256i, weights: __m256i| _mm256_srai_epi32::<14>(_mm256_add_epi32(_mm256_madd_epi16(pairs, weights), bias));
-    let a = _mm256_packs_epi32(
-        mean(_mm256_unpacklo_epi16(above_a, below_a), _mm256_shuffle_epi32::<0x00>(wy)),
-        mean(_mm256_unpackhi_epi16(above_a, below_a), _mm256_shuffle_epi32::<0x55>(wy)),
-    );
-    let b = _mm256_packs_epi32(
-        mean(_mm256_unpacklo_epi16(above_b, below_b), _mm256_shuffle_epi32::<0xaa>(wy)),
-        mean(_mm256_unpackhi_epi16(above_b, below_b), _mm256_shuffle_epi32::<0xff>(wy)),
-    );
-    _mm256_packus_epi16(a, b)
+    // Down: above + (below - above) f / 128, the product rounded to nearest by 2^6; then 2^14 for what was taken off each texel, and 2^6 to round.
+    let bias = _mm256_set1_epi16((1 << 14) + (1 << 6));
+    let mean = |above: __m256i, below: __m256i, weights: __m256i| {
+        let step = _mm256_mulhrs_epi16(_mm256_sub_epi16(below, above), weights);
+        _mm256_srai_epi16::<7>(_mm256_add_epi16(_mm256_add_epi16(above, step), bias))
+    };
+    _mm256_packus_epi16(mean(above_a, below_a, wy_a), mean(above_b, below_b, wy_b))
 }
