@@ -41,10 +41,11 @@ pub struct Ticket {
     waited: Duration,
 }
 
+/// Dropped from the top: whoever gets the turn finds the place free as well.
 #[derive(Debug)]
 struct Held {
-    _turn: OwnedSemaphorePermit,
     _place: OwnedSemaphorePermit,
+    _turn: OwnedSemaphorePermit,
 }
 
 impl Ticket {
@@ -132,7 +133,7 @@ impl Pool {
         let began = Instant::now();
         let place = Arc::clone(&self.places).try_acquire_owned().map_err(|_| PoolError::Full)?;
         let turn = Arc::clone(&self.turns).acquire_owned().await.expect("the semaphore is never closed");
-        Ok(Ticket { _held: Arc::new(Held { _turn: turn, _place: place }), waited: began.elapsed() })
+        Ok(Ticket { _held: Arc::new(Held { _place: place, _turn: turn }), waited: began.elapsed() })
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, `work` finds its [`Cancel`] set.
@@ -163,7 +164,8 @@ impl Pool {
             if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
                 tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
             }
-            drop((running, ticket));
+            // In this order: nothing that has ended still holds a place.
+            drop((ticket, running));
         });
     }
 }

@@ -13,6 +13,7 @@ async fn a_full_queue_refuses_at_once_and_recovers() {
     let server = Server::start(&["--workers", "1", "--queue", "1"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let path = format!("/sessions/{id}/warp");
+    eventually("nothing runs", || server.app.pool().running() == 0).await;
     let busy = server.app.pool().admit().await.unwrap();
     let send = |seq: u64| server.post(&path).json(&json!({"q": [[3, 2]], "seq": seq})).send();
     let waiting = tokio::spawn(send(1));
