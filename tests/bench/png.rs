@@ -1,6 +1,6 @@
 //! PNG encoding of a photograph (500 x 500, RGBA and RGB, 8 bit) against the crates that do it in Rust: medians of interleaved runs, one thread,
 //! and the strips on two threads. Also 1920 x 1080 made from the same photograph. Buffers are reused where an encoder allows it.
-//! Run: `cargo bench --bench png`; an argument is a filter on names.
+//! Run: `cargo bench --bench png`; an argument keeps the contenders with one of its parts (between commas) in their name.
 
 #![allow(
     missing_docs,
@@ -25,9 +25,11 @@ struct Picture {
     samples: Vec<u8>,
 }
 
+type Encode<'a> = Box<dyn FnMut(&mut Vec<u8>) + 'a>;
+
 struct Contender<'a> {
     name: String,
-    run: Box<dyn FnMut(&mut Vec<u8>) + 'a>,
+    run: Encode<'a>,
     times: Vec<Duration>,
     bytes: usize,
 }
@@ -99,7 +101,7 @@ fn bench(picture: &Picture, filter: &str) {
     contenders.add("mtpng fast, 1 thread", |out| crate_mtpng(picture, &one, out));
     contenders.add("zune-png (stored)", move |out| crate_zune(picture, out));
     let mut contenders = contenders.0;
-    contenders.retain(|contender| contender.name.contains(filter));
+    contenders.retain(|contender| filter.split(',').any(|part| contender.name.contains(part)));
 
     let mut out = Vec::new();
     let deadline = Instant::now() + Duration::from_secs(if picture.width < 1000 { 4 } else { 6 });

@@ -169,6 +169,7 @@ fn run_lengths(lengths: &[u8]) -> Vec<Run> {
 }
 
 #[cfg(test)]
+#[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
 mod tests {
     use super::*;
 
