@@ -42,16 +42,26 @@ impl Level {
         }
     }
 
-    fn best() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma")
-            && is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("bmi2")
-            && is_x86_feature_detected!("lzcnt")
-        {
-            return Self::Avx2;
+    /// Whether this processor has the level. The standard library keeps what it found, so asking is cheap; every kernel asks before it
+    /// enters code that was compiled for the level.
+    #[must_use]
+    pub fn is_here(self) -> bool {
+        match self {
+            Self::Scalar => true,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => {
+                is_x86_feature_detected!("avx2")
+                    && is_x86_feature_detected!("fma")
+                    && is_x86_feature_detected!("bmi1")
+                    && is_x86_feature_detected!("bmi2")
+                    && is_x86_feature_detected!("lzcnt")
+            }
+            #[cfg(not(target_arch = "x86_64"))]
+            Self::Avx2 => false,
         }
-        Self::Scalar
+    }
+
+    fn best() -> Self {
+        if Self::Avx2.is_here() { Self::Avx2 } else { Self::Scalar }
     }
 }

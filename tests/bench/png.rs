@@ -13,7 +13,8 @@
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use mlswarp::codec::{Compression, Level, PngShape, PngWriter};
+use mlswarp::codec::{Compression, PngShape, PngWriter};
+use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Depth, Extent};
 use rayon::prelude::*;
 
@@ -84,7 +85,7 @@ fn pool(threads: usize) -> rayon::ThreadPool {
 fn bench(picture: &Picture, filter: &str) {
     let (one, two) = (pool(1), pool(2));
     let mut contenders = Contenders(Vec::new());
-    for level in Level::available().into_iter().rev() {
+    for &level in Level::available().iter().rev() {
         contenders.add(&format!("strips fast, {level:?}"), move |out| strips(picture, Compression::Fast, level, out));
     }
     contenders.add("strips fast, 2 threads", |out| two.install(|| parallel(picture, Compression::Fast, out)));

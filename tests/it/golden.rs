@@ -30,12 +30,12 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-pub fn limits() -> Limits {
+pub(crate) fn limits() -> Limits {
     Limits { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
 }
 
 /// The PNG of an object on a photograph.
-pub fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
+pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap());
     let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
@@ -50,7 +50,7 @@ pub fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     bytes
 }
 
-pub fn decode(png: &[u8]) -> Pixmap {
+pub(crate) fn decode(png: &[u8]) -> Pixmap {
     codec::decode(png, &ImageLimits::default()).unwrap().pixmap
 }
 

@@ -6,6 +6,8 @@
 
 use std::cell::Cell;
 
+use crate::level::Level;
+
 use super::bits::BitWriter;
 use super::coder::{Counts, LIMIT, Lookup, PIECE, Pairs, Runs, STAGE_EMPTY, Single, Tables, code_piece, fill_pairs, walk};
 use super::huffman::{self, Codes, END, LITERALS};
@@ -22,7 +24,7 @@ const SAMPLED: u32 = 8;
 const PAIRS_FROM: usize = 48 << 10;
 
 /// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows.
-pub(super) fn encode(level: kernel::Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+pub(super) fn encode(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
     let most = filtered + usize::try_from(stored::overhead(filtered as u64)).expect("less than the rows themselves");

@@ -33,12 +33,11 @@ mod tests;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
 use self::layout::Layout;
 use self::rows::Rows;
-
-pub use self::kernel::Level;
 
 /// A window of 32 KiB and no dictionary; the two bytes make a multiple of 31 (RFC 1950).
 const ZLIB_HEADER: [u8; 2] = [0x78, 0x01];

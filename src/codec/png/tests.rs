@@ -149,7 +149,7 @@ fn check(shape: PngShape, samples: &[u8], compression: Compression) -> usize {
     assert_eq!(inflate(&bytes).len(), samples.len() + shape.extent.height() as usize, "{what}");
     assert!(by_png(&bytes) == samples, "{what}: png");
     assert!(by_zune(&bytes, shape.depth) == samples, "{what}: zune-png");
-    for level in Level::available() {
+    for &level in Level::available() {
         assert!(file(&writer.clone().with_level(level), shape, samples) == bytes, "{what}: {level:?}");
     }
     bytes.len()

@@ -23,11 +23,11 @@ pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mu
     displace_at(Level::detect(), family, table, d, out)
 }
 
-/// The same at a level that the processor has.
+/// The same at a level; one that the processor lacks is scalar.
 pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 => x86::displace(family, table, d, out),
+        Level::Avx2 if level.is_here() => x86::displace(family, table, d, out),
         _ => scalar::displace(family, table, d, out),
     }
 }

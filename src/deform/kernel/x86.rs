@@ -4,7 +4,7 @@ use super::{Lanes, Method, scalar};
 
 /// See [`super::displace`]. Must be called on a processor with AVX2.
 pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
-    // SAFETY: `Level::Avx2` is only ever chosen after `is_x86_feature_detected!("avx2")`.
+    // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { displace_avx2(family, table, d, out) }
 }
 

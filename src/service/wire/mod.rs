@@ -3,7 +3,6 @@
 //! given twice is 400 `malformed_request`; everything else is 422 with a JSON pointer. A field that is not known is refused, never
 //! ignored. Cost: a few scans of the text and the values themselves; a drag of twelve points takes about two microseconds.
 
-
 mod handles;
 mod json;
 mod number;
