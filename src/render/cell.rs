@@ -9,6 +9,9 @@ use super::lattice::{Corner, Lattice, ONE, column_centre, first_row, row_centre}
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
 
+/// More pieces than a row can have.
+const MANY: usize = 1 << 31;
+
 /// Coordinates along a run of pixels: `u + k du`, `v + k dv` at the k-th.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line {
@@ -26,14 +29,18 @@ pub(super) trait Canvas {
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line);
 }
 
-/// Draws what a cell covers of the pixels `[0, width)` of target rows.
-pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), rows: &Range<u32>, width: u32, canvas: &mut impl Canvas) {
+/// Draws what a cell covers of the pixels `[0, width)` of target rows; `sound` as the kernels decide.
+pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), sound: bool, rows: &Range<u32>, width: u32, canvas: &mut impl Canvas) {
     let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
     let (left, right) = bounds(corners.map(|c| c.x));
     if right <= 0 || i64::from(left) >= i64::from(width) * i64::from(ONE) {
         return;
     }
     let window = Window { rows, width: i64::from(width), column: i };
+    if sound {
+        // Convex, and near enough to linear.
+        return window.polygon(&corners, canvas, |span, row, canvas| span.straight(row, canvas));
+    }
     match shape(&corners) {
         Shape::Convex(sign) => {
             let patch = Patch::new(&corners, sign);
@@ -45,9 +52,9 @@ pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), rows: &Range<u32>,
                 #[expect(
                     clippy::cast_possible_truncation,
                     clippy::cast_sign_loss,
-                    reason = "float to integer saturates; NaN is infinity here"
+                    reason = "float to integer saturates, and NaN is taken out"
                 )]
-                let pieces = if pieces.is_nan() { usize::MAX } else { pieces.ceil() as usize + 1 };
+                let pieces = if pieces.is_nan() { MANY } else { (pieces.ceil() as usize).min(MANY) };
                 window.polygon(&corners, canvas, |span, row, canvas| span.bent(row, &patch, pieces, canvas));
             }
         }
@@ -99,17 +106,14 @@ impl Window<'_> {
         if first >= end {
             return;
         }
-        let mut edges = [None; N];
-        for (k, edge) in edges.iter_mut().enumerate() {
-            *edge = Edge::new(corners[k], corners[(k + 1) % N]);
-        }
+        let from = (0..N).min_by_key(|&k| corners[k].y).unwrap_or(0);
+        let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, N - 1));
         for row in first..end {
             if !canvas.wants(row, self.column) {
                 continue;
             }
             let y = row_centre(row);
-            let mut crossings = edges.iter().flatten().filter_map(|edge| edge.crossing(y));
-            if let (Some(a), Some(b)) = (crossings.next(), crossings.next())
+            if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y))
                 && let Some(span) = self.span(a, b, y)
             {
                 paint(&span, row, canvas);
@@ -125,51 +129,88 @@ impl Window<'_> {
     }
 }
 
-impl Span {
-    /// Linear from the left crossing to the right one.
-    fn straight(&self, row: u32, canvas: &mut impl Canvas) {
-        let (left, right) = (&self.left, &self.right);
-        let breadth = right.x - left.x;
-        // Between 0 and 1 but for rounding, which a hair's breadth would magnify; a second pixel only exists where the breadth is one at least.
-        let share = ((self.place(self.first) - left.x) / breadth).clamp(0.0, 1.0);
-        let (du, dv) = (right.u - left.u, right.v - left.v);
-        let step = f64::from(ONE) / breadth;
-        canvas.paint(row, self.first..self.end, line((left.u + share * du, left.v + share * dv), (step * du, step * dv)));
+/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
+struct Chain<'a, const N: usize> {
+    corners: &'a [Corner; N],
+    at: usize,
+    step: usize,
+    edge: Option<Edge>,
+    /// The first row that the edge does not cross.
+    end: i64,
+}
+
+impl<'a, const N: usize> Chain<'a, N> {
+    fn new(corners: &'a [Corner; N], at: usize, step: usize) -> Self {
+        Self { corners, at, step, edge: None, end: i64::MIN }
     }
 
-    /// Linear in pieces between places where the patch is inverted.
-    fn bent(&self, row: u32, patch: &Patch, pieces: usize, canvas: &mut impl Canvas) {
-        let length = (self.end - self.first).div_ceil(pieces);
-        let mut at = self.inverse(patch, self.first);
-        for first in (self.first..self.end).step_by(length) {
-            let end = first + length;
-            if end >= self.end {
-                // The last piece ends at its last pixel.
-                let count = self.end - first - 1;
-                let to = if count == 0 { at } else { self.inverse(patch, self.end - 1) };
-                canvas.paint(row, first..self.end, between(at, to, count));
-                return;
+    /// The crossing with a row that the polygon meets, not above the last one asked for.
+    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
+        if self.end <= i64::from(row) {
+            // At most all edges; rows below the lowest corner are never asked for.
+            for _ in 0..N {
+                let from = self.corners[self.at];
+                self.at = (self.at + self.step) % N;
+                let to = self.corners[self.at];
+                self.end = first_row(to.y);
+                if self.end > i64::from(row) {
+                    self.edge = Edge::new(from, to);
+                    break;
+                }
             }
-            let to = self.inverse(patch, end);
-            canvas.paint(row, first..end, between(at, to, length));
-            at = to;
         }
-    }
-
-    fn inverse(&self, patch: &Patch, pixel: usize) -> (f64, f64) {
-        patch.inverse(Point::new(self.place(pixel), self.y))
-    }
-
-    /// Lattice x of a pixel's centre.
-    fn place(&self, pixel: usize) -> f64 {
-        column_centre(pixel)
+        self.edge.as_ref().map(|edge| edge.at(y))
     }
 }
 
-/// From one place to another in `count` pixels.
-fn between(from: (f64, f64), to: (f64, f64), count: usize) -> Line {
-    let step = 1.0 / (count.max(1) as f64);
-    line(from, ((to.0 - from.0) * step, (to.1 - from.1) * step))
+impl Span {
+    /// Linear from the left crossing to the right one.
+    #[inline]
+    fn straight(&self, row: u32, canvas: &mut impl Canvas) {
+        canvas.paint(row, self.first..self.end, between(&self.left, &self.right, self.first));
+    }
+
+    /// Linear in pieces of equal breadth, between places where the patch is inverted; at every pixel where pieces would be shorter than two.
+    fn bent(&self, row: u32, patch: &Patch, pieces: usize, canvas: &mut impl Canvas) {
+        if self.end - self.first < 2 * pieces {
+            for pixel in self.first..self.end {
+                let at = self.inverse(patch, column_centre(pixel));
+                canvas.paint(row, pixel..pixel + 1, line((at.u, at.v), (0.0, 0.0)));
+            }
+            return;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "fewer pieces than pixels")]
+        let breadth = (self.right.x - self.left.x) / pieces as f64;
+        let (mut from, mut first) = (self.left, self.first);
+        for piece in 1..=pieces {
+            #[expect(clippy::cast_precision_loss, reason = "fewer pieces than pixels")]
+            let to = if piece == pieces { self.right } else { self.inverse(patch, self.left.x + breadth * piece as f64) };
+            let end = if piece == pieces { self.end } else { usize::try_from(to.pixel).unwrap_or(0).clamp(first, self.end) };
+            if first < end {
+                canvas.paint(row, first..end, between(&from, &to, first));
+            }
+            (from, first) = (to, end);
+        }
+    }
+
+    /// The row at lattice x; the pixel but for rounding.
+    fn inverse(&self, patch: &Patch, x: f64) -> Crossing {
+        let (u, v) = patch.inverse(Point::new(x, self.y));
+        #[expect(clippy::cast_possible_truncation, reason = "float to integer saturates")]
+        let pixel = (x / f64::from(ONE) + 0.5) as i64;
+        Crossing { pixel, x, u, v }
+    }
+}
+
+/// From pixel `first` on, the line between two places of a row.
+#[inline]
+fn between(left: &Crossing, right: &Crossing, first: usize) -> Line {
+    let per_step = 1.0 / (right.x - left.x);
+    // Between 0 and 1 but for rounding, which a hair's breadth would magnify; a second pixel only exists where the breadth is one at least.
+    let share = ((column_centre(first) - left.x) * per_step).clamp(0.0, 1.0);
+    let (du, dv) = (right.u - left.u, right.v - left.v);
+    let step = f64::from(ONE) * per_step;
+    line((left.u + share * du, left.v + share * dv), (step * du, step * dv))
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]

@@ -137,7 +137,8 @@ impl Drawing {
         let kinds = &scratch.kinds;
         let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
         for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
-            cell::draw(&self.lattice, cell, strip, width, &mut canvas);
+            let sound = self.sound[cell.1 * (self.lattice.columns - 1) + cell.0];
+            cell::draw(&self.lattice, cell, sound, strip, width, &mut canvas);
         }
     }
 

@@ -54,13 +54,19 @@ impl Edge {
         if y < i64::from(self.top.y) || y >= i64::from(self.bottom.y) {
             return None;
         }
+        Some(self.at(y))
+    }
+
+    /// The crossing with the centres at lattice y, which lies between the ends.
+    #[inline]
+    pub(super) fn at(&self, y: i64) -> Crossing {
         let t = (y - i64::from(self.top.y)) as f64;
         let x = f64::from(self.top.x) + t * self.slope;
         let pixel = (x - f64::from(HALF)) / f64::from(ONE);
         let nearest = (pixel + 0.5 + f64::from(1 << 24)) as i64 - (1 << 24);
         let pixel =
             if (pixel - nearest as f64).abs() > CLOSE_CALL { nearest + i64::from(pixel > nearest as f64) } else { self.pixel_exactly(y) };
-        Some(Crossing { pixel, x, u: f64::from(self.top.u) + t * self.slope_u, v: f64::from(self.top.v) + t * self.slope_v })
+        Crossing { pixel, x, u: f64::from(self.top.u) + t * self.slope_u, v: f64::from(self.top.v) + t * self.slope_v }
     }
 
     /// The first pixel whose centre is not left of the crossing, in integers.

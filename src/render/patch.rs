@@ -5,7 +5,7 @@
 use super::lattice::Corner;
 use crate::geometry::{Point, Vec2};
 
-/// How far drawn coordinates may be from the patch, px of the sampled picture; half of what the contract allows.
+/// How far drawn coordinates may be from the patch, px of the sampled picture: half of what the contract allows.
 pub(super) const TOLERANCE: f64 = 1.0 / 32.0;
 
 /// How the corners of a cell lie.

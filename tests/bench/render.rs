@@ -3,6 +3,7 @@
 //! of as many runs as fit half a second. `cargo bench --bench render [-- FILTER]`; a filter is a part of a row's name.
 
 #![expect(clippy::print_stdout, reason = "the table is the result")]
+#![expect(clippy::cast_possible_truncation, reason = "three known sizes")]
 
 use std::{
     sync::Arc,
@@ -95,45 +96,46 @@ fn photograph(extent: Extent, channels: Channels) -> Pixmap {
     Pixmap::new(extent, channels, Samples::Eight(samples))
 }
 
-/// Seven places are pulled by 20 to 40 px (of 500), fading like a Gaussian; then vertices are thrown about until `folded` of the cells fold.
+/// Seven places are pulled by 20 to 40 px (of 500), fading like a Gaussian; so much more at forty smaller places that `folded` of the cells fold.
 fn mesh(extent: Extent, folded: f64) -> Mesh {
-    const PULLS: [[f64; 4]; 7] = [
-        [0.2, 0.2, 0.05, 0.04],
-        [0.8, 0.25, -0.06, 0.03],
-        [0.5, 0.5, 0.04, -0.06],
-        [0.25, 0.75, -0.05, -0.04],
-        [0.75, 0.8, 0.05, 0.06],
-        [0.5, 0.1, 0.0, 0.05],
-        [0.1, 0.5, 0.06, 0.0],
+    const PULLS: [[f64; 5]; 7] = [
+        [0.2, 0.2, 0.05, 0.04, 0.15],
+        [0.8, 0.25, -0.06, 0.03, 0.15],
+        [0.5, 0.5, 0.04, -0.06, 0.15],
+        [0.25, 0.75, -0.05, -0.04, 0.15],
+        [0.75, 0.8, 0.05, 0.06, 0.15],
+        [0.5, 0.1, 0.0, 0.05, 0.15],
+        [0.1, 0.5, 0.06, 0.0, 0.15],
     ];
     let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
     let grid = Grid::with_counts(width, height, VERTICES, VERTICES);
     let mut noise = 1_u64;
-    let mut random = move || {
+    let mut random = || {
         noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (noise >> 40) as f64 / f64::from(1 << 24)
+        f64::from((noise >> 40) as u32) / f64::from(1 << 24)
     };
-    let mut displacement: Vec<[f32; 2]> = (0..VERTICES)
-        .flat_map(|j| (0..VERTICES).map(move |i| grid.vertex(i, j)))
-        .map(|p| {
+    let jitter: Vec<[f64; 5]> = (0..40).map(|_| [random(), random(), random() - 0.5, random() - 0.5, 0.05]).collect();
+    let pulled = |strength: f64| {
+        let jitter = jitter.iter().map(|[x, y, dx, dy, size]| [*x, *y, dx * strength, dy * strength, *size]);
+        let pulls: Vec<_> = PULLS.into_iter().chain(jitter).collect();
+        let vertices = (0..VERTICES).flat_map(|j| (0..VERTICES).map(move |i| grid.vertex(i, j)));
+        let displacement = vertices.map(|p| {
             let (x, y) = (p.x / width, p.y / height);
-            let pull = PULLS.iter().fold([0.0, 0.0], |sum, [px, py, dx, dy]| {
-                let near = (-((x - px).powi(2) + (y - py).powi(2)) / (2.0 * 0.15 * 0.15)).exp();
+            let pull = pulls.iter().fold([0.0, 0.0], |sum, [px, py, dx, dy, size]| {
+                let near = (-((x - px).powi(2) + (y - py).powi(2)) / (2.0 * size * size)).exp();
                 [sum[0] + dx * near * width, sum[1] + dy * near * height]
             });
             pull.map(|d| d as f32)
-        })
-        .collect();
-    let wanted = (folded * f64::from((VERTICES - 1) * (VERTICES - 1))) as usize;
+        });
+        Mesh::new(grid, displacement.collect())
+    };
+    let wanted = folded * f64::from((VERTICES - 1) * (VERTICES - 1));
+    let mut strength = 0.0;
     loop {
-        let mesh = Mesh::new(grid, displacement.clone());
-        if mesh.folded_cells().count() >= wanted {
+        let mesh = pulled(strength);
+        if mesh.folded_cells().count() as f64 >= wanted {
             return mesh;
         }
-        for _ in 0..8 {
-            let at = (random() * displacement.len() as f64) as usize;
-            let [dx, dy] = [(random() - 0.5) * 8.0 * width / 100.0, (random() - 0.5) * 8.0 * height / 100.0];
-            displacement[at] = [displacement[at][0] + dx as f32, displacement[at][1] + dy as f32];
-        }
+        strength += 0.01;
     }
 }
