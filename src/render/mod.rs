@@ -6,6 +6,7 @@
 use std::{ops::Range, sync::Arc};
 
 use crate::geometry::Mesh;
+use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
 #[forbid(unsafe_code)]
@@ -31,7 +32,6 @@ mod source;
 #[forbid(unsafe_code)]
 mod tests;
 
-pub use kernel::Level;
 pub use source::Source;
 
 use drawing::Drawing;
@@ -86,7 +86,7 @@ impl Renderer {
     /// Prepares (lattice, coordinate scale, which source level) but draws nothing.
     #[must_use]
     pub fn new(source: Arc<Source>, mesh: &Mesh, options: RenderOptions) -> Self {
-        Self::with_level(source, mesh, options, Level::best())
+        Self::with_level(source, mesh, options, Level::detect())
     }
 
     /// The same on one instruction set; [`Level::Scalar`] where the machine does not have it. Levels give the same bytes.

@@ -1,5 +1,15 @@
 //! Posing 10,000 vertices from the A_j table, beside merely reading a table of that size, and beside the crates that deform the same vertices.
 
+#![allow(
+    missing_docs,
+    missing_debug_implementations,
+    unreachable_pub,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    clippy::should_implement_trait,
+    reason = "a program that prints a table"
+)]
+
 #[path = "harness/mod.rs"]
 mod harness;
 mod sets;

@@ -1,5 +1,15 @@
 //! Building the A_j table of 10,000 vertices, beside what a crate without a plan takes to deform the same vertices once.
 
+#![allow(
+    missing_docs,
+    missing_debug_implementations,
+    unreachable_pub,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    clippy::should_implement_trait,
+    reason = "a program that prints a table"
+)]
+
 #[path = "harness/mod.rs"]
 mod harness;
 mod sets;

@@ -11,8 +11,9 @@ use std::{
 };
 
 use mlswarp::geometry::{Grid, Mesh};
+use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
-use mlswarp::render::{Filter, Level, Outside, RenderOptions, Renderer, Source};
+use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
 use rayon::prelude::*;
 
 const SIZES: [(u32, u32); 3] = [(500, 500), (1920, 1080), (3840, 2160)];

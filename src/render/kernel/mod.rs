@@ -12,49 +12,10 @@ use std::ops::Range;
 
 use super::lattice::Lattice;
 use super::source::Packed;
+use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, Spans, fixed};
-
-/// An instruction set that kernels are written for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Level {
-    /// Plain Rust: any machine.
-    Scalar,
-    /// x86-64 with AVX2, FMA, BMI1 and BMI2.
-    Avx2,
-}
-
-impl Level {
-    /// The levels that this machine has, the best one last.
-    #[must_use]
-    pub fn available() -> &'static [Self] {
-        if Self::Avx2.is_here() { &[Self::Scalar, Self::Avx2] } else { &[Self::Scalar] }
-    }
-
-    /// The best level that this machine has.
-    #[must_use]
-    pub fn best() -> Self {
-        if Self::Avx2.is_here() { Self::Avx2 } else { Self::Scalar }
-    }
-
-    /// Whether this machine has the level. The standard library keeps what it found.
-    #[must_use]
-    pub fn is_here(self) -> bool {
-        match self {
-            Self::Scalar => true,
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => {
-                is_x86_feature_detected!("avx2")
-                    && is_x86_feature_detected!("fma")
-                    && is_x86_feature_detected!("bmi1")
-                    && is_x86_feature_detected!("bmi2")
-            }
-            #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx2 => false,
-        }
-    }
-}
 
 /// The kernels of a level that this machine was seen to have.
 #[derive(Clone, Copy, Debug)]

@@ -4,8 +4,9 @@
 use std::arch::x86_64::*;
 use std::ops::Range;
 
+use super::Kernel;
 use super::scalar::{self, CellRow, NOTES, Spans};
-use super::{Kernel, Level};
+use crate::level::Level;
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, Lattice};
 use crate::render::source::Packed;

@@ -27,7 +27,7 @@ impl Canvas for Counter {
 
 fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
     let grid = mesh.grid();
-    Lattice::new(mesh, extent(grid.width() as u32, grid.height() as u32), 0, options, Kernel::new(Level::best()))
+    Lattice::new(mesh, extent(grid.width() as u32, grid.height() as u32), 0, options, Kernel::new(Level::detect()))
 }
 
 fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
@@ -113,7 +113,7 @@ fn rows_cover_the_same_pixels_either_way() {
         let target = extent(160, 120);
         let lattice = lattice(&mesh, &options(target));
         let counts = paintings(&lattice, target);
-        let drawing = Drawing::new(lattice, options(target), 0, Kernel::new(Level::best()));
+        let drawing = Drawing::new(lattice, options(target), 0, Kernel::new(Level::detect()));
         for row in 0..target.height() {
             *if drawing.is_plain(row) { &mut fast } else { &mut general } += 1;
             let (_, _, runs) = drawing.row(row);
@@ -136,7 +136,7 @@ fn coordinates_are_those_of_the_bilinear_patch() {
         let mesh = if seed % 4 == 0 { swirl(grid, 0.3 + 0.05 * seed as f64) } else { waves(grid, seed, 0.9) };
         assert_eq!(mesh.folded_cells().count(), 0, "one place a pixel");
         let target = extent(240, 180);
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::best()));
+        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
         let reference = reference::places(&mesh, target);
         for row in 0..target.height() {
             fast += usize::from(drawing.is_plain(row));

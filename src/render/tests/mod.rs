@@ -10,7 +10,9 @@ mod reference;
 
 use std::sync::Arc;
 
-use super::{Filter, Level, Outside, RenderOptions, Renderer, Source};
+use crate::level::Level;
+
+use super::{Filter, Outside, RenderOptions, Renderer, Source};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 
@@ -107,7 +109,7 @@ fn swirl(grid: Grid, angle: f64) -> Mesh {
 
 /// Draws the whole target at once on the best level.
 fn draw(source: &Arc<Source>, mesh: &Mesh, options: RenderOptions) -> (Renderer, Vec<u8>) {
-    draw_on(Level::best(), source, mesh, options)
+    draw_on(Level::detect(), source, mesh, options)
 }
 
 fn draw_on(level: Level, source: &Arc<Source>, mesh: &Mesh, options: RenderOptions) -> (Renderer, Vec<u8>) {
