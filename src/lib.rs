@@ -3,6 +3,39 @@
 //!
 //! The modules stand in the order in which a request walks through them; arrows run one way:
 //! `service -> warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`.
+//!
+//! One warp, from a file's bytes to the bytes of a PNG:
+//!
+//! ```
+//! use std::{ops::ControlFlow, sync::Arc};
+//! use mlswarp::deform::Handle;
+//! use mlswarp::geometry::Point;
+//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, RestSpec, Setup, Warp};
+//!
+//! let file = include_bytes!("../tests/images/chelsea.png");
+//! let limits = Limits::default();
+//! let image = Arc::new(Image::decode(file, &limits.image)?);
+//!
+//! let p = [(168.0, 112.0), (316.0, 136.0), (262.0, 240.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
+//! let rest = RestSpec { p: p.to_vec(), ..RestSpec::default() };
+//! let setup = Setup::new(&rest, image.extent(), &limits)?;
+//! let plan = setup.plan(); // once for these handles and this size
+//!
+//! // The nose moves; the eyes stay. Only this is repeated while a hand drags.
+//! let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
+//! let pose = setup.pose(&q)?;
+//! let warp = Warp::new(&image, &setup, &plan, &pose, Folds::Report, &OutputSpec::default(), &limits)?;
+//! assert_eq!(warp.report().folds, 0);
+//! assert!(warp.report().residual < 0.5);
+//!
+//! let mut png = Vec::new();
+//! let _ = warp.write(0, &(), &mut |bytes| {
+//!     png.extend(bytes);
+//!     ControlFlow::Continue(())
+//! });
+//! assert!(png.starts_with(b"\x89PNG"));
+//! # Ok::<(), mlswarp::warp::WarpError>(())
+//! ```
 
 #[forbid(unsafe_code)]
 pub mod level;

@@ -6,7 +6,8 @@ use std::process::ExitCode;
 
 use clap::Parser as _;
 use mlswarp::service::config::{Cli, Command, Config};
-use mlswarp::service::{health, offline, server, telemetry};
+use mlswarp::service::http::server;
+use mlswarp::service::{health, offline, telemetry};
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {

@@ -34,14 +34,7 @@ impl Grid {
     #[must_use]
     pub fn with_counts(width: f64, height: f64, columns: u32, rows: u32) -> Self {
         let (columns, rows) = (columns.max(2), rows.max(2));
-        Self {
-            width,
-            height,
-            cell_width: width / f64::from(columns - 1),
-            cell_height: height / f64::from(rows - 1),
-            columns,
-            rows,
-        }
+        Self { width, height, cell_width: width / f64::from(columns - 1), cell_height: height / f64::from(rows - 1), columns, rows }
     }
 
     /// How many cells of `cell` px cover `length` px; saturates, so that a caller may compare it with a limit.

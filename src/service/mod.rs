@@ -9,7 +9,6 @@ pub mod offline;
 pub mod picture;
 pub mod pool;
 pub mod problem;
-pub mod server;
 pub mod session;
 pub mod store;
 pub mod telemetry;

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+pub use rayon::ThreadPoolBuildError as NoThreads;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
@@ -98,7 +99,7 @@ impl Pool {
     ///
     /// # Errors
     /// The operating system gives no threads.
-    pub fn new(workers: usize, queue: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub fn new(workers: usize, queue: usize) -> Result<Self, NoThreads> {
         let threads = ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|i| format!("compute-{i}"))

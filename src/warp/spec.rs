@@ -15,6 +15,13 @@ pub struct Limits {
     pub plan_bytes: u64,
 }
 
+impl Default for Limits {
+    /// 50 MP and 16,384 px a side, 10,000 columns, 512 MiB.
+    fn default() -> Self {
+        Self { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
+    }
+}
+
 /// The unit of p and q.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Units {

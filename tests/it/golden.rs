@@ -31,7 +31,7 @@ fn root() -> PathBuf {
 }
 
 pub(crate) fn limits() -> Limits {
-    Limits { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
+    Limits::default()
 }
 
 /// The PNG of an object on a photograph.

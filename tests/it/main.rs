@@ -9,6 +9,7 @@ mod drag;
 mod golden;
 mod identity;
 mod laws;
+mod layers;
 mod leaving;
 mod offline;
 mod openapi;

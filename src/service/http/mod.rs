@@ -11,6 +11,7 @@ mod health;
 mod openapi;
 mod points;
 mod refuse;
+pub mod server;
 mod sessions;
 mod upload;
 mod warp;

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use clap::Parser as _;
 use mlswarp::service::App;
 use mlswarp::service::config::{Cli, Config};
-use mlswarp::service::server::{listen, serve};
+use mlswarp::service::http::server::{listen, serve};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};

@@ -13,9 +13,10 @@ use hyper_util::rt::TokioTimer;
 use thiserror::Error;
 use tokio::net::TcpStream;
 
-use super::App;
-use super::config::Config;
-use super::http::router;
+use super::router;
+use crate::service::App;
+use crate::service::config::Config;
+use crate::service::pool::NoThreads;
 
 /// Streams that one HTTP/2 connection may have open.
 const STREAMS: u32 = 64;
@@ -33,7 +34,7 @@ pub enum ServeError {
     },
     /// No threads.
     #[error("cannot start compute threads: {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
+    Threads(#[from] NoThreads),
     /// The runtime or the listener failed.
     #[error("{0}")]
     Io(#[from] io::Error),
