@@ -91,7 +91,7 @@ impl App {
     ///
     /// # Errors
     /// The operating system gives no threads.
-    pub fn new(config: Config) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub fn new(config: Config) -> Result<Self, pool::NoThreads> {
         let bounds = Bounds { idle: config.session_idle, sessions: config.max_sessions, bytes: config.store_bytes };
         Self::with_store(config, Arc::new(MemoryStore::new(bounds)))
     }
@@ -100,7 +100,7 @@ impl App {
     ///
     /// # Errors
     /// The operating system gives no threads.
-    pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, pool::NoThreads> {
         Ok(Self(Arc::new(Shared {
             pool: Pool::new(config.workers, config.queue)?,
             images: Shelf::new("images", config.image_cache_bytes, Image::bytes),
