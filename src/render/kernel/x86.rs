@@ -149,11 +149,12 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         let mut cells = spans.columns - 1;
         for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK)) {
             for c in 0..cells.min(BLOCK) {
-                let (mut at, end) = ((first[c] as usize).min(spans.width), (first[c + 1] as usize).min(spans.width));
+                let (mut at, end) = (first[c] as usize, first[c + 1] as usize);
                 let (nu, ndu, nv, ndv) = (_mm256_set1_ps(nu[c]), _mm256_set1_ps(ndu[c]), _mm256_set1_ps(nv[c]), _mm256_set1_ps(ndv[c]));
                 let mut k = lanes;
                 loop {
-                    // SAFETY: `at <= width`, and `u` and `v` have room for a group behind the row, asserted by the caller.
+                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width` after
+                    // the first group, and there is room for a group behind the row.
                     unsafe {
                         _mm256_storeu_ps(u.add(at), _mm256_add_ps(nu, _mm256_mul_ps(k, ndu)));
                         _mm256_storeu_ps(v.add(at), _mm256_add_ps(nv, _mm256_mul_ps(k, ndv)));
@@ -169,6 +170,7 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         }
     }
     debug_assert_eq!(kernel.0, Level::Avx2);
+    assert!(spans.covered.start <= spans.width && spans.covered.end <= spans.width, "what is covered lies in the row");
     assert!(u.len() >= spans.width + LANES && v.len() >= spans.width + LANES, "a group may end behind the row");
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
     unsafe { wide(spans, u, v) }
