@@ -138,7 +138,7 @@ impl Drawing {
         let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
         for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
             let sound = self.sound[cell.1 * (self.lattice.columns - 1) + cell.0];
-            cell::draw(&self.lattice, cell, sound, strip, width, &mut canvas);
+            cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, &mut canvas);
         }
     }
 

@@ -10,7 +10,8 @@ mod x86;
 
 use std::ops::Range;
 
-use super::lattice::Lattice;
+use super::edge::Crossing;
+use super::lattice::{Corner, Lattice};
 use super::source::Packed;
 use crate::pixmap::Channels;
 
@@ -108,6 +109,11 @@ impl Kernel {
     /// Coordinates along a row from the crossings of the columns.
     pub(super) fn spans(self, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
         dispatch!(self, spans(spans, u, v));
+    }
+
+    /// Where target rows cross a convex polygon; a triangle has a corner twice. Rows must not reach beyond it.
+    pub(super) fn walk(self, corners: &[Corner; 4], rows: Range<u32>, found: impl FnMut(u32, Crossing, Crossing)) {
+        dispatch!(self, walk(corners, rows, found));
     }
 
     /// Bilinear samples of a run of pixels.

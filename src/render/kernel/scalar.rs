@@ -9,7 +9,8 @@
 use std::ops::Range;
 
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE};
+use crate::render::edge::{Crossing, Edge};
+use crate::render::lattice::{BLOCK, Corner, LIMIT, Lattice, ONE, first_row, row_centre};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
@@ -254,6 +255,53 @@ pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     spans.notes[2][0] = spans.v[0] + inside * spans.notes[3][0];
     spans.first[0] = spans.covered.start as u32;
     spans.first[spans.columns - 1] = spans.covered.end as u32;
+}
+
+/// Where rows cross a convex polygon (a triangle has a corner twice): left and right in any order.
+#[inline(always)]
+pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
+    let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
+    let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
+    for row in rows {
+        let y = row_centre(row);
+        if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y)) {
+            found(row, a, b);
+        }
+    }
+}
+
+/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
+struct Chain<'a> {
+    corners: &'a [Corner; 4],
+    at: usize,
+    step: usize,
+    edge: Option<Edge>,
+    /// The first row that the edge does not cross.
+    end: i64,
+}
+
+impl<'a> Chain<'a> {
+    fn new(corners: &'a [Corner; 4], at: usize, step: usize) -> Self {
+        Self { corners, at, step, edge: None, end: i64::MIN }
+    }
+
+    /// The crossing with a row that the polygon meets, not above the last one asked for.
+    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
+        if self.end <= i64::from(row) {
+            // At most all edges; rows below the lowest corner are never asked for.
+            for _ in 0..4 {
+                let from = self.corners[self.at];
+                self.at = (self.at + self.step) % 4;
+                let to = self.corners[self.at];
+                self.end = first_row(to.y);
+                if self.end > i64::from(row) {
+                    self.edge = Edge::new(from, to);
+                    break;
+                }
+            }
+        }
+        self.edge.as_ref().map(|edge| edge.at(y))
+    }
 }
 
 /// U of a coordinate: kept in the picture, then truncated. NaN is 0.

@@ -34,7 +34,7 @@ fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
     let width = target.width() as usize;
     let mut counter = Counter { width, counts: vec![0; width * target.height() as usize] };
     for cell in lattice.cells_touching(0..target.height()) {
-        cell::draw(lattice, cell, false, &(0..target.height()), target.width(), &mut counter);
+        cell::draw(Kernel::new(Level::best()), lattice, cell, false, &(0..target.height()), target.width(), &mut counter);
     }
     counter.counts
 }
