@@ -75,8 +75,8 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// Drawn coordinates may be this far from the patch, px of the sampled picture; three quarters of what the contract allows.
-const TOLERANCE: f32 = 3.0 / 64.0;
+/// Drawn coordinates may be this far from the patch, px of the sampled picture: seven eighths of what the contract allows, the rest is for snapping.
+const TOLERANCE: f32 = 7.0 / 128.0;
 /// The least area of a cell, as a share of the area at rest, at which crossings are trusted.
 const LEAST_AREA: f32 = 0.02;
 /// Places beyond are not exact in f32, px.
@@ -86,7 +86,7 @@ const FARTHEST: f32 = 32_768.0;
 const STEEPEST: f32 = 4.0;
 
 /// A cell is sound when it is convex and upright (columns downwards), not too steep (|dt| rows of cells from column to column), and when the
-/// chord between its columns stays near its patch: with r = |dt| (|d| + (1 + |dt|) height * bend) / 4 the distance of the chord in target px (each
+/// chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px (each
 /// line of the grid that it crosses bends it once), r |column| width / area and r |line| height / area bound the error in u and v. All
 /// squared, and multiplied by the denominators.
 #[inline(always)]
@@ -112,9 +112,11 @@ pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &m
         let twist2 = norm2((right.0 - left.0, right.1 - left.1));
         let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
         let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
-        let fall2 = fall * fall;
-        let off2 = slant2 * (twist2 * fall2 + 2.0 * height2 * bend2 * (fall2 + slant2));
-        let near = off2 * reach2 <= 8.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
+        let (fall2, slant) = (fall * fall, slant2.sqrt());
+        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else 1 + |dt| at most.
+        let lines = if slant < fall { fall } else { fall + slant };
+        let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
+        let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
         let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
         sound[c] =
             (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (slant2 <= STEEPEST * STEEPEST * fall2) & near & (far < FARTHEST);
