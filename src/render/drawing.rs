@@ -7,8 +7,8 @@ use std::ops::Range;
 use super::border::Border;
 use super::cell::{self, Canvas, Line};
 use super::edge::Edge;
-use super::kernel::{CellRow, Kernel, NOTES, Spans};
-use super::lattice::{BLOCK, LIMIT, Lattice, column_centre, first_row, row_centre};
+use super::kernel::{CellRow, Kernel, NOTES, SOUND, Spans};
+use super::lattice::{BLOCK, LIMIT, Lattice, Reach, column_centre, row_centre};
 use super::mixed::Kinds;
 use super::sampler;
 use super::source::Source;
@@ -34,8 +34,10 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// Whether each cell may be drawn by column crossings, `[rows - 1][columns - 1]`.
-    sound: Vec<bool>,
+    /// How each cell may be drawn, `[rows - 1][columns - 1]`.
+    soundness: Vec<u8>,
+    /// The rows that cross every column an odd number of times.
+    crossing: Range<u32>,
     /// Whether a row crosses every column and meets sound cells only.
     plain: Vec<bool>,
     /// Every pixel of the target is certainly covered.
@@ -54,8 +56,8 @@ struct Scratch {
     runs: Vec<Range<usize>>,
     kinds: Kinds,
     good: Vec<Range<usize>>,
-    /// The rows of cells where the outer columns crossed the last row.
-    cells: [usize; 2],
+    /// The row of cells where each column last crossed a row.
+    cells: Vec<usize>,
     /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
     pitch: usize,
 }
@@ -67,8 +69,9 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let (sound, plain) = sound_cells(&lattice, &options, kernel);
-        Self { lattice, border, options, kernel, level, sound, plain, covered }
+        let crossing = rows_that_cross(&lattice, options.target.height());
+        let (soundness, plain) = sound_cells(&lattice, &options, &crossing, kernel);
+        Self { lattice, border, options, kernel, level, soundness, crossing, plain, covered }
     }
 
     /// Draws target rows.
@@ -97,6 +100,7 @@ impl Drawing {
             v_crossings: vec![0.0; crossings],
             notes: vec![[0.0; BLOCK]; blocks * NOTES],
             first: vec![0; (blocks + 1) * BLOCK],
+            cells: vec![0; self.lattice.columns],
             ..Scratch::default()
         }
     }
@@ -119,7 +123,8 @@ impl Drawing {
         if all_plain {
             return;
         }
-        scratch.kinds.begin(&self.lattice, &self.sound, strip);
+        let all_cross = self.crossing.start <= strip.start && strip.end <= self.crossing.end;
+        scratch.kinds.begin(&self.lattice, &self.soundness, strip, all_cross);
         for row in strip.clone().filter(|&row| !self.plain[row as usize]) {
             let index = (row - strip.start) as usize;
             let stride = self.lattice.pitch + BLOCK;
@@ -137,7 +142,7 @@ impl Drawing {
         let kinds = &scratch.kinds;
         let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
         for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
-            let sound = self.sound[cell.1 * (self.lattice.columns - 1) + cell.0];
+            let sound = self.soundness[cell.1 * (self.lattice.columns - 1) + cell.0] == SOUND;
             cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, &mut canvas);
         }
     }
@@ -158,9 +163,11 @@ impl Drawing {
     /// Coordinates of a row between the first and the last column of a range of good strips, and the run of pixels that they cover.
     fn spans(&self, row: u32, index: usize, cells: Range<usize>, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
-        let [left, right] = &mut scratch.cells;
-        let pixel = |column, cell| self.crossing(column, row, cell).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
-        let covered = pixel(cells.start, left)..pixel(cells.end, right);
+        let mut pixel = |column: usize| {
+            let crossing = self.crossing(column, row, &mut scratch.cells[column]);
+            crossing.map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width))
+        };
+        let covered = pixel(cells.start)..pixel(cells.end);
         if covered.is_empty() {
             return;
         }
@@ -289,42 +296,49 @@ fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize
     starts.zip(ends).map(|(start, end)| start..end).filter(|gap| !gap.is_empty())
 }
 
-/// Which cells are sound, and which target rows cross every column and meet sound cells only.
-fn sound_cells(lattice: &Lattice, options: &RenderOptions, kernel: Kernel) -> (Vec<bool>, Vec<bool>) {
-    let height = options.target.height();
-    let cells = lattice.columns - 1;
-    let mut sound = vec![false; cells * (lattice.rows - 1)];
-    let mut plain = vec![false; height as usize];
-    if height > FARTHEST || options.target.width() > FARTHEST {
-        return (sound, plain);
-    }
-    let clip = |y: i32| usize::try_from(first_row(y)).unwrap_or(0).min(height as usize);
+/// The target rows that begin or end beyond every column.
+fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(-LIMIT, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1).iter().fold(LIMIT, |bottom, &y| bottom.min(y));
-    plain[clip(top)..clip(bottom).max(clip(top))].fill(true);
+    Reach { top, bottom }.rows(&(0..height))
+}
 
+/// How cells may be drawn, and which target rows cross every column and meet sound cells only.
+fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>, kernel: Kernel) -> (Vec<u8>, Vec<bool>) {
+    let height = options.target.height();
+    let cells = lattice.columns - 1;
+    let mut soundness = vec![0; cells * (lattice.rows - 1)];
+    let mut plain = vec![false; height as usize];
+    if height > FARTHEST || options.target.width() > FARTHEST {
+        return (soundness, plain);
+    }
+    if !crossing.is_empty() {
+        plain[crossing.start as usize..crossing.end as usize].fill(true);
+    }
     let row_of_cells = |j: usize| {
         let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
         let unit = lattice.unit.recip();
         CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
     };
     let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
-    for (j, sound) in sound.chunks_exact_mut(cells).enumerate() {
+    for (j, soundness) in soundness.chunks_exact_mut(cells).enumerate() {
         let row = row_of_cells(j);
         if j + 2 < lattice.rows {
             kernel.bends(&row, &row_of_cells(j + 1), &mut below);
         } else {
             below.fill(0.0);
         }
-        kernel.sound(&row, &above, &below, sound);
-        if sound.iter().any(|sound| !sound) {
-            for (i, _) in sound.iter().enumerate().filter(|(_, sound)| !**sound) {
-                let reach = lattice.cell_reach(i, j);
-                plain[clip(reach.top)..clip(reach.bottom)].fill(false);
+        kernel.soundness(&row, &above, &below, soundness);
+        if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
+            for (i, _) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+                let rows = lattice.cell_reach(i, j).rows(&(0..height));
+                if !rows.is_empty() {
+                    plain[rows.start as usize..rows.end as usize].fill(false);
+                }
             }
         }
         std::mem::swap(&mut above, &mut below);
     }
-    (sound, plain)
+    (soundness, plain)
 }

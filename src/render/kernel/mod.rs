@@ -15,7 +15,7 @@ use super::lattice::{Corner, Lattice};
 use super::source::Packed;
 use crate::pixmap::Channels;
 
-pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, Spans, fixed};
+pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, SOUND, Spans, UPRIGHT, fixed};
 
 /// An instruction set that kernels are written for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -90,9 +90,9 @@ impl Kernel {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
     }
 
-    /// Whether each cell of a row may be drawn by column crossings.
-    pub(super) fn sound(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
-        dispatch!(self, sound(cells, above, below, sound));
+    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0.
+    pub(super) fn soundness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+        dispatch!(self, soundness(cells, above, below, soundness));
     }
 
     /// How much the columns bend at the line between two rows of cells: squared jump of the derivative along them.

@@ -82,16 +82,20 @@ const LEAST_AREA: f32 = 0.02;
 /// Places beyond are not exact in f32, px.
 const FARTHEST: f32 = 32_768.0;
 
+/// A cell of which the columns lead downwards and which is convex: it lies between its columns, in order.
+pub(in crate::render) const UPRIGHT: u8 = 1;
+/// An upright cell that column crossings show well enough.
+pub(in crate::render) const SOUND: u8 = 2;
 /// Rows of cells that a row of pixels may cross from one column to the next.
 const STEEPEST: f32 = 4.0;
 
-/// A cell is sound when it is convex and upright (columns downwards), not too steep (|dt| rows of cells from column to column), and when the
+/// A cell is sound when it is upright, not too steep (|dt| rows of cells from column to column), and when the
 /// chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px (each
 /// line of the grid that it crosses bends it once), r |column| width / area and r |line| height / area bound the error in u and v. All
 /// squared, and multiplied by the denominators.
 #[inline(always)]
-pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
-    let n = sound.len();
+pub(super) fn soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+    let n = soundness.len();
     let (xa, ya) = (&cells.top.0[..=n], &cells.top.1[..=n]);
     let (xb, yb) = (&cells.bottom.0[..=n], &cells.bottom.1[..=n]);
     let (above, below, u) = (&above[..=n], &below[..=n], &cells.u[..=n]);
@@ -118,8 +122,9 @@ pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &m
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
         let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
         let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
-        sound[c] =
-            (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (slant2 <= STEEPEST * STEEPEST * fall2) & near & (far < FARTHEST);
+        let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
+        let sound = upright & (slant2 <= STEEPEST * STEEPEST * fall2) & near;
+        soundness[c] = u8::from(upright) + u8::from(sound);
     }
 }
 

@@ -28,7 +28,7 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
-    sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]);
+    soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
 }
 
