@@ -26,7 +26,11 @@ pub(super) struct Line {
 pub(super) trait Canvas {
     /// Whether cells of a column are drawn in a target row at all.
     fn wants(&self, row: u32, column: usize) -> bool;
-    /// Paints a run of pixels of a row; later paint covers earlier paint.
+    /// Whether cells come from the last one back, and earlier paint stays.
+    fn backwards(&self) -> bool {
+        false
+    }
+    /// Paints a run of pixels of a row.
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line);
 }
 
@@ -68,7 +72,11 @@ pub(super) fn draw(
             }
         }
         Shape::Other => {
-            for triangle in triangles(&corners) {
+            let mut triangles = triangles(&corners);
+            if canvas.backwards() {
+                triangles.reverse();
+            }
+            for triangle in triangles {
                 window.polygon(&triangle, canvas, |span, row, canvas| span.straight(row, canvas));
             }
         }

@@ -7,7 +7,7 @@ use std::ops::Range;
 use super::border::Border;
 use super::cell::{self, Canvas, Line};
 use super::edge::Edge;
-use super::kernel::{CellRow, Kernel, NOTES, SOUND, Spans};
+use super::kernel::{CellRow, Kernel, NOTES, SOUND, Spans, UPRIGHT};
 use super::lattice::{BLOCK, LIMIT, Lattice, Reach, column_centre, row_centre};
 use super::mixed::Kinds;
 use super::sampler;
@@ -22,7 +22,7 @@ const STRIP: u32 = 16;
 const SLACK: usize = 16;
 /// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
 const FARTHEST: u32 = 1 << 15;
-/// Where nothing is painted, u is below this.
+/// u where nothing is painted; no place has it.
 const BARE: f32 = f32::NEG_INFINITY;
 
 /// A mesh that is ready to be drawn.
@@ -38,10 +38,21 @@ pub(super) struct Drawing {
     soundness: Vec<u8>,
     /// The rows that cross every column an odd number of times.
     crossing: Range<u32>,
-    /// Whether a row crosses every column and meets sound cells only.
-    plain: Vec<bool>,
+    /// How each row is drawn.
+    ways: Vec<Way>,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
+}
+
+/// How a row is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Way {
+    /// It crosses every column and meets sound cells only: by column crossings.
+    Plain,
+    /// It crosses every column and meets upright cells only: the same, then the cells of bent strips over it.
+    Ordered,
+    /// Good strips by column crossings, all else cell by cell.
+    Divided,
 }
 
 /// Coordinates of a strip and what they are made from; one a band.
@@ -58,6 +69,10 @@ struct Scratch {
     good: Vec<Range<usize>>,
     /// The row of cells where each column last crossed a row.
     cells: Vec<usize>,
+    /// What each ordered row of the strip covers.
+    covered: Vec<Range<usize>>,
+    /// Pixels of each divided row that nothing is painted on.
+    bare: Vec<usize>,
     /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
     pitch: usize,
 }
@@ -70,8 +85,8 @@ impl Drawing {
             border.index();
         }
         let crossing = rows_that_cross(&lattice, options.target.height());
-        let (soundness, plain) = sound_cells(&lattice, &options, &crossing, kernel);
-        Self { lattice, border, options, kernel, level, soundness, crossing, plain, covered }
+        let (soundness, ways) = sound_cells(&lattice, &options, &crossing, kernel);
+        Self { lattice, border, options, kernel, level, soundness, crossing, ways, covered }
     }
 
     /// Draws target rows.
@@ -108,8 +123,8 @@ impl Drawing {
     /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let plain = &self.plain[strip.start as usize..strip.end as usize];
-        let all_plain = plain.iter().all(|&plain| plain);
+        let ways = &self.ways[strip.start as usize..strip.end as usize];
+        let all_plain = ways.iter().all(|&way| way == Way::Plain);
         let pitch = width as usize + SLACK;
         scratch.pitch = if all_plain { 0 } else { pitch };
         let size = if all_plain { 1 } else { strip.len() } * pitch;
@@ -125,25 +140,50 @@ impl Drawing {
         }
         let all_cross = self.crossing.start <= strip.start && strip.end <= self.crossing.end;
         scratch.kinds.begin(&self.lattice, &self.soundness, strip, all_cross);
-        for row in strip.clone().filter(|&row| !self.plain[row as usize]) {
-            let index = (row - strip.start) as usize;
+        scratch.covered.clear();
+        scratch.bare.clear();
+        scratch.bare.resize(strip.len(), 0);
+        for (index, (row, way)) in strip.clone().zip(ways).enumerate() {
+            scratch.runs.clear();
+            if *way == Way::Ordered {
+                self.spans(row, index, 0..self.lattice.columns - 1, scratch);
+            }
+            scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
+            if *way != Way::Divided {
+                continue;
+            }
             let stride = self.lattice.pitch + BLOCK;
             let mut good = std::mem::take(&mut scratch.good);
             scratch.kinds.decide(&self.lattice, row, &scratch.x_crossings[index * stride..(index + 1) * stride], &mut good);
-            scratch.runs.clear();
             for cells in &good {
                 self.spans(row, index, cells.clone(), scratch);
             }
             for gap in gaps(&scratch.runs, width as usize) {
+                scratch.bare[index] += gap.len();
                 scratch.u[index * pitch..][gap].fill(BARE);
             }
             scratch.good = good;
         }
         let kinds = &scratch.kinds;
-        let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
-        for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
+        let cells = |i: &(usize, usize)| kinds.some(i.0);
+        let draw = |cell: (usize, usize), canvas: &mut Strip| {
             let sound = self.soundness[cell.1 * (self.lattice.columns - 1) + cell.0] == SOUND;
-            cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, &mut canvas);
+            cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, canvas);
+        };
+        let (u, v) = (&mut scratch.u, &mut scratch.v);
+        let mut canvas = Strip { first: strip.start, kinds, ways, way: Way::Ordered, pitch, u, v, bare: &mut scratch.bare };
+        if ways.contains(&Way::Ordered) {
+            self.lattice.cells_touching(strip.clone()).filter(cells).for_each(|cell| draw(cell, &mut canvas));
+        }
+        if ways.contains(&Way::Divided) {
+            // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
+            canvas.way = Way::Divided;
+            for cell in self.lattice.cells_touching(strip.clone()).filter(cells).rev() {
+                if canvas.bare.iter().all(|&bare| bare == 0) {
+                    break;
+                }
+                draw(cell, &mut canvas);
+            }
         }
     }
 
@@ -152,10 +192,10 @@ impl Drawing {
         let index = (row - strip.start) as usize;
         let start = index * scratch.pitch;
         scratch.runs.clear();
-        if self.plain[row as usize] {
-            self.spans(row, index, 0..self.lattice.columns - 1, scratch);
-        } else {
-            runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs);
+        match self.ways[row as usize] {
+            Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, scratch),
+            Way::Ordered => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            Way::Divided => runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs),
         }
         start
     }
@@ -235,7 +275,7 @@ impl Drawing {
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.plain[row as usize]
+        self.ways[row as usize] == Way::Plain
     }
 
     /// A row's coordinates and the runs that are covered.
@@ -254,37 +294,49 @@ impl Drawing {
 struct Strip<'a> {
     first: u32,
     kinds: &'a Kinds,
-    plain: &'a [bool],
+    ways: &'a [Way],
+    /// The rows that are drawn: ordered ones are painted over, divided ones where they are bare.
+    way: Way,
     pitch: usize,
     u: &'a mut [f32],
     v: &'a mut [f32],
+    bare: &'a mut [usize],
 }
 
 impl Canvas for Strip<'_> {
     fn wants(&self, row: u32, column: usize) -> bool {
-        !self.plain[(row - self.first) as usize] && self.kinds.drawn(row, column)
+        let index = (row - self.first) as usize;
+        self.ways[index] == self.way && (self.way == Way::Ordered || self.bare[index] > 0) && self.kinds.drawn(row, column)
+    }
+
+    fn backwards(&self) -> bool {
+        self.way == Way::Divided
     }
 
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
-        let start = (row - self.first) as usize * self.pitch;
-        let (u, v) = (&mut self.u[start..][pixels.clone()], &mut self.v[start..][pixels]);
-        let mut k = 0.0;
+        let index = (row - self.first) as usize;
+        let (u, v) = (&mut self.u[index * self.pitch..][pixels.clone()], &mut self.v[index * self.pitch..][pixels]);
+        let (mut k, mut painted) = (0.0, 0);
         for (u, v) in u.iter_mut().zip(v) {
-            *u = line.u + k * line.du;
-            *v = line.v + k * line.dv;
+            if self.way == Way::Ordered || *u == BARE {
+                *u = line.u + k * line.du;
+                *v = line.v + k * line.dv;
+                painted += 1;
+            }
             k += 1.0;
         }
+        self.bare[index] = self.bare[index].saturating_sub(painted);
     }
 }
 
 /// The runs of painted pixels.
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
-    while let Some(start) = u[at..].iter().position(|&u| u > BARE).map(|k| at + k) {
+    while let Some(start) = u[at..].iter().position(|&u| u != BARE).map(|k| at + k) {
         // Whole groups first: runs are long as a rule.
-        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u > BARE));
+        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != BARE));
         at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
-        at = u[at..].iter().position(|&u| u <= BARE).map_or(u.len(), |k| at + k);
+        at = u[at..].iter().position(|&u| u == BARE).map_or(u.len(), |k| at + k);
         runs.push(start..at);
     }
 }
@@ -304,17 +356,17 @@ fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     Reach { top, bottom }.rows(&(0..height))
 }
 
-/// How cells may be drawn, and which target rows cross every column and meet sound cells only.
-fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>, kernel: Kernel) -> (Vec<u8>, Vec<bool>) {
+/// How cells and target rows are drawn.
+fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>, kernel: Kernel) -> (Vec<u8>, Vec<Way>) {
     let height = options.target.height();
     let cells = lattice.columns - 1;
     let mut soundness = vec![0; cells * (lattice.rows - 1)];
-    let mut plain = vec![false; height as usize];
+    let mut ways = vec![Way::Divided; height as usize];
     if height > FARTHEST || options.target.width() > FARTHEST {
-        return (soundness, plain);
+        return (soundness, ways);
     }
     if !crossing.is_empty() {
-        plain[crossing.start as usize..crossing.end as usize].fill(true);
+        ways[crossing.start as usize..crossing.end as usize].fill(Way::Plain);
     }
     let row_of_cells = |j: usize| {
         let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
@@ -331,14 +383,15 @@ fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>
         }
         kernel.soundness(&row, &above, &below, soundness);
         if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
-            for (i, _) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+            for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+                let way = if soundness == UPRIGHT { Way::Ordered } else { Way::Divided };
                 let rows = lattice.cell_reach(i, j).rows(&(0..height));
-                if !rows.is_empty() {
-                    plain[rows.start as usize..rows.end as usize].fill(false);
+                for row in rows {
+                    ways[row as usize] = ways[row as usize].max(way);
                 }
             }
         }
         std::mem::swap(&mut above, &mut below);
     }
-    (soundness, plain)
+    (soundness, ways)
 }

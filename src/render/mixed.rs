@@ -50,8 +50,11 @@ impl Kinds {
         self.reach.clear();
         self.some.clear();
         self.some.resize(cells, false);
-        let mut wild = !all_cross;
+        let (mut wild, mut unmixed) = (!all_cross, self.kinds.len());
         for (j, soundness) in soundness.chunks_exact(cells).enumerate().filter(|(j, _)| lattice.row_reach[*j].meets(rows)) {
+            if unmixed == 0 {
+                break;
+            }
             if soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
                 continue;
             }
@@ -59,6 +62,7 @@ impl Kinds {
                 let kind = if soundness == UPRIGHT { Kind::Bent } else { Kind::Mixed };
                 for row in lattice.cell_reach(i, j).rows(rows) {
                     let marked = &mut self.kinds[(row - rows.start) as usize * cells + i];
+                    unmixed -= usize::from(kind == Kind::Mixed && *marked != Kind::Mixed);
                     *marked = kind.max(*marked);
                     self.some[i] = true;
                     wild |= kind == Kind::Mixed;
