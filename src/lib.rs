@@ -24,7 +24,7 @@
 //! // The nose moves; the eyes stay. Only this is repeated while a hand drags.
 //! let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
 //! let pose = setup.pose(&q)?;
-//! let warp = Warp::new(&image, &setup, &plan, &pose, Folds::Report, &OutputSpec::default(), &limits)?;
+//! let warp = Warp::new(&image, &setup, &plan, &pose, Folds::Report, &OutputSpec::default(), &limits, &|| false)?;
 //! assert_eq!(warp.report().folds, 0);
 //! assert!(warp.report().residual < 0.5);
 //!

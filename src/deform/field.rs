@@ -134,7 +134,7 @@ impl Field {
     pub(super) fn row(&self, v: Point, exact: bool, workspace: &mut Workspace) {
         let Workspace { row, scratch } = workspace;
         match self.rank {
-            Rank::Empty => {}
+            Rank::Empty => row.clear(),
             Rank::OnePlace => self.translation(row),
             Rank::Collinear | Rank::Full => {
                 let waist =
@@ -146,9 +146,7 @@ impl Field {
 
     /// All handles at one place: the mass-weighted mean of their displacements, for every family.
     fn translation(&self, row: &mut Row) {
-        row.h.fill(Vec2::ZERO);
-        row.wn.fill(0.0);
-        row.e = Vec2::ZERO;
+        row.clear();
         let masses = self.elements.iter().filter_map(|e| match e {
             Element::Point { mass, column, .. } => Some((*column, *mass)),
             Element::Segment(_) => None,

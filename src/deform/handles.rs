@@ -5,7 +5,7 @@ use super::DeformError;
 use crate::geometry::{Point, Vec2};
 
 /// Largest coordinate either way, px.
-const MAX_COORDINATE: f64 = 1e6;
+pub const MAX_COORDINATE: f64 = 1e6;
 /// Weights outside of this range would leave f64's ratios.
 const WEIGHTS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 /// A segment shorter than this is no segment, px.

@@ -26,7 +26,7 @@ mod segments;
 pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
-pub use handles::{Handle, Handles, Pose};
+pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use plan::{Plan, PoseQuality, pose_without_table};
 
 /// The class of maps that is fitted at every place.

@@ -119,8 +119,9 @@ impl Plan {
 }
 
 /// The posed mesh without a table: every row is weighed anew, for grids whose table would not fit. O(vertices x elements) with weights.
+/// `gone` is asked every hundred vertices or so; `None` when it said that nobody waits any more.
 #[must_use]
-pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
+pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: &(dyn Fn() -> bool + Sync)) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
     let mut displacement = vec![[0.0f32; 2]; grid.len()];
     let mut least_rotation = 1.0;
@@ -131,18 +132,21 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose) -> (Mesh, Pos
             .map_init(
                 || Workspace::new(field.handles().columns()),
                 |workspace, (task, out)| {
+                    if gone() {
+                        return None;
+                    }
                     let mut least = f32::INFINITY;
                     for (k, out) in out.iter_mut().enumerate() {
                         field.row(vertex(grid, columns, task * LANES * BLOCKS_PER_TASK + k), false, workspace);
                         *out = to_f32(family::displacement(field.family(), &workspace.row, pose.displacements()));
                         least = least.min(family::rotation(field.family(), &workspace.row, pose.displacements()));
                     }
-                    least
+                    Some(least)
                 },
             )
-            .reduce(|| f32::INFINITY, f32::min);
+            .try_reduce(|| f32::INFINITY, |a, b| Some(a.min(b)))?;
     }
-    (Mesh::new(*grid, displacement), PoseQuality { least_rotation })
+    Some((Mesh::new(*grid, displacement), PoseQuality { least_rotation }))
 }
 
 fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {

@@ -74,7 +74,7 @@ impl Row {
         Self { h: vec![Vec2::ZERO; columns], wn: vec![0.0; columns], e: Vec2::ZERO }
     }
 
-    fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.h.fill(Vec2::ZERO);
         self.wn.fill(0.0);
         self.e = Vec2::ZERO;

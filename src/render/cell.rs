@@ -4,7 +4,8 @@
 
 use std::ops::Range;
 
-use super::edge::{Crossing, Edge};
+use super::edge::Crossing;
+use super::kernel::Kernel;
 use super::lattice::{Corner, Lattice, ONE, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
@@ -25,18 +26,30 @@ pub(super) struct Line {
 pub(super) trait Canvas {
     /// Whether cells of a column are drawn in a target row at all.
     fn wants(&self, row: u32, column: usize) -> bool;
-    /// Paints a run of pixels of a row; later paint covers earlier paint.
+    /// Whether cells come from the last one back, and earlier paint stays.
+    fn backwards(&self) -> bool {
+        false
+    }
+    /// Paints a run of pixels of a row.
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line);
 }
 
 /// Draws what a cell covers of the pixels `[0, width)` of target rows; `sound` as the kernels decide.
-pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), sound: bool, rows: &Range<u32>, width: u32, canvas: &mut impl Canvas) {
+pub(super) fn draw(
+    kernel: Kernel,
+    lattice: &Lattice,
+    (i, j): (usize, usize),
+    sound: bool,
+    rows: &Range<u32>,
+    width: u32,
+    canvas: &mut impl Canvas,
+) {
     let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
     let (left, right) = bounds(corners.map(|c| c.x));
     if right <= 0 || i64::from(left) >= i64::from(width) * i64::from(ONE) {
         return;
     }
-    let window = Window { rows, width: i64::from(width), column: i };
+    let window = Window { kernel, rows, width: i64::from(width), column: i };
     if sound {
         // Convex, and near enough to linear.
         return window.polygon(&corners, canvas, |span, row, canvas| span.straight(row, canvas));
@@ -59,7 +72,11 @@ pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), sound: bool, rows:
             }
         }
         Shape::Other => {
-            for triangle in triangles(&corners) {
+            let mut triangles = triangles(&corners);
+            if canvas.backwards() {
+                triangles.reverse();
+            }
+            for triangle in triangles {
                 window.polygon(&triangle, canvas, |span, row, canvas| span.straight(row, canvas));
             }
         }
@@ -67,13 +84,13 @@ pub(super) fn draw(lattice: &Lattice, (i, j): (usize, usize), sound: bool, rows:
 }
 
 /// A cell that is not convex, divided along the diagonal 00-11 unless only the other one gives two triangles of one orientation (a dart whose
-/// notch is at 10 or 01).
-fn triangles([a, b, c, d]: &[Corner; 4]) -> [[Corner; 3]; 2] {
+/// notch is at 10 or 01). Triangles have their last corner twice.
+fn triangles([a, b, c, d]: &[Corner; 4]) -> [[Corner; 4]; 2] {
     let same = |p: i64, q: i64| p.signum() * q.signum() >= 0;
     if !same(turn(*a, *b, *c), turn(*a, *c, *d)) && same(turn(*a, *b, *d), turn(*b, *c, *d)) {
-        [[*a, *b, *d], [*b, *c, *d]]
+        [[*a, *b, *d, *d], [*b, *c, *d, *d]]
     } else {
-        [[*a, *b, *c], [*a, *c, *d]]
+        [[*a, *b, *c, *c], [*a, *c, *d, *d]]
     }
 }
 
@@ -82,6 +99,7 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
 }
 
 struct Window<'a> {
+    kernel: Kernel,
     rows: &'a Range<u32>,
     width: i64,
     column: usize,
@@ -98,27 +116,21 @@ struct Span {
 }
 
 impl Window<'_> {
-    /// Walks the rows of a convex polygon or a triangle.
-    fn polygon<const N: usize, C: Canvas>(&self, corners: &[Corner; N], canvas: &mut C, mut paint: impl FnMut(&Span, u32, &mut C)) {
+    /// Walks the rows of a convex polygon.
+    fn polygon<C: Canvas>(&self, corners: &[Corner; 4], canvas: &mut C, mut paint: impl FnMut(&Span, u32, &mut C)) {
         let (top, bottom) = bounds(corners.map(|c| c.y));
         let clip = |row: i64| u32::try_from(row.max(0)).unwrap_or(u32::MAX).clamp(self.rows.start, self.rows.end);
         let (first, end) = (clip(first_row(top)), clip(first_row(bottom)));
         if first >= end {
             return;
         }
-        let from = (0..N).min_by_key(|&k| corners[k].y).unwrap_or(0);
-        let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, N - 1));
-        for row in first..end {
-            if !canvas.wants(row, self.column) {
-                continue;
-            }
-            let y = row_centre(row);
-            if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y))
-                && let Some(span) = self.span(a, b, y)
+        self.kernel.walk(corners, first..end, |row, a, b| {
+            if canvas.wants(row, self.column)
+                && let Some(span) = self.span(a, b, row_centre(row))
             {
                 paint(&span, row, canvas);
             }
-        }
+        });
     }
 
     fn span(&self, a: Crossing, b: Crossing, y: i64) -> Option<Span> {
@@ -126,40 +138,6 @@ impl Window<'_> {
         let clip = |pixel: i64| usize::try_from(pixel.clamp(0, self.width)).unwrap_or(0);
         let (first, end) = (clip(left.pixel), clip(right.pixel));
         (first < end).then_some(Span { first, end, left, right, y: y as f64 })
-    }
-}
-
-/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
-struct Chain<'a, const N: usize> {
-    corners: &'a [Corner; N],
-    at: usize,
-    step: usize,
-    edge: Option<Edge>,
-    /// The first row that the edge does not cross.
-    end: i64,
-}
-
-impl<'a, const N: usize> Chain<'a, N> {
-    fn new(corners: &'a [Corner; N], at: usize, step: usize) -> Self {
-        Self { corners, at, step, edge: None, end: i64::MIN }
-    }
-
-    /// The crossing with a row that the polygon meets, not above the last one asked for.
-    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
-        if self.end <= i64::from(row) {
-            // At most all edges; rows below the lowest corner are never asked for.
-            for _ in 0..N {
-                let from = self.corners[self.at];
-                self.at = (self.at + self.step) % N;
-                let to = self.corners[self.at];
-                self.end = first_row(to.y);
-                if self.end > i64::from(row) {
-                    self.edge = Edge::new(from, to);
-                    break;
-                }
-            }
-        }
-        self.edge.as_ref().map(|edge| edge.at(y))
     }
 }
 

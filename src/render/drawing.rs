@@ -7,8 +7,8 @@ use std::ops::Range;
 use super::border::Border;
 use super::cell::{self, Canvas, Line};
 use super::edge::Edge;
-use super::kernel::{CellRow, Kernel, NOTES, Spans};
-use super::lattice::{BLOCK, LIMIT, Lattice, column_centre, first_row, row_centre};
+use super::kernel::{CellRow, Kernel, NOTES, SOUND, Spans, UPRIGHT};
+use super::lattice::{BLOCK, LIMIT, Lattice, Reach, column_centre, row_centre};
 use super::mixed::Kinds;
 use super::sampler;
 use super::source::Source;
@@ -22,7 +22,7 @@ const STRIP: u32 = 16;
 const SLACK: usize = 16;
 /// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
 const FARTHEST: u32 = 1 << 15;
-/// Where nothing is painted, u is below this.
+/// u where nothing is painted; no place has it.
 const BARE: f32 = f32::NEG_INFINITY;
 
 /// A mesh that is ready to be drawn.
@@ -34,12 +34,25 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// Whether each cell may be drawn by column crossings, `[rows - 1][columns - 1]`.
-    sound: Vec<bool>,
-    /// Whether a row crosses every column and meets sound cells only.
-    plain: Vec<bool>,
+    /// How each cell may be drawn, `[rows - 1][columns - 1]`.
+    soundness: Vec<u8>,
+    /// The rows that cross every column an odd number of times.
+    crossing: Range<u32>,
+    /// How each row is drawn.
+    ways: Vec<Way>,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
+}
+
+/// How a row is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Way {
+    /// It crosses every column and meets sound cells only: by column crossings.
+    Plain,
+    /// It crosses every column and meets upright cells only: the same, then the cells of bent strips over it.
+    Ordered,
+    /// Good strips by column crossings, all else cell by cell.
+    Divided,
 }
 
 /// Coordinates of a strip and what they are made from; one a band.
@@ -54,8 +67,12 @@ struct Scratch {
     runs: Vec<Range<usize>>,
     kinds: Kinds,
     good: Vec<Range<usize>>,
-    /// The rows of cells where the outer columns crossed the last row.
-    cells: [usize; 2],
+    /// The row of cells where each column last crossed a row.
+    cells: Vec<usize>,
+    /// What each ordered row of the strip covers.
+    covered: Vec<Range<usize>>,
+    /// Pixels of each divided row that nothing is painted on.
+    bare: Vec<usize>,
     /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
     pitch: usize,
 }
@@ -67,8 +84,9 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let (sound, plain) = sound_cells(&lattice, &options, kernel);
-        Self { lattice, border, options, kernel, level, sound, plain, covered }
+        let crossing = rows_that_cross(&lattice, options.target.height());
+        let (soundness, ways) = sound_cells(&lattice, &options, &crossing, kernel);
+        Self { lattice, border, options, kernel, level, soundness, crossing, ways, covered }
     }
 
     /// Draws target rows.
@@ -97,6 +115,7 @@ impl Drawing {
             v_crossings: vec![0.0; crossings],
             notes: vec![[0.0; BLOCK]; blocks * NOTES],
             first: vec![0; (blocks + 1) * BLOCK],
+            cells: vec![0; self.lattice.columns],
             ..Scratch::default()
         }
     }
@@ -104,8 +123,8 @@ impl Drawing {
     /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let plain = &self.plain[strip.start as usize..strip.end as usize];
-        let all_plain = plain.iter().all(|&plain| plain);
+        let ways = &self.ways[strip.start as usize..strip.end as usize];
+        let all_plain = ways.iter().all(|&way| way == Way::Plain);
         let pitch = width as usize + SLACK;
         scratch.pitch = if all_plain { 0 } else { pitch };
         let size = if all_plain { 1 } else { strip.len() } * pitch;
@@ -119,26 +138,52 @@ impl Drawing {
         if all_plain {
             return;
         }
-        scratch.kinds.begin(&self.lattice, &self.sound, strip);
-        for row in strip.clone().filter(|&row| !self.plain[row as usize]) {
-            let index = (row - strip.start) as usize;
+        let all_cross = self.crossing.start <= strip.start && strip.end <= self.crossing.end;
+        scratch.kinds.begin(&self.lattice, &self.soundness, strip, all_cross);
+        scratch.covered.clear();
+        scratch.bare.clear();
+        scratch.bare.resize(strip.len(), 0);
+        for (index, (row, way)) in strip.clone().zip(ways).enumerate() {
+            scratch.runs.clear();
+            if *way == Way::Ordered {
+                self.spans(row, index, 0..self.lattice.columns - 1, scratch);
+            }
+            scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
+            if *way != Way::Divided {
+                continue;
+            }
             let stride = self.lattice.pitch + BLOCK;
             let mut good = std::mem::take(&mut scratch.good);
             scratch.kinds.decide(&self.lattice, row, &scratch.x_crossings[index * stride..(index + 1) * stride], &mut good);
-            scratch.runs.clear();
             for cells in &good {
                 self.spans(row, index, cells.clone(), scratch);
             }
             for gap in gaps(&scratch.runs, width as usize) {
+                scratch.bare[index] += gap.len();
                 scratch.u[index * pitch..][gap].fill(BARE);
             }
             scratch.good = good;
         }
         let kinds = &scratch.kinds;
-        let mut canvas = Strip { first: strip.start, kinds, plain, pitch, u: &mut scratch.u, v: &mut scratch.v };
-        for cell in self.lattice.cells_touching(strip.clone()).filter(|&(i, _)| kinds.some(i)) {
-            let sound = self.sound[cell.1 * (self.lattice.columns - 1) + cell.0];
-            cell::draw(&self.lattice, cell, sound, strip, width, &mut canvas);
+        let cells = |i: &(usize, usize)| kinds.some(i.0);
+        let draw = |cell: (usize, usize), canvas: &mut Strip| {
+            let sound = self.soundness[cell.1 * (self.lattice.columns - 1) + cell.0] == SOUND;
+            cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, canvas);
+        };
+        let (u, v) = (&mut scratch.u, &mut scratch.v);
+        let mut canvas = Strip { first: strip.start, kinds, ways, way: Way::Ordered, pitch, u, v, bare: &mut scratch.bare };
+        if ways.contains(&Way::Ordered) {
+            self.lattice.cells_touching(strip.clone()).filter(cells).for_each(|cell| draw(cell, &mut canvas));
+        }
+        if ways.contains(&Way::Divided) {
+            // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
+            canvas.way = Way::Divided;
+            for cell in self.lattice.cells_touching(strip.clone()).filter(cells).rev() {
+                if canvas.bare.iter().all(|&bare| bare == 0) {
+                    break;
+                }
+                draw(cell, &mut canvas);
+            }
         }
     }
 
@@ -147,10 +192,10 @@ impl Drawing {
         let index = (row - strip.start) as usize;
         let start = index * scratch.pitch;
         scratch.runs.clear();
-        if self.plain[row as usize] {
-            self.spans(row, index, 0..self.lattice.columns - 1, scratch);
-        } else {
-            runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs);
+        match self.ways[row as usize] {
+            Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, scratch),
+            Way::Ordered => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            Way::Divided => runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs),
         }
         start
     }
@@ -158,9 +203,11 @@ impl Drawing {
     /// Coordinates of a row between the first and the last column of a range of good strips, and the run of pixels that they cover.
     fn spans(&self, row: u32, index: usize, cells: Range<usize>, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
-        let [left, right] = &mut scratch.cells;
-        let pixel = |column, cell| self.crossing(column, row, cell).map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width));
-        let covered = pixel(cells.start, left)..pixel(cells.end, right);
+        let mut pixel = |column: usize| {
+            let crossing = self.crossing(column, row, &mut scratch.cells[column]);
+            crossing.map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width))
+        };
+        let covered = pixel(cells.start)..pixel(cells.end);
         if covered.is_empty() {
             return;
         }
@@ -228,7 +275,7 @@ impl Drawing {
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.plain[row as usize]
+        self.ways[row as usize] == Way::Plain
     }
 
     /// A row's coordinates and the runs that are covered.
@@ -247,37 +294,49 @@ impl Drawing {
 struct Strip<'a> {
     first: u32,
     kinds: &'a Kinds,
-    plain: &'a [bool],
+    ways: &'a [Way],
+    /// The rows that are drawn: ordered ones are painted over, divided ones where they are bare.
+    way: Way,
     pitch: usize,
     u: &'a mut [f32],
     v: &'a mut [f32],
+    bare: &'a mut [usize],
 }
 
 impl Canvas for Strip<'_> {
     fn wants(&self, row: u32, column: usize) -> bool {
-        !self.plain[(row - self.first) as usize] && self.kinds.drawn(row, column)
+        let index = (row - self.first) as usize;
+        self.ways[index] == self.way && (self.way == Way::Ordered || self.bare[index] > 0) && self.kinds.drawn(row, column)
+    }
+
+    fn backwards(&self) -> bool {
+        self.way == Way::Divided
     }
 
     fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
-        let start = (row - self.first) as usize * self.pitch;
-        let (u, v) = (&mut self.u[start..][pixels.clone()], &mut self.v[start..][pixels]);
-        let mut k = 0.0;
+        let index = (row - self.first) as usize;
+        let (u, v) = (&mut self.u[index * self.pitch..][pixels.clone()], &mut self.v[index * self.pitch..][pixels]);
+        let (mut k, mut painted) = (0.0, 0);
         for (u, v) in u.iter_mut().zip(v) {
-            *u = line.u + k * line.du;
-            *v = line.v + k * line.dv;
+            if self.way == Way::Ordered || *u == BARE {
+                *u = line.u + k * line.du;
+                *v = line.v + k * line.dv;
+                painted += 1;
+            }
             k += 1.0;
         }
+        self.bare[index] = self.bare[index].saturating_sub(painted);
     }
 }
 
 /// The runs of painted pixels.
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
-    while let Some(start) = u[at..].iter().position(|&u| u > BARE).map(|k| at + k) {
+    while let Some(start) = u[at..].iter().position(|&u| u != BARE).map(|k| at + k) {
         // Whole groups first: runs are long as a rule.
-        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u > BARE));
+        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != BARE));
         at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
-        at = u[at..].iter().position(|&u| u <= BARE).map_or(u.len(), |k| at + k);
+        at = u[at..].iter().position(|&u| u == BARE).map_or(u.len(), |k| at + k);
         runs.push(start..at);
     }
 }
@@ -289,42 +348,50 @@ fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize
     starts.zip(ends).map(|(start, end)| start..end).filter(|gap| !gap.is_empty())
 }
 
-/// Which cells are sound, and which target rows cross every column and meet sound cells only.
-fn sound_cells(lattice: &Lattice, options: &RenderOptions, kernel: Kernel) -> (Vec<bool>, Vec<bool>) {
-    let height = options.target.height();
-    let cells = lattice.columns - 1;
-    let mut sound = vec![false; cells * (lattice.rows - 1)];
-    let mut plain = vec![false; height as usize];
-    if height > FARTHEST || options.target.width() > FARTHEST {
-        return (sound, plain);
-    }
-    let clip = |y: i32| usize::try_from(first_row(y)).unwrap_or(0).min(height as usize);
+/// The target rows that begin or end beyond every column.
+fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(-LIMIT, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1).iter().fold(LIMIT, |bottom, &y| bottom.min(y));
-    plain[clip(top)..clip(bottom).max(clip(top))].fill(true);
+    Reach { top, bottom }.rows(&(0..height))
+}
 
+/// How cells and target rows are drawn.
+fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>, kernel: Kernel) -> (Vec<u8>, Vec<Way>) {
+    let height = options.target.height();
+    let cells = lattice.columns - 1;
+    let mut soundness = vec![0; cells * (lattice.rows - 1)];
+    let mut ways = vec![Way::Divided; height as usize];
+    if height > FARTHEST || options.target.width() > FARTHEST {
+        return (soundness, ways);
+    }
+    if !crossing.is_empty() {
+        ways[crossing.start as usize..crossing.end as usize].fill(Way::Plain);
+    }
     let row_of_cells = |j: usize| {
         let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
         let unit = lattice.unit.recip();
         CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
     };
     let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
-    for (j, sound) in sound.chunks_exact_mut(cells).enumerate() {
+    for (j, soundness) in soundness.chunks_exact_mut(cells).enumerate() {
         let row = row_of_cells(j);
         if j + 2 < lattice.rows {
             kernel.bends(&row, &row_of_cells(j + 1), &mut below);
         } else {
             below.fill(0.0);
         }
-        kernel.sound(&row, &above, &below, sound);
-        if sound.iter().any(|sound| !sound) {
-            for (i, _) in sound.iter().enumerate().filter(|(_, sound)| !**sound) {
-                let reach = lattice.cell_reach(i, j);
-                plain[clip(reach.top)..clip(reach.bottom)].fill(false);
+        kernel.soundness(&row, &above, &below, soundness);
+        if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
+            for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+                let way = if soundness == UPRIGHT { Way::Ordered } else { Way::Divided };
+                let rows = lattice.cell_reach(i, j).rows(&(0..height));
+                for row in rows {
+                    ways[row as usize] = ways[row as usize].max(way);
+                }
             }
         }
         std::mem::swap(&mut above, &mut below);
     }
-    (sound, plain)
+    (soundness, ways)
 }

@@ -7,7 +7,7 @@
 use super::lattice::{Corner, HALF, ONE};
 
 /// Crossings nearer than this to a pixel's centre, px, are decided in integers. The f64 way is off by 2^-28 px at most.
-const CLOSE_CALL: f64 = 1e-6;
+pub(super) const CLOSE_CALL: f64 = 1e-6;
 
 /// An edge that is not horizontal, from top to bottom.
 #[derive(Clone, Copy, Debug)]
@@ -44,8 +44,8 @@ impl Edge {
             top,
             bottom,
             slope: f64::from(bottom.x - top.x) * per_step,
-            slope_u: f64::from(bottom.u - top.u) * per_step,
-            slope_v: f64::from(bottom.v - top.v) * per_step,
+            slope_u: (f64::from(bottom.u) - f64::from(top.u)) * per_step,
+            slope_v: (f64::from(bottom.v) - f64::from(top.v)) * per_step,
         })
     }
 
@@ -70,7 +70,7 @@ impl Edge {
     }
 
     /// The first pixel whose centre is not left of the crossing, in integers.
-    fn pixel_exactly(&self, y: i64) -> i64 {
+    pub(super) fn pixel_exactly(&self, y: i64) -> i64 {
         let (ax, ay) = (i64::from(self.top.x), i64::from(self.top.y));
         let (dx, dy) = (i64::from(self.bottom.x) - ax, i64::from(self.bottom.y) - ay);
         // x = ax + (y - ay) dx / dy, and pixel = ceil((x - HALF) / ONE).

@@ -154,7 +154,7 @@ impl Lattice {
     }
 
     /// The cells that may touch target rows, in painter's order: row by row, `(column, row)`.
-    pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl Iterator<Item = (usize, usize)> + '_ {
+    pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
         let meets = move |reach: &Reach| reach.meets(&rows);
         let rows = meets.clone();

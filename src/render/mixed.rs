@@ -1,20 +1,23 @@
 //! Which parts of a row are drawn by column crossings and which cell by cell. Between two neighbouring columns lies a strip of cells; in a row of
-//! pixels a strip is *good* when both columns cross the row and no cell that is not sound touches it there, *bare* when the row passes above or
-//! below it, else *mixed*. Mixed strips are drawn cell by cell in painter's order. Good ones may be drawn beside them without any
-//! order, because those that a mixed one might overlap are drawn cell by cell too, and a row whose good strips are not in order is as a whole.
-//! Per strip of target rows: O(cells touched + rows columns).
+//! pixels a strip is *good* when both columns cross the row and only sound cells touch it there, *bent* when they are upright but not all near enough
+//! to linear, *bare* when the row passes above or below it, else *mixed*. All but good ones are drawn cell by cell in painter's order. Good ones may
+//! be drawn beside them without any order: upright strips are ordered like their columns, good ones that a mixed one might overlap are drawn cell
+//! by cell too, and a row whose upright strips are not in order is as a whole. Per strip of target rows: O(cells touched + rows columns).
 
 use std::ops::Range;
 
+use super::kernel::{SOUND, UPRIGHT};
 use super::lattice::{Lattice, ONE, Reach, row_centre};
 
 /// What a strip of cells is in a row.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     /// Drawn from its two columns.
     #[default]
     Good,
-    /// Drawn cell by cell.
+    /// Drawn cell by cell, between its two columns.
+    Bent,
+    /// Drawn cell by cell, and may be anywhere.
     Mixed,
     /// A good one, drawn cell by cell because a mixed one may overlap it.
     Yielding,
@@ -29,7 +32,7 @@ pub(super) struct Kinds {
     cells: usize,
     /// `[rows][cells]`.
     kinds: Vec<Kind>,
-    /// Of the columns' cells that touch the rows, px.
+    /// Of the strips' cells that touch the rows, px; empty unless there may be mixed strips.
     reach: Vec<(f32, f32)>,
     /// Some cell of the strip may have to be drawn.
     some: Vec<bool>,
@@ -38,70 +41,63 @@ pub(super) struct Kinds {
 }
 
 impl Kinds {
-    /// Begins with a few target rows: marks what is not sound, and notes how far every strip reaches.
-    pub(super) fn begin(&mut self, lattice: &Lattice, sound: &[bool], rows: &Range<u32>) {
+    /// Begins with a few target rows, of which all cross every column or not: marks what is not sound, and notes how far every strip reaches.
+    pub(super) fn begin(&mut self, lattice: &Lattice, soundness: &[u8], rows: &Range<u32>, all_cross: bool) {
         let cells = lattice.columns - 1;
         (self.first, self.cells) = (rows.start, cells);
         self.kinds.clear();
         self.kinds.resize(rows.len() * cells, Kind::Good);
         self.reach.clear();
-        self.reach.resize(cells, (f32::INFINITY, f32::NEG_INFINITY));
         self.some.clear();
         self.some.resize(cells, false);
-        for (i, j) in lattice.cells_touching(rows.clone()) {
-            let (left, right) = lattice.cell_across(i, j);
-            let reach = &mut self.reach[i];
-            *reach = (reach.0.min(left), reach.1.max(right));
-            if !sound[j * cells + i] {
+        let (mut wild, mut unmixed) = (!all_cross, self.kinds.len());
+        for (j, soundness) in soundness.chunks_exact(cells).enumerate().filter(|(j, _)| lattice.row_reach[*j].meets(rows)) {
+            if unmixed == 0 {
+                break;
+            }
+            if soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
+                continue;
+            }
+            for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+                let kind = if soundness == UPRIGHT { Kind::Bent } else { Kind::Mixed };
                 for row in lattice.cell_reach(i, j).rows(rows) {
-                    self.kinds[(row - rows.start) as usize * cells + i] = Kind::Mixed;
+                    let marked = &mut self.kinds[(row - rows.start) as usize * cells + i];
+                    unmixed -= usize::from(kind == Kind::Mixed && *marked != Kind::Mixed);
+                    *marked = kind.max(*marked);
+                    self.some[i] = true;
+                    wild |= kind == Kind::Mixed;
                 }
+            }
+        }
+        if wild {
+            self.reach.resize(cells, (f32::INFINITY, f32::NEG_INFINITY));
+            for (i, j) in lattice.cells_touching(rows.clone()) {
+                let (left, right) = lattice.cell_across(i, j);
+                let reach = &mut self.reach[i];
+                *reach = (reach.0.min(left), reach.1.max(right));
             }
         }
     }
 
     /// Decides about a row, from where its columns cross; good strips as ranges.
     pub(super) fn decide(&mut self, lattice: &Lattice, row: u32, x: &[f32], good: &mut Vec<Range<usize>>) {
-        let cells = self.cells;
-        let kinds = &mut self.kinds[(row - self.first) as usize * cells..][..cells];
-        let (top, bottom) = (&lattice.y[..=cells], &lattice.y[(lattice.rows - 1) * lattice.pitch..][..=cells]);
-        let y = i32::try_from(row_centre(row)).unwrap_or(i32::MAX);
-        let (mut end, mut pushed, mut ordered) = (f32::NEG_INFINITY, f32::NEG_INFINITY, true);
-        self.pushed.clear();
-        for (i, kind) in kinds.iter_mut().enumerate() {
-            if *kind == Kind::Good {
-                let (above, below) = ((top[i] > y, top[i + 1] > y), (bottom[i] <= y, bottom[i + 1] <= y));
-                *kind = match (above, below) {
-                    ((false, false), (false, false)) => Kind::Good,
-                    ((true, true), _) | (_, (true, true)) => Kind::Bare,
-                    _ => Kind::Mixed,
-                };
-            }
-            self.pushed.push(pushed);
-            match *kind {
-                Kind::Good => {
-                    ordered &= x[i] >= end && x[i + 1] >= x[i];
-                    end = x[i + 1];
-                }
-                Kind::Mixed => pushed = pushed.max(self.reach[i].1),
-                Kind::Yielding | Kind::Bare => {}
-            }
-        }
         good.clear();
-        let mut pushed = f32::INFINITY;
-        for (i, kind) in kinds.iter_mut().enumerate().rev() {
-            match *kind {
-                Kind::Good if ordered && self.pushed[i] <= x[i] && pushed >= x[i + 1] => match good.last_mut() {
-                    Some(run) if run.start == i + 1 => run.start = i,
-                    _ => good.push(i..i + 1),
-                },
-                Kind::Good => *kind = Kind::Yielding,
-                Kind::Mixed => pushed = pushed.min(self.reach[i].0),
-                Kind::Yielding | Kind::Bare => {}
+        let kinds = &mut self.kinds[(row - self.first) as usize * self.cells..][..self.cells];
+        // Without reaches every column crosses, and all cells are upright: there is nothing to yield to.
+        if !self.reach.is_empty() {
+            trim(lattice, row, kinds);
+            if kinds.contains(&Kind::Mixed) {
+                yield_to_mixed(x, &self.reach, &mut self.pushed, kinds);
             }
-            self.some[i] |= matches!(*kind, Kind::Mixed | Kind::Yielding);
+            for (some, kind) in self.some.iter_mut().zip(kinds.iter()) {
+                *some |= is_drawn(*kind);
+            }
         }
-        good.reverse();
+        let mut at = 0;
+        while let Some(start) = kinds[at..].iter().position(|&kind| kind == Kind::Good).map(|k| at + k) {
+            at = kinds[start..].iter().position(|&kind| kind != Kind::Good).map_or(kinds.len(), |k| start + k);
+            good.push(start..at);
+        }
     }
 
     /// Whether the cells of a strip are drawn in some row.
@@ -111,7 +107,51 @@ impl Kinds {
 
     /// Whether the cells of a strip are drawn in a row.
     pub(super) fn drawn(&self, row: u32, column: usize) -> bool {
-        matches!(self.kinds[(row - self.first) as usize * self.cells + column], Kind::Mixed | Kind::Yielding)
+        is_drawn(self.kinds[(row - self.first) as usize * self.cells + column])
+    }
+}
+
+fn is_drawn(kind: Kind) -> bool {
+    matches!(kind, Kind::Bent | Kind::Mixed | Kind::Yielding)
+}
+
+/// Finds the strips of a row that it leaves through the upper or the lower border.
+fn trim(lattice: &Lattice, row: u32, kinds: &mut [Kind]) {
+    let cells = kinds.len();
+    let (top, bottom) = (&lattice.y[..=cells], &lattice.y[(lattice.rows - 1) * lattice.pitch..][..=cells]);
+    let y = i32::try_from(row_centre(row)).unwrap_or(i32::MAX);
+    for ((kind, top), bottom) in kinds.iter_mut().zip(top.windows(2)).zip(bottom.windows(2)).filter(|((kind, _), _)| **kind <= Kind::Bent) {
+        let (above, below) = ((top[0] > y, top[1] > y), (bottom[0] <= y, bottom[1] <= y));
+        *kind = match (above, below) {
+            ((false, false), (false, false)) => *kind,
+            ((true, true), _) | (_, (true, true)) => Kind::Bare,
+            _ => Kind::Mixed,
+        };
+    }
+}
+
+/// Good strips that a mixed one may overlap, or all of them if they are not in order, give way.
+fn yield_to_mixed(x: &[f32], reach: &[(f32, f32)], pushed: &mut Vec<f32>, kinds: &mut [Kind]) {
+    let (mut end, mut right, mut ordered) = (f32::NEG_INFINITY, f32::NEG_INFINITY, true);
+    pushed.clear();
+    for (i, kind) in kinds.iter().enumerate() {
+        pushed.push(right);
+        match kind {
+            Kind::Good | Kind::Bent => {
+                ordered &= x[i] >= end && x[i + 1] >= x[i];
+                end = x[i + 1];
+            }
+            Kind::Mixed => right = right.max(reach[i].1),
+            Kind::Yielding | Kind::Bare => {}
+        }
+    }
+    let mut left = f32::INFINITY;
+    for (i, kind) in kinds.iter_mut().enumerate().rev() {
+        match *kind {
+            Kind::Good if !ordered || pushed[i] > x[i] || left < x[i + 1] => *kind = Kind::Yielding,
+            Kind::Mixed => left = left.min(reach[i].0),
+            Kind::Good | Kind::Bent | Kind::Yielding | Kind::Bare => {}
+        }
     }
 }
 

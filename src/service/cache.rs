@@ -64,6 +64,11 @@ impl<V: Send + Sync + 'static> Shelf<V> {
         self.cache.get(&key).await
     }
 
+    /// Takes the value of `key` off the shelf.
+    pub async fn remove(&self, key: Digest) -> Option<Arc<V>> {
+        self.cache.remove(&key).await
+    }
+
     /// Drops everything, as if it had been evicted.
     pub fn clear(&self) {
         self.cache.invalidate_all();

@@ -37,10 +37,13 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
         None => return Err(q_is_missing()),
     };
     let pose = setup.pose(q)?;
-    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &config.limits)?;
+    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &config.limits, &|| false)?;
     let helpers = config.workers.saturating_sub(1);
     let drawn = if is_stdio(out) {
         draw(&warp, helpers, io::stdout())
+    } else if out.exists() && !out.is_file() || out.is_symlink() {
+        // A device, a pipe or a link is written to, not replaced.
+        File::options().write(true).create(true).truncate(true).open(out).and_then(|file| draw(&warp, helpers, file))
     } else {
         create(out).and_then(|(file, half)| draw(&warp, helpers, file).and_then(|()| half.keep()))
     };

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 
-use super::pool::{PoolError, Ticket};
+use super::pool::{Cancel, PoolError, Ticket};
 use super::problem::{Code, Problem};
 use super::session::SessionId;
 use super::store::{Record, Session};
@@ -16,7 +16,7 @@ use super::{App, Known};
 use crate::codec::CodecError;
 use crate::deform::Handle;
 use crate::geometry::Point;
-use crate::warp::{Digest, Folds, Image, OutputSpec, Plan, Setup, Warp, WarpError};
+use crate::warp::{Digest, Folds, GridSpec, Image, OutputSpec, Plan, Setup, Warp, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
@@ -133,7 +133,18 @@ impl App {
     /// # Errors
     /// Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
-        Ok(self.0.store.delete(id).await?)
+        let record = self.0.store.peek(id).await?.record;
+        self.0.store.delete(id).await?;
+        let setup = self.0.setups.remove(shelf_key(id)).await;
+        // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
+        // and handles, if there is one, builds them again.
+        if self.0.store.image(record.image).await.is_err() {
+            self.0.images.remove(record.image).await;
+            if let Some(known) = setup {
+                self.0.plans.remove(known.setup.plan_key()).await;
+            }
+        }
+        Ok(())
     }
 
     /// One step of a drag: q alone.
@@ -180,7 +191,9 @@ impl App {
     /// Whatever is wrong with the handles, or no room.
     pub async fn map_once(&self, object: PointsObject) -> Result<Vec<Point>, Problem> {
         let ticket = self.0.pool.admit().await?;
-        let (rest, extent) = object.warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        let (mut rest, extent) = object.warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        // Places are mapped by the exact function: the grid, and its limits, do not matter.
+        rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let limits = self.0.config.limits;
         let setup = self.0.pool.run(&ticket, move |_| Setup::new(&rest, extent, &limits)).await??;
         self.map(&ticket, Arc::new(setup), object.q, object.points).await
@@ -201,11 +214,11 @@ impl App {
         let mapped = self.0.pool.run(ticket, move |cancel| {
             let pose = setup.pose(&q)?;
             let mut mapped = Vec::with_capacity(places.len());
-            for step in places.chunks(PLACES_PER_STEP) {
+            for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {
                 if cancel.is_cancelled() {
-                    break;
+                    return Err(WarpError::GivenUp);
                 }
-                mapped.extend(setup.map(&pose, step));
+                mapped.extend(setup.map(&pose, step).map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
             }
             Ok::<_, WarpError>(mapped)
         });
@@ -299,9 +312,9 @@ impl App {
     ) -> Result<Ready, Problem> {
         let began = Instant::now();
         let limits = self.0.config.limits;
-        let pose = move |_: &_| {
+        let pose = move |cancel: &Cancel| {
             let pose = setup.pose(&q)?;
-            Warp::new(&image, &setup, &plan, &pose, folds, &output, &limits)
+            Warp::new(&image, &setup, &plan, &pose, folds, &output, &limits, &|| cancel.is_cancelled())
         };
         let warp = self.0.pool.run(&ticket, pose).await??;
         timing.deform = began.elapsed();

@@ -64,10 +64,12 @@ pub struct Warp {
 }
 
 impl Warp {
-    /// Poses the mesh and prepares the renderer. CPU work, microseconds to a millisecond.
+    /// Poses the mesh and prepares the renderer. CPU work, microseconds to a millisecond; long only where the plan has no table, and then
+    /// given up when `gone` says that nobody waits any more.
     ///
     /// # Errors
-    /// `folds: reject` and it folds; a target over the limits.
+    /// `folds: reject` and it folds; a target over the limits; given up.
+    #[expect(clippy::too_many_arguments, reason = "everything that a picture depends on, each already a type of its own")]
     pub fn new(
         image: &Arc<Image>,
         setup: &Setup,
@@ -76,9 +78,10 @@ impl Warp {
         folds: Folds,
         output: &OutputSpec,
         limits: &Limits,
+        gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, WarpError> {
         let target = target(image.extent(), output.width, limits)?;
-        let (mesh, quality) = setup.mesh(plan, pose);
+        let (mesh, quality) = setup.mesh(plan, pose, gone)?;
         let cells = mesh.folded_cells().count() as u64;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });

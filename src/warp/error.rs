@@ -17,6 +17,19 @@ pub enum WarpError {
     /// The posed handles q.
     #[error("{0}")]
     Posed(DeformError),
+    /// A place to be mapped is not one.
+    #[error("place {index} has a coordinate of {value:e} px; at most {limit} px either way")]
+    BadPlace {
+        /// Which place.
+        index: usize,
+        /// Its coordinate, px.
+        value: f64,
+        /// The limit, px.
+        limit: f64,
+    },
+    /// Nobody waits for the result any more.
+    #[error("the work was given up: nobody waits for it any more")]
+    GivenUp,
     /// Over a limit.
     #[error("{what}: {actual}; at most {limit}")]
     TooLarge {
@@ -36,4 +49,15 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+}
+
+impl WarpError {
+    /// The same error of places that were mapped as a part of a longer list, `offset` places from its start.
+    #[must_use]
+    pub fn with_place_offset(self, offset: usize) -> Self {
+        match self {
+            Self::BadPlace { index, value, limit } => Self::BadPlace { index: index + offset, value, limit },
+            other => other,
+        }
+    }
 }

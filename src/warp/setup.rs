@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::digest::Collector;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
-use crate::deform::{self, Falloff, Field, Handle, Handles, Method, Pose, PoseQuality, pose_without_table};
+use crate::deform::{self, Falloff, Field, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table};
 use crate::geometry::{Grid, Mesh, Point};
 use crate::pixmap::Extent;
 
@@ -114,24 +114,32 @@ impl Setup {
     }
 
     /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work.
-    #[must_use]
-    pub fn map(&self, pose: &Pose, places: &[Point]) -> Vec<Point> {
+    ///
+    /// # Errors
+    /// A place that is not finite or beyond what coordinates may be.
+    pub fn map(&self, pose: &Pose, places: &[Point]) -> Result<Vec<Point>, WarpError> {
         let (ux, uy) = self.unit;
+        for (index, p) in places.iter().enumerate() {
+            if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
+                return Err(WarpError::BadPlace { index, value, limit: MAX_COORDINATE });
+            }
+        }
         let map = |p: &Point| {
             let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
             Point::new(mapped.x / ux, mapped.y / uy)
         };
-        places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect()
+        Ok(places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect())
     }
 
     pub(super) fn field(&self) -> &Field {
         &self.field
     }
 
-    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose) -> (Mesh, PoseQuality) {
+    /// The posed mesh; without a table every row is weighed anew, which may take long and ends early when `gone`.
+    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Mesh, PoseQuality), WarpError> {
         match &plan.0 {
-            Some(table) => table.pose(&self.grid, pose),
-            None => pose_without_table(&self.field, &self.grid, pose),
+            Some(table) => Ok(table.pose(&self.grid, pose)),
+            None => pose_without_table(&self.field, &self.grid, pose, gone).ok_or(WarpError::GivenUp),
         }
     }
 }

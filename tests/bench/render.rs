@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mlswarp::geometry::{Grid, Mesh};
+use mlswarp::geometry::{Grid, Mesh, Vec2};
 use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
@@ -97,46 +97,59 @@ fn photograph(extent: Extent, channels: Channels) -> Pixmap {
     Pixmap::new(extent, channels, Samples::Eight(samples))
 }
 
-/// Seven places are pulled by 20 to 40 px (of 500), fading like a Gaussian; so much more at forty smaller places that `folded` of the cells fold.
+/// The rigid moving-least-squares mesh of eleven handles that are moved by 20 to 40 px (of 500), and farther until `folded` of the cells fold.
 fn mesh(extent: Extent, folded: f64) -> Mesh {
-    const PULLS: [[f64; 5]; 7] = [
-        [0.2, 0.2, 0.05, 0.04, 0.15],
-        [0.8, 0.25, -0.06, 0.03, 0.15],
-        [0.5, 0.5, 0.04, -0.06, 0.15],
-        [0.25, 0.75, -0.05, -0.04, 0.15],
-        [0.75, 0.8, 0.05, 0.06, 0.15],
-        [0.5, 0.1, 0.0, 0.05, 0.15],
-        [0.1, 0.5, 0.06, 0.0, 0.15],
+    const REST: [[f64; 2]; 11] = [
+        [0.2, 0.2],
+        [0.8, 0.25],
+        [0.5, 0.5],
+        [0.25, 0.75],
+        [0.75, 0.8],
+        [0.5, 0.1],
+        [0.1, 0.5],
+        [0.9, 0.55],
+        [0.5, 0.9],
+        [0.35, 0.4],
+        [0.65, 0.6],
+    ];
+    const MOVES: [[f64; 2]; 11] = [
+        [0.05, 0.04],
+        [-0.06, 0.03],
+        [0.04, -0.06],
+        [-0.05, -0.04],
+        [0.05, 0.06],
+        [0.0, 0.05],
+        [0.06, 0.0],
+        [-0.04, -0.03],
+        [0.03, -0.05],
+        [-0.04, 0.05],
+        [0.05, 0.03],
     ];
     let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
     let grid = Grid::with_counts(width, height, VERTICES, VERTICES);
-    let mut noise = 1_u64;
-    let mut random = || {
-        noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        f64::from((noise >> 40) as u32) / f64::from(1 << 24)
-    };
-    let jitter: Vec<[f64; 5]> = (0..40).map(|_| [random(), random(), random() - 0.5, random() - 0.5, 0.05]).collect();
-    let pulled = |strength: f64| {
-        let jitter = jitter.iter().map(|[x, y, dx, dy, size]| [*x, *y, dx * strength, dy * strength, *size]);
-        let pulls: Vec<_> = PULLS.into_iter().chain(jitter).collect();
+    let place = |[x, y]: [f64; 2]| Vec2::new(x * width, y * height);
+    let posed = |strength: f64| {
         let vertices = (0..VERTICES).flat_map(|j| (0..VERTICES).map(move |i| grid.vertex(i, j)));
-        let displacement = vertices.map(|p| {
-            let (x, y) = (p.x / width, p.y / height);
-            let pull = pulls.iter().fold([0.0, 0.0], |sum, [px, py, dx, dy, size]| {
-                let near = (-((x - px).powi(2) + (y - py).powi(2)) / (2.0 * size * size)).exp();
-                [sum[0] + dx * near * width, sum[1] + dy * near * height]
-            });
-            pull.map(|d| d as f32)
+        let displacement = vertices.map(|v| {
+            let v = Vec2::new(v.x, v.y);
+            let handles = REST.into_iter().zip(MOVES).map(|(p, d)| (place(p), place(p) + place(d) * strength));
+            let weighed = handles.map(|(p, q)| (1.0 / ((p - v).norm2() + 1e-9), p, q));
+            let (sum, p_star, q_star) =
+                weighed.clone().fold((0.0, Vec2::ZERO, Vec2::ZERO), |(sum, a, b), (w, p, q)| (sum + w, a + p * w, b + q * w));
+            let (p_star, q_star) = (p_star * (1.0 / sum), q_star * (1.0 / sum));
+            let turn = weighed.fold(Vec2::ZERO, |turn, (w, p, q)| turn + (p - p_star).conj().complex_mul(q - q_star) * w);
+            let posed = (v - p_star).complex_mul(turn) * (1.0 / turn.norm()) + q_star;
+            [(posed.x - v.x) as f32, (posed.y - v.y) as f32]
         });
         Mesh::new(grid, displacement.collect())
     };
     let wanted = folded * f64::from((VERTICES - 1) * (VERTICES - 1));
-    let mut strength = 0.0;
+    let mut strength = 1.0;
     loop {
-        let mesh = pulled(strength);
+        let mesh = posed(strength);
         if mesh.folded_cells().count() as f64 >= wanted {
             return mesh;
         }
-        strength += 0.01;
+        strength += 0.05;
     }
 }

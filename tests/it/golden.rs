@@ -39,7 +39,7 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap());
     let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
-    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &limits()).unwrap();
+    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &limits(), &|| false).unwrap();
     let mut bytes = Vec::new();
     let written = warp.write(1, &(), &mut |strip| {
         bytes.extend(strip);

@@ -56,7 +56,7 @@ fn identity_returns_the_decoded_pixels() {
                         let setup = Setup::new(&rest, extent, &limits()).unwrap();
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
-                        let warp = Warp::new(&image, &setup, &setup.plan(), &pose, Folds::Reject, &output, &limits()).unwrap();
+                        let warp = Warp::new(&image, &setup, &setup.plan(), &pose, Folds::Reject, &output, &limits(), &|| false).unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);

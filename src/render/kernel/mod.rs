@@ -10,12 +10,13 @@ mod x86;
 
 use std::ops::Range;
 
-use super::lattice::Lattice;
+use super::edge::Crossing;
+use super::lattice::{Corner, Lattice};
 use super::source::Packed;
 use crate::level::Level;
 use crate::pixmap::Channels;
 
-pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, Spans, fixed};
+pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, SOUND, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
 #[derive(Clone, Copy, Debug)]
@@ -50,9 +51,9 @@ impl Kernel {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
     }
 
-    /// Whether each cell of a row may be drawn by column crossings.
-    pub(super) fn sound(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
-        dispatch!(self, sound(cells, above, below, sound));
+    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0.
+    pub(super) fn soundness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+        dispatch!(self, soundness(cells, above, below, soundness));
     }
 
     /// How much the columns bend at the line between two rows of cells: squared jump of the derivative along them.
@@ -69,6 +70,11 @@ impl Kernel {
     /// Coordinates along a row from the crossings of the columns.
     pub(super) fn spans(self, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
         dispatch!(self, spans(spans, u, v));
+    }
+
+    /// Where target rows cross a convex polygon; a triangle has a corner twice. Rows must not reach beyond it.
+    pub(super) fn walk(self, corners: &[Corner; 4], rows: Range<u32>, found: impl FnMut(u32, Crossing, Crossing)) {
+        dispatch!(self, walk(corners, rows, found));
     }
 
     /// Bilinear samples of a run of pixels.

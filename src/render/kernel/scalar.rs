@@ -9,7 +9,8 @@
 use std::ops::Range;
 
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE};
+use crate::render::edge::{Crossing, Edge};
+use crate::render::lattice::{BLOCK, Corner, LIMIT, Lattice, ONE, first_row, row_centre};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
@@ -74,23 +75,27 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// Drawn coordinates may be this far from the patch, px of the sampled picture; three quarters of what the contract allows.
-const TOLERANCE: f32 = 3.0 / 64.0;
+/// Drawn coordinates may be this far from the patch, px of the sampled picture: seven eighths of what the contract allows, the rest is for snapping.
+const TOLERANCE: f32 = 7.0 / 128.0;
 /// The least area of a cell, as a share of the area at rest, at which crossings are trusted.
 const LEAST_AREA: f32 = 0.02;
 /// Places beyond are not exact in f32, px.
 const FARTHEST: f32 = 32_768.0;
 
+/// A cell of which the columns lead downwards and which is convex: it lies between its columns, in order.
+pub(in crate::render) const UPRIGHT: u8 = 1;
+/// An upright cell that column crossings show well enough.
+pub(in crate::render) const SOUND: u8 = 2;
 /// Rows of cells that a row of pixels may cross from one column to the next.
 const STEEPEST: f32 = 4.0;
 
-/// A cell is sound when it is convex and upright (columns downwards), not too steep (|dt| rows of cells from column to column), and when the
-/// chord between its columns stays near its patch: with r = |dt| (|d| + (1 + |dt|) height * bend) / 4 the distance of the chord in target px (each
+/// A cell is sound when it is upright, not too steep (|dt| rows of cells from column to column), and when the
+/// chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px (each
 /// line of the grid that it crosses bends it once), r |column| width / area and r |line| height / area bound the error in u and v. All
 /// squared, and multiplied by the denominators.
 #[inline(always)]
-pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]) {
-    let n = sound.len();
+pub(super) fn soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+    let n = soundness.len();
     let (xa, ya) = (&cells.top.0[..=n], &cells.top.1[..=n]);
     let (xb, yb) = (&cells.bottom.0[..=n], &cells.bottom.1[..=n]);
     let (above, below, u) = (&above[..=n], &below[..=n], &cells.u[..=n]);
@@ -111,12 +116,15 @@ pub(super) fn sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &m
         let twist2 = norm2((right.0 - left.0, right.1 - left.1));
         let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
         let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
-        let fall2 = fall * fall;
-        let off2 = slant2 * (twist2 * fall2 + 2.0 * height2 * bend2 * (fall2 + slant2));
-        let near = off2 * reach2 <= 8.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
+        let (fall2, slant) = (fall * fall, slant2.sqrt());
+        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else 1 + |dt| at most.
+        let lines = if slant < fall { fall } else { fall + slant };
+        let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
+        let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
         let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
-        sound[c] =
-            (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (slant2 <= STEEPEST * STEEPEST * fall2) & near & (far < FARTHEST);
+        let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
+        let sound = upright & (slant2 <= STEEPEST * STEEPEST * fall2) & near;
+        soundness[c] = u8::from(upright) + u8::from(sound);
     }
 }
 
@@ -254,6 +262,53 @@ pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     spans.notes[2][0] = spans.v[0] + inside * spans.notes[3][0];
     spans.first[0] = spans.covered.start as u32;
     spans.first[spans.columns - 1] = spans.covered.end as u32;
+}
+
+/// Where rows cross a convex polygon (a triangle has a corner twice): left and right in any order.
+#[inline(always)]
+pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
+    let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
+    let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
+    for row in rows {
+        let y = row_centre(row);
+        if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y)) {
+            found(row, a, b);
+        }
+    }
+}
+
+/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
+struct Chain<'a> {
+    corners: &'a [Corner; 4],
+    at: usize,
+    step: usize,
+    edge: Option<Edge>,
+    /// The first row that the edge does not cross.
+    end: i64,
+}
+
+impl<'a> Chain<'a> {
+    fn new(corners: &'a [Corner; 4], at: usize, step: usize) -> Self {
+        Self { corners, at, step, edge: None, end: i64::MIN }
+    }
+
+    /// The crossing with a row that the polygon meets, not above the last one asked for.
+    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
+        if self.end <= i64::from(row) {
+            // At most all edges; rows below the lowest corner are never asked for.
+            for _ in 0..4 {
+                let from = self.corners[self.at];
+                self.at = (self.at + self.step) % 4;
+                let to = self.corners[self.at];
+                self.end = first_row(to.y);
+                if self.end > i64::from(row) {
+                    self.edge = Edge::new(from, to);
+                    break;
+                }
+            }
+        }
+        self.edge.as_ref().map(|edge| edge.at(y))
+    }
 }
 
 /// U of a coordinate: kept in the picture, then truncated. NaN is 0.

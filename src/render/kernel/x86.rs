@@ -8,7 +8,8 @@ use super::Kernel;
 use super::scalar::{self, CellRow, NOTES, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, Lattice};
+use crate::render::edge::{CLOSE_CALL, Crossing, Edge};
+use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, row_centre};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -28,7 +29,7 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
-    sound(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound: &mut [bool]);
+    soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
 }
 
@@ -150,11 +151,12 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         let mut cells = spans.columns - 1;
         for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK)) {
             for c in 0..cells.min(BLOCK) {
-                let (mut at, end) = ((first[c] as usize).min(spans.width), (first[c + 1] as usize).min(spans.width));
+                let (mut at, end) = (first[c] as usize, first[c + 1] as usize);
                 let (nu, ndu, nv, ndv) = (_mm256_set1_ps(nu[c]), _mm256_set1_ps(ndu[c]), _mm256_set1_ps(nv[c]), _mm256_set1_ps(ndv[c]));
                 let mut k = lanes;
                 loop {
-                    // SAFETY: `at <= width`, and `u` and `v` have room for a group behind the row, asserted by the caller.
+                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width` after
+                    // the first group, and there is room for a group behind the row.
                     unsafe {
                         _mm256_storeu_ps(u.add(at), _mm256_add_ps(nu, _mm256_mul_ps(k, ndu)));
                         _mm256_storeu_ps(v.add(at), _mm256_add_ps(nv, _mm256_mul_ps(k, ndv)));
@@ -170,9 +172,66 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         }
     }
     debug_assert_eq!(kernel.0, Level::Avx2);
+    assert!(spans.width <= 1 << 22, "pixels are exact in f32");
+    assert!(spans.covered.start <= spans.width && spans.covered.end <= spans.width, "what is covered lies in the row");
     assert!(u.len() >= spans.width + LANES && v.len() >= spans.width + LANES, "a group may end behind the row");
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
     unsafe { wide(spans, u, v) }
+}
+
+/// Where rows cross a convex polygon: `scalar::walk`, the four edges in the lanes of a register.
+pub(super) fn walk(kernel: Kernel, corners: &[Corner; 4], rows: Range<u32>, found: impl FnMut(u32, Crossing, Crossing)) {
+    debug_assert_eq!(kernel.0, Level::Avx2);
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
+    unsafe { wide_walk(corners, rows, found) }
+}
+
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn wide_walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
+    let [a, b, c, d] = *corners;
+    let next = |ends: __m256d| _mm256_permute4x64_pd::<0b00_11_10_01>(ends);
+    let (x, y) = (_mm256_cvtepi32_pd(_mm_setr_epi32(a.x, b.x, c.x, d.x)), _mm256_cvtepi32_pd(_mm_setr_epi32(a.y, b.y, c.y, d.y)));
+    let (u, v) = (_mm256_cvtps_pd(_mm_setr_ps(a.u, b.u, c.u, d.u)), _mm256_cvtps_pd(_mm_setr_ps(a.v, b.v, c.v, d.v)));
+    let upwards = _mm256_cmp_pd::<_CMP_LT_OQ>(next(y), y);
+    let sorted = |ends: __m256d| (_mm256_blendv_pd(ends, next(ends), upwards), _mm256_blendv_pd(next(ends), ends, upwards));
+    let ((top, bottom), (x, x1), (u, u1), (v, v1)) = (sorted(y), sorted(x), sorted(u), sorted(v));
+    let per_step = _mm256_div_pd(_mm256_set1_pd(1.0), _mm256_sub_pd(bottom, top));
+    let slope = |from: __m256d, to: __m256d| _mm256_mul_pd(_mm256_sub_pd(to, from), per_step);
+    let (slope_x, slope_u, slope_v) = (slope(x, x1), slope(u, u1), slope(v, v1));
+    let (half, close) = (_mm256_set1_pd(f64::from(HALF)), _mm256_set1_pd(CLOSE_CALL));
+    for row in rows {
+        let level = row_centre(row);
+        #[expect(clippy::cast_precision_loss, reason = "rows that cells touch are below 2^22")]
+        let y = _mm256_set1_pd(level as f64);
+        let below = _mm256_sub_pd(y, top);
+        let crosses = _mm256_and_pd(_mm256_cmp_pd::<_CMP_GE_OQ>(below, _mm256_setzero_pd()), _mm256_cmp_pd::<_CMP_LT_OQ>(y, bottom));
+        let lanes = _mm256_movemask_pd(crosses).cast_unsigned();
+        if lanes.count_ones() != 2 {
+            continue;
+        }
+        let at = |from: __m256d, slope: __m256d| _mm256_add_pd(from, _mm256_mul_pd(below, slope));
+        let (x, u, v) = (at(x, slope_x), at(u, slope_u), at(v, slope_v));
+        let place = _mm256_mul_pd(_mm256_sub_pd(x, half), _mm256_set1_pd(1.0 / f64::from(ONE)));
+        let off = _mm256_sub_pd(place, _mm256_round_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(place));
+        let near = _mm256_cmp_pd::<_CMP_LE_OQ>(_mm256_andnot_pd(_mm256_set1_pd(-0.0), off), close);
+        let near = _mm256_movemask_pd(near).cast_unsigned() & lanes;
+        let mut pixels = [0_i32; 4];
+        let (mut xs, mut us, mut vs) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+        // SAFETY: four numbers are stored into four numbers each.
+        unsafe {
+            _mm_storeu_si128(pixels.as_mut_ptr().cast(), _mm256_cvttpd_epi32(_mm256_ceil_pd(place)));
+            _mm256_storeu_pd(xs.as_mut_ptr(), x);
+            _mm256_storeu_pd(us.as_mut_ptr(), u);
+            _mm256_storeu_pd(vs.as_mut_ptr(), v);
+        }
+        let crossing = |lane: u32| {
+            let k = lane as usize & 3;
+            let exactly = || Edge::new(corners[k], corners[(k + 1) & 3]).map_or(0, |edge| edge.pixel_exactly(level));
+            let pixel = if near >> lane & 1 == 1 { exactly() } else { i64::from(pixels[k]) };
+            Crossing { pixel, x: xs[k], u: us[k], v: vs[k] }
+        };
+        found(row, crossing(lanes.trailing_zeros()), crossing((lanes & (lanes - 1)).trailing_zeros()));
+    }
 }
 
 /// Rows of the source that are fetched ahead.

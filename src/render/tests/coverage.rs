@@ -34,7 +34,7 @@ fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
     let width = target.width() as usize;
     let mut counter = Counter { width, counts: vec![0; width * target.height() as usize] };
     for cell in lattice.cells_touching(0..target.height()) {
-        cell::draw(lattice, cell, false, &(0..target.height()), target.width(), &mut counter);
+        cell::draw(Kernel::new(Level::detect()), lattice, cell, false, &(0..target.height()), target.width(), &mut counter);
     }
     counter.counts
 }
@@ -152,6 +152,57 @@ fn coordinates_are_those_of_the_bilinear_patch() {
     }
     assert!(worst < 1.0 / 16.0, "{worst} px");
     assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
+}
+
+/// Keeps the coordinates that are painted last.
+struct Painter {
+    width: usize,
+    places: Vec<Option<Point>>,
+}
+
+impl Canvas for Painter {
+    fn wants(&self, _row: u32, _column: usize) -> bool {
+        true
+    }
+
+    fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
+        for (k, x) in pixels.enumerate() {
+            let k = k as f32;
+            let place = Point::new(f64::from(line.u + k * line.du) / 128.0, f64::from(line.v + k * line.dv) / 128.0);
+            self.places[row as usize * self.width + x] = Some(place);
+        }
+    }
+}
+
+#[test]
+fn folded_rows_are_those_of_painting_in_order() {
+    let (mut painted, mut folded) = (0, 0);
+    for seed in 0..30 {
+        let grid = Grid::with_cell(120.0, 90.0, 5.0);
+        let mesh = if seed % 3 == 0 { swirl(grid, 2.0 + 0.2 * seed as f64) } else { waves(grid, seed, 1.5 + 0.2 * seed as f64) };
+        folded += mesh.folded_cells().count();
+        let target = extent(120, 90);
+        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let mut painter = Painter { width: 120, places: vec![None; 120 * 90] };
+        for cell in drawing.lattice.cells_touching(0..90) {
+            cell::draw(Kernel::new(Level::detect()), &drawing.lattice, cell, false, &(0..90), 120, &mut painter);
+        }
+        for row in 0..90 {
+            let (u, v, runs) = drawing.row(row);
+            let mut covered = [false; 120];
+            runs.into_iter().for_each(|run| covered[run].fill(true));
+            for x in 0..120 {
+                let place = painter.places[row as usize * 120 + x];
+                assert_eq!(place.is_some(), covered[x], "seed {seed}, pixel {x}, {row}");
+                if let Some(place) = place {
+                    let drawn = Point::new(f64::from(u[x]) / 128.0, f64::from(v[x]) / 128.0);
+                    assert!(drawn.distance(place) < 1.0 / 8.0, "seed {seed}, pixel {x}, {row}: {drawn:?}, not {place:?}");
+                    painted += 1;
+                }
+            }
+        }
+    }
+    assert!(painted > 100_000 && folded > 1000, "{painted} {folded}");
 }
 
 #[test]

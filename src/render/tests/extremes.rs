@@ -23,6 +23,17 @@ fn extreme_displacements_are_drawn() {
     }
 }
 
+/// Forty thousand cells, each larger than the target: minutes if all were painted.
+#[test]
+fn cells_that_cover_one_another_are_not_all_painted() {
+    let source = Arc::new(Source::new(noise(extent(300, 300), Channels::Rgb, Depth::Eight)));
+    let grid = Grid::with_cell(300.0, 300.0, 1.5);
+    let mut noise = Noise(3);
+    let mesh = Mesh::new(grid, (0..grid.len()).map(|_| [1e5 * noise.signed() as f32, 1e5 * noise.signed() as f32]).collect());
+    let renderer = Renderer::new(source, &mesh, options(extent(300, 300)));
+    assert!(banded(&renderer, 300).chunks_exact(4).all(|pixel| pixel[3] == 255), "so many cells leave nothing bare");
+}
+
 #[test]
 fn nan_is_not_met_but_does_no_harm() {
     let (source, grid) = small();

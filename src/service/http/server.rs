@@ -124,6 +124,23 @@ struct FirstByte {
     within: Duration,
 }
 
+/// What an HTTP/2 connection begins with (RFC 9113, section 3.4).
+const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+/// How often a connection that has sent a part of the preface is looked at again.
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
+
+/// Ends when the version is known: hyper's header timeout begins only then. `P` may be the beginning of `POST` or of the preface.
+async fn version(stream: &TcpStream) -> io::Result<()> {
+    let mut first = [0; PREFACE.len()];
+    loop {
+        let seen = stream.peek(&mut first).await?;
+        if seen == 0 || seen == PREFACE.len() || first[..seen] != PREFACE[..seen] {
+            return Ok(());
+        }
+        tokio::time::sleep(LOOK_AGAIN).await;
+    }
+}
+
 impl<S: Send + 'static> Accept<TcpStream, S> for FirstByte {
     type Stream = TcpStream;
     type Service = S;
@@ -134,7 +151,7 @@ impl<S: Send + 'static> Accept<TcpStream, S> for FirstByte {
         Box::pin(async move {
             // Strips leave when they are made; waiting to fill a segment would hold back the last one.
             stream.set_nodelay(true)?;
-            tokio::time::timeout(within, stream.peek(&mut [0])).await.map_err(|_| io::ErrorKind::TimedOut)??;
+            tokio::time::timeout(within, version(&stream)).await.map_err(|_| io::ErrorKind::TimedOut)??;
             Ok((stream, service))
         })
     }

@@ -14,6 +14,10 @@ impl From<WarpError> for Problem {
             WarpError::Codec(error) => Self::from(error),
             WarpError::Rest(error) => of_handles("p", &error),
             WarpError::Posed(error) => of_handles("q", &error),
+            WarpError::BadPlace { index, value, limit } => {
+                Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
+            }
+            WarpError::GivenUp => Self::new(Code::Timeout, detail),
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
