@@ -25,7 +25,7 @@ pub struct Decoded {
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Bad`] for a file that is truncated anywhere,
-/// whose checksums disagree, or that makes a decoder panic. Bytes after the file's end are ignored.
+/// whose chunks fail their CRC, or that makes a decoder panic. Bytes after the file's end are ignored.
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
     let parsed = Parsed::new(bytes)?;
     let header = parsed.header();

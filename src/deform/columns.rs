@@ -4,8 +4,8 @@
 use super::handles::{COINCIDENT_SHARE, Handle, Handles};
 use crate::geometry::{Point, Vec2};
 
-/// A set whose places all lie within this of their mean is one place, px.
-const ONE_PLACE: f64 = 1e-6;
+/// A set of points that all lie within this of their mean is one place, px.
+pub(super) const ONE_PLACE: f64 = 1e-6;
 
 /// A source of weight: a point or a segment at rest.
 #[derive(Clone, Copy, Debug)]
@@ -73,7 +73,8 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
 pub(super) fn rank(handles: &Handles) -> Rank {
     let places = || handles.handles().iter().flat_map(|h| h.places().iter().copied());
     let Some(first) = places().next() else { return Rank::Empty };
-    if handles.extent() <= ONE_PLACE {
+    // A segment has a direction however short it is.
+    if handles.extent() <= ONE_PLACE && !handles.has_lines() {
         return Rank::OnePlace;
     }
     #[expect(clippy::cast_precision_loss, reason = "a count of places is far below 2^53")]

@@ -1,7 +1,7 @@
 //! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan by a sweep
 //! over x; each pose then only compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
 
-use super::columns::{Element, Segment};
+use super::columns::{Element, ONE_PLACE, Segment};
 use super::handles::COINCIDENT_SHARE;
 use super::{DeformError, Pose};
 use crate::geometry::{Point, Vec2};
@@ -31,20 +31,21 @@ pub(super) struct Meetings {
 impl Meetings {
     /// Sweeps the elements by x. O(n log n) for sets whose elements overlap little in x.
     pub(super) fn find(elements: &[Element], extent: f64) -> Result<Self, DeformError> {
-        let coincident = COINCIDENT_SHARE * extent;
+        let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
         let reach = coincident.max(NEAR);
         let boxes: Vec<[f64; 4]> = elements.iter().map(bounds).collect();
         let mut order: Vec<usize> = (0..elements.len()).collect();
         order.sort_unstable_by(|&i, &j| boxes[i][0].total_cmp(&boxes[j][0]));
-        let mut found = Self { tolerance: CONTRADICTION_SHARE * extent, ..Self::default() };
+        let mut found = Self { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Self::default() };
+        let mut twin = vec![false; elements.len()];
         for (k, &i) in order.iter().enumerate() {
             for &j in &order[k + 1..] {
                 if boxes[j][0] > boxes[i][2] + reach {
                     break;
                 }
                 if boxes[j][1] <= boxes[i][3] + reach && boxes[i][1] <= boxes[j][3] + reach {
-                    found.meet(elements, i.min(j), i.max(j), coincident);
-                    if found.touching.len() + found.near.len() > MOST {
+                    found.meet(elements, i.min(j), i.max(j), coincident, &mut twin);
+                    if found.touching.len() > MOST {
                         return Err(DeformError::TooManyMeetings { limit: MOST });
                     }
                 }
@@ -54,13 +55,17 @@ impl Meetings {
         Ok(found)
     }
 
-    fn meet(&mut self, elements: &[Element], i: usize, j: usize, coincident: f64) {
+    fn meet(&mut self, elements: &[Element], i: usize, j: usize, coincident: f64, twin: &mut [bool]) {
         match (&elements[i], &elements[j]) {
             (Element::Point { p, .. }, Element::Point { p: other, .. }) => {
                 let apart = p.distance(*other);
                 if apart <= coincident {
-                    self.touching.push(((i, 0.0), (j, 0.0)));
-                } else if apart < NEAR {
+                    // One earlier point at the same place is enough: it has been compared with the others.
+                    if !std::mem::replace(&mut twin[j], true) {
+                        self.touching.push(((i, 0.0), (j, 0.0)));
+                    }
+                } else if apart < NEAR && self.near.len() < MOST {
+                    // A warning needs some of them, not all.
                     self.near.push((i, j, apart));
                 }
             }

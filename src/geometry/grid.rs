@@ -13,8 +13,9 @@ pub struct Grid {
     rows: u32,
 }
 
-/// Lines 0, cell, 2 cell, ... closer than this share of a cell to the far edge are the far edge.
-const LAST_CELL_AT_LEAST: f64 = 1e-6;
+/// A line 0, cell, 2 cell, ... closer than this share of a cell to the far edge is the far edge: a thinner last cell would fold by the rounding
+/// of its f32 displacements alone.
+const LAST_CELL_AT_LEAST: f64 = 1e-3;
 
 impl Grid {
     /// Cells of `cell` px; the last column and row may be narrower. `width`, `height`, `cell` are positive and finite.

@@ -71,10 +71,10 @@ impl Patch {
         let (a, b, c) = (-self.f.cross(self.d), h.cross(self.d) + self.e.cross(self.f), h.cross(self.e));
         let root = self.sign * (b * b - 4.0 * a * c).max(0.0).sqrt();
         let t = if b * root >= 0.0 { -2.0 * c / (b + root) } else { (root - b) / (2.0 * a) };
-        let t = t.clamp(0.0, 1.0);
+        let t = within(t);
         let (along, rest) = (self.e + self.d * t, h - self.f * t);
         let s = if along.x.abs() > along.y.abs() { rest.x / along.x } else { rest.y / along.y };
-        let s = s.clamp(0.0, 1.0);
+        let s = within(s);
         (self.u[0] + s * (self.u[1] - self.u[0]), self.v[0] + t * (self.v[1] - self.v[0]))
     }
 
@@ -91,4 +91,9 @@ impl Patch {
         let reach2 = (f.norm2().max(f1.norm2()) * width * width).max(e.norm2().max(e1.norm2()) * height * height);
         0.25 * slant * (d.norm2() * reach2).sqrt() / area
     }
+}
+
+/// Into [0, 1]. A place of a cell that has lost its area in f64 is 0/0: it becomes a place of the border, never NaN.
+fn within(share: f64) -> f64 {
+    if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }

@@ -1,6 +1,6 @@
 //! Drawing a prepared warp into an answer. A small picture is made whole; a larger one leaves strip by strip through an unbounded channel,
-//! so that compute never waits for a reader (its memory is bounded by what the warp says it will write at most). Whoever drops the
-//! receiving end ends the work at the next strip.
+//! so that compute never waits for a reader. One answer holds at most what its warp says it will write; the sum over all answers is not
+//! bounded here. Whoever drops the receiving end ends the work at the next strip.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -257,6 +257,8 @@ fn etag(image: &Image, setup: &Setup, pose: &Pose, output: &OutputSpec, target: 
         .bytes(Level::detect().name().as_bytes())
         .bytes(&image.digest().0)
         .bytes(&setup.plan_key().0)
+        // Rows that are weighed anew are summed in f64.
+        .integer(setup.plan_bytes().is_some().into())
         .integer(compression)
         .integer(filter)
         .bytes(&outside)

@@ -33,7 +33,7 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{what}: {actual}; at most {limit}")]
     TooLarge {
-        /// Which limit: `handle_columns`, `grid_vertices`, `output_side`, `output_pixels`.
+        /// Which limit: `handle_columns`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
         what: &'static str,
         /// The limit.
         limit: u64,

@@ -15,6 +15,8 @@ use crate::pixmap::Extent;
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
 /// A mesh holds two f32 a vertex.
 const MESH_BYTES_PER_VERTEX: u64 = 8;
+/// Grid lines a px at most, along each axis: finer cells show nothing that a pixel could.
+const LINES_PER_PX: f64 = 4.0;
 /// Places that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
@@ -152,8 +154,17 @@ pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(),
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
     let vertices_limit = limits.plan_bytes / MESH_BYTES_PER_VERTEX;
     let vertices = |columns: u32, rows: u32| u64::from(columns) * u64::from(rows);
+    // Per axis too: a row's working memory, one a thread, grows with its columns.
+    let along = |what, length: f64, count: u32| {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]
+        let limit = (length * LINES_PER_PX) as u64 + 1;
+        at_most(what, limit.max(2), count.into())
+    };
     let with_cell = |cell: f64| {
-        let count = vertices(1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
+        let (columns, rows) = (1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
+        let count = vertices(columns, rows);
+        along("grid_columns", width, columns)?;
+        along("grid_rows", height, rows)?;
         at_most("grid_vertices", vertices_limit, count).map(|()| Grid::with_cell(width, height, cell))
     };
     match spec {
@@ -162,6 +173,8 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("a grid's cell is a positive number of px: {cell}"))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
+            along("grid_columns", width, columns)?;
+            along("grid_rows", height, rows)?;
             at_most("grid_vertices", vertices_limit, vertices(columns, rows))?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }

@@ -59,12 +59,14 @@ fn fractions() -> impl Strategy<Value = Vec<(f64, f64)>> {
 fn sets() -> impl Strategy<Value = Set> {
     let cells = proptest::sample::subsequence((0..16usize).collect::<Vec<_>>(), 3..=8);
     let moved = proptest::collection::vec((-60.0f64..60.0, -60.0f64..60.0), 40);
-    let alpha = prop_oneof![Just(0.5), Just(1.0), Just(1.5), Just(2.0), Just(3.0), 0.5f64..8.0];
+    let alpha = prop_oneof![0.05f64..0.5, Just(0.5), Just(1.0), Just(1.5), Just(2.0), Just(3.0), 0.5f64..8.0];
     (cells, proptest::collection::vec(fractions(), 8), moved, proptest::collection::vec(0.2f64..5.0, 8), alpha, 1.0f64..200.0).prop_map(
         |(cells, shapes, moved, weights, alpha, point_mass)| {
             let cell = SIDE / 4.0;
             let mut moved = moved.into_iter();
             let mut set = Set { p: vec![], q: vec![], weights: weights[..cells.len()].to_vec(), alpha, point_mass };
+            let has_lines = shapes[..cells.len()].iter().any(|shape| shape.len() > 1);
+            set.alpha = if has_lines { alpha.max(0.5) } else { alpha };
             for (&at, shape) in cells.iter().zip(&shapes) {
                 let corner = Vec2::new((at % 4) as f64 * cell, (at / 4) as f64 * cell);
                 let places: Vec<Point> = shape.iter().map(|(x, y)| Point::new(x * cell, y * cell) + corner).collect();

@@ -1,4 +1,5 @@
-//! Whoever refuses (a route, a layer, the framework), the answer is a whole problem document.
+//! Whoever refuses (a route, a layer, the framework), the answer is a whole problem document. Only what is not HTTP at all (a head that
+//! cannot be parsed or is too long) is answered by the HTTP library, without a body.
 
 use reqwest::Method;
 use serde_json::json;

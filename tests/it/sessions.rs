@@ -51,6 +51,40 @@ async fn a_deleted_session_is_gone() {
 }
 
 #[tokio::test]
+async fn the_picture_and_the_plan_go_with_the_last_session_that_uses_them() {
+    let server = Server::start(&[]).await;
+    let (file, warp) = (photo(24, 18), json!({"p": [[2, 2], [20, 3], [9, 15]]}));
+    let built = |expected: &'static str| {
+        let (server, file, warp) = (&server, &file, &warp);
+        async move {
+            let mut object = warp.clone();
+            object["q"] = object["p"].clone();
+            let response = server.upload("/warp", file, &object).await;
+            assert_eq!(header(&response, "warp-plan"), expected);
+        }
+    };
+    let (first, second) = (server.session(&file, &warp).await, server.session(&file, &warp).await);
+    built("hit").await;
+    for (id, expected) in [(first, "hit"), (second, "built")] {
+        assert_eq!(server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap().status(), 204);
+        built(expected).await;
+    }
+}
+
+#[tokio::test]
+async fn points_out_of_range_are_refused_and_change_nothing_for_others() {
+    let server = Server::start(&[]).await;
+    let far = json!({"extent": [64, 48], "p": [[1, 1], [30, 9]], "q": [[2, 1], [31, 19]], "points": [[5, 5], [1e300, 1e300]]});
+    for _ in 0..4 {
+        let response = server.client.post(server.url("/points")).json(&far).send().await.unwrap();
+        assert_eq!(problem(response, 422, "bad_value").await["pointer"], "/points/1");
+        let none = json!({"extent": [64, 48], "points": [[1, 1]]});
+        let answer: Value = server.client.post(server.url("/points")).json(&none).send().await.unwrap().json().await.unwrap();
+        assert_eq!(answer, json!({"points": [[1.0, 1.0]]}));
+    }
+}
+
+#[tokio::test]
 async fn an_idle_session_expires_is_told_so_and_then_forgotten() {
     let server = Server::start(&["--session-idle", "400ms"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;

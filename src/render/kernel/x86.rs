@@ -310,8 +310,9 @@ fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Plac
     let (across, down) = (inside(u, last_x), inside(v, last_y));
     let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
     let index = _mm256_add_epi32(index, _mm256_srli_epi32::<7>(across));
-    let both = _mm256_or_si256(across, _mm256_slli_epi32::<16>(down));
-    let fractions = _mm256_and_si256(both, _mm256_set1_epi32(0x007f_007f));
+    // Fractions alone are joined: beyond 512 px the whole part of `across` would reach into the upper half.
+    let fraction = |places: __m256i| _mm256_and_si256(places, _mm256_set1_epi32(127));
+    let fractions = _mm256_or_si256(fraction(across), _mm256_slli_epi32::<16>(fraction(down)));
     // SAFETY: eight integers are stored into eight integers, twice.
     unsafe {
         _mm256_storeu_si256(places.index.as_mut_ptr().cast(), index);

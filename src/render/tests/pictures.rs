@@ -171,6 +171,34 @@ fn later_cell_wins_where_the_picture_folds() {
     }
 }
 
+/// A wide source: places beyond 512 px take more than 16 bits of fixed point.
+#[test]
+fn levels_give_the_same_bytes_across_wide_sources() {
+    for (channels, depth) in kinds() {
+        let wide = extent(8200, 11);
+        let source = Arc::new(Source::new(noise(wide, channels, depth)));
+        let grid = Grid::with_cell(8200.0, 11.0, 41.0);
+        for (mesh, target) in [
+            (Mesh::new(grid, vec![[1.0, 0.0]; grid.len()]), wide),
+            (Mesh::new(grid, vec![[0.37, 0.21]; grid.len()]), wide),
+            (waves(grid, 3, 0.3), extent(4100, 6)),
+        ] {
+            let reference = draw_on(Level::Scalar, &source, &mesh, options(target)).1;
+            for &level in Level::available() {
+                assert!(draw_on(level, &source, &mesh, options(target)).1 == reference, "{channels:?} {depth:?} {level:?}");
+            }
+        }
+        let shifted = Mesh::new(grid, vec![[1.0, 0.0]; grid.len()]);
+        let (renderer, out) = draw(&source, &shifted, options(wide));
+        if renderer.channels() == channels && channels == Channels::Rgba && depth == Depth::Eight {
+            let Samples::Eight(samples) = source.pixmap().samples() else { panic!("eight bits") };
+            for (got, want) in out.chunks_exact(8200 * 4).zip(samples.chunks_exact(8200 * 4)) {
+                assert!(got[4..] == want[..8199 * 4], "a shift by one pixel moves pixels");
+            }
+        }
+    }
+}
+
 #[test]
 fn levels_give_the_same_bytes() {
     for (seed, (channels, depth)) in (0..24).zip(kinds().cycle()) {

@@ -22,7 +22,7 @@ impl From<WarpError> for Problem {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
                     "handle_columns" => problem.pointer("/p"),
-                    "grid_vertices" => problem.pointer("/grid"),
+                    "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     output if output.starts_with("output_") => problem.pointer("/output/width"),
                     _ => problem,
                 }
