@@ -15,8 +15,9 @@ use crate::pixmap::Extent;
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
 /// A mesh holds two f32 a vertex.
 const MESH_BYTES_PER_VERTEX: u64 = 8;
-/// Grid lines a px at most, along each axis: finer cells show nothing that a pixel could.
+/// Grid lines a px at most, along each axis (finer cells show nothing that a pixel could), and how many a small picture may have all the same.
 const LINES_PER_PX: f64 = 4.0;
+const LINES_ALWAYS: f64 = 4096.0;
 /// Places that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
@@ -157,8 +158,8 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
     // Per axis too: a row's working memory, one a thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]
-        let limit = (length * LINES_PER_PX) as u64 + 1;
-        at_most(what, limit.max(2), count.into())
+        let limit = (length * LINES_PER_PX).max(LINES_ALWAYS) as u64 + 1;
+        at_most(what, limit, count.into())
     };
     let with_cell = |cell: f64| {
         let (columns, rows) = (1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
