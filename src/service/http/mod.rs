@@ -1,8 +1,8 @@
 //! HTTP: routes, and the layers around them. Every answer that is not a success is a problem document, whoever refused
 //! (but for heads that are no HTTP: hyper answers those, with an empty body).
 //!
-//! From the outside in: [`fence`] (request id, body limits and deadline, panics, the request's own deadline, problem documents, one log
-//! line a request), then [`shed`] on the routes that compute (a full queue answers before a body is read), then the handlers.
+//! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, one log
+//! line a request), then `shed` on the routes that compute (a full queue answers before a body is read), then the handlers.
 
 mod accept;
 mod answer;
