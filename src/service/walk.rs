@@ -189,8 +189,9 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with the handles, or no room.
-    pub async fn map_once(&self, object: PointsObject) -> Result<Vec<Point>, Problem> {
+    pub async fn map_once(&self, json: Bytes) -> Result<Vec<Point>, Problem> {
         let ticket = self.0.pool.admit().await?;
+        let object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut rest, extent) = object.warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
@@ -203,10 +204,11 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, whatever is wrong with the handles, or no room.
-    pub async fn map_session(&self, id: SessionId, object: PointsObject) -> Result<Vec<Point>, Problem> {
+    pub async fn map_session(&self, id: SessionId, json: Bytes) -> Result<Vec<Point>, Problem> {
         let session = self.0.store.touch(id, None).await?;
         let setup = self.session_setup(&session.record).await?;
         let ticket = self.0.pool.admit().await?;
+        let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
         self.map(&ticket, setup, object.q, object.points).await
     }
 
@@ -262,7 +264,7 @@ impl App {
     async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Arc<Image>, Problem> {
         let (pool, ticket, limits) = (self.0.pool.clone(), ticket.clone(), self.0.config.limits.image);
         let decode = async move {
-            match pool.run(&ticket, move |_| Image::decode(&file, &limits)).await {
+            match pool.run(&ticket, move |_| Image::decode_as(digest, &file, &limits)).await {
                 // Decoders are known to panic on hostile files: the file is at fault, not the request's other parts.
                 Err(PoolError::Panicked) => {
                     Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "its decoder gave up".to_owned() }).into())

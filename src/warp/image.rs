@@ -27,8 +27,16 @@ impl Image {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
+        Self::decode_as(Self::digest_of(file), file, limits)
+    }
+
+    /// The same where the digest is known already.
+    ///
+    /// # Errors
+    /// See [`codec::CodecError`].
+    pub fn decode_as(digest: Digest, file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
         let decoded = codec::decode(file, limits)?;
-        Ok(Self { digest: Self::digest_of(file), source: Arc::new(Source::new(decoded.pixmap)), icc: decoded.icc })
+        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc: decoded.icc })
     }
 
     /// The digest of the file.

@@ -10,7 +10,7 @@ use super::sessions::session_id;
 use crate::geometry::Point;
 use crate::service::App;
 use crate::service::problem::Problem;
-use crate::service::wire::{PointsObject, Wire};
+use crate::service::wire::Wire;
 
 #[derive(Serialize)]
 struct Mapped<'a> {
@@ -19,7 +19,7 @@ struct Mapped<'a> {
 
 pub(super) async fn once(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
-    let mapped = app.map_once(PointsObject::parse(&body)?).await?;
+    let mapped = app.map_once(body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }
 
@@ -27,6 +27,6 @@ pub(super) async fn of_session(State(app): State<App>, Path(id): Path<String>, r
     let id = session_id(&id)?;
     app.session(id).await?;
     let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
-    let mapped = app.map_session(id, PointsObject::parse_posed(&body)?).await?;
+    let mapped = app.map_session(id, body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }
