@@ -1,5 +1,5 @@
 //! Which instruction set the kernels of `deform`, `render` and `codec::png` use: asked of the processor once, at run time, so that a plain
-//! build is fast everywhere. `MLSWARP_LEVEL=scalar|avx2` lowers it (tests run every level; a level that the processor lacks is not taken).
+//! build is fast everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it (tests run every level; a level that the processor lacks is not taken).
 
 use std::sync::OnceLock;
 
@@ -10,6 +10,8 @@ pub enum Level {
     Scalar,
     /// x86-64 with AVX2, FMA, BMI1, BMI2 and LZCNT (x86-64-v3).
     Avx2,
+    /// x86-64 with AVX-512 F, BW, CD, DQ, VL and VBMI besides (x86-64-v4 from Ice Lake and Zen 4 on).
+    Avx512,
 }
 
 impl Level {
@@ -22,6 +24,7 @@ impl Level {
             match std::env::var("MLSWARP_LEVEL").as_deref() {
                 Ok("scalar") => Self::Scalar,
                 Ok("avx2") => best.min(Self::Avx2),
+                Ok("avx512") => best.min(Self::Avx512),
                 _ => best,
             }
         })
@@ -30,15 +33,20 @@ impl Level {
     /// Every level that this processor has, lowest first.
     #[must_use]
     pub fn available() -> &'static [Self] {
-        if Self::best() == Self::Avx2 { &[Self::Scalar, Self::Avx2] } else { &[Self::Scalar] }
+        match Self::best() {
+            Self::Scalar => &[Self::Scalar],
+            Self::Avx2 => &[Self::Scalar, Self::Avx2],
+            Self::Avx512 => &[Self::Scalar, Self::Avx2, Self::Avx512],
+        }
     }
 
-    /// `scalar`, `avx2`.
+    /// `scalar`, `avx2`, `avx512`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Scalar => "scalar",
             Self::Avx2 => "avx2",
+            Self::Avx512 => "avx512",
         }
     }
 
@@ -56,12 +64,22 @@ impl Level {
                     && is_x86_feature_detected!("bmi2")
                     && is_x86_feature_detected!("lzcnt")
             }
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => {
+                Self::Avx2.is_here()
+                    && is_x86_feature_detected!("avx512f")
+                    && is_x86_feature_detected!("avx512bw")
+                    && is_x86_feature_detected!("avx512cd")
+                    && is_x86_feature_detected!("avx512dq")
+                    && is_x86_feature_detected!("avx512vl")
+                    && is_x86_feature_detected!("avx512vbmi")
+            }
             #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx2 => false,
+            Self::Avx2 | Self::Avx512 => false,
         }
     }
 
     fn best() -> Self {
-        if Self::Avx2.is_here() { Self::Avx2 } else { Self::Scalar }
+        [Self::Avx512, Self::Avx2].into_iter().find(|level| level.is_here()).unwrap_or(Self::Scalar)
     }
 }

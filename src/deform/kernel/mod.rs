@@ -27,7 +27,7 @@ pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mu
 pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => x86::displace(family, table, d, out),
+        Level::Avx2 | Level::Avx512 if level.is_here() => x86::displace(family, table, d, out),
         _ => scalar::displace(family, table, d, out),
     }
 }

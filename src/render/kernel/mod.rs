@@ -28,9 +28,9 @@ macro_rules! dispatch {
         match $self.0 {
             Level::Scalar => scalar::$name($($argument),*),
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => x86::$name($self, $($argument),*),
+            Level::Avx2 | Level::Avx512 => x86::$name($self, $($argument),*),
             #[cfg(not(target_arch = "x86_64"))]
-            Level::Avx2 => scalar::$name($($argument),*),
+            Level::Avx2 | Level::Avx512 => scalar::$name($($argument),*),
         }
     };
 }

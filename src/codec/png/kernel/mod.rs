@@ -14,7 +14,7 @@ mod x86;
 pub(super) fn fast(level: Level, rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => x86::fast(rows, last, most, out),
+        Level::Avx2 | Level::Avx512 if level.is_here() => x86::fast(rows, last, most, out),
         _ => fast::body(rows, last, most, out),
     }
 }
