@@ -1,12 +1,13 @@
-//! The general way: one cell at a time, in painter's order, any shape. A convex cell is its bilinear patch: along a row of pixel centres the
-//! coordinates are exact where the row enters and leaves the cell and linear between, in as many pieces as the tolerance asks for. Every other
-//! cell is two triangles, each affine. Sampler coordinates into rows of pixels; O(rows touched + pixels painted) a cell.
+//! The general way: one cell at a time, in painter's order, any shape. A convex cell is its bilinear patch, every other cell is two triangles,
+//! each affine. Cells as they are as a rule are drawn in lanes (`kernel::cells`); of those with longer sides, the coordinates along a row of pixel
+//! centres are exact where the row enters and leaves the cell and linear between, in as many pieces as the tolerance asks for. Sampler
+//! coordinates into rows of pixels; O(rows touched + pixels painted) a cell.
 
 use std::ops::Range;
 
-use super::edge::Crossing;
-use super::kernel::Kernel;
-use super::lattice::{Corner, Lattice, ONE, column_centre, first_row, row_centre};
+use super::edge::{self, Crossing};
+use super::kernel::{BARE, Canvas, Glance, Kernel, LONGEST_SIDE, Piece};
+use super::lattice::{BLOCK, Corner, Lattice, ONE, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
 
@@ -15,72 +16,77 @@ const MANY: usize = 1 << 31;
 
 /// Coordinates along a run of pixels: `u + k du`, `v + k dv` at the k-th.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Line {
-    pub(super) u: f32,
-    pub(super) du: f32,
-    pub(super) v: f32,
-    pub(super) dv: f32,
+struct Line {
+    u: f32,
+    du: f32,
+    v: f32,
+    dv: f32,
 }
 
-/// What cells are drawn on.
-pub(super) trait Canvas {
-    /// Whether cells of a column are drawn in a target row at all.
-    fn wants(&self, row: u32, column: usize) -> bool;
-    /// Whether cells come from the last one back, and earlier paint stays.
-    fn backwards(&self) -> bool {
-        false
-    }
-    /// Paints a run of pixels of a row.
-    fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line);
-}
-
-/// Draws what a cell covers of the pixels `[0, width)` of target rows; `sound` as the kernels decide.
-pub(super) fn draw(
+/// Draws what a row of cells covers of the rows that are open, from its last cell to its first; of each block of cells those whose bits are set.
+pub(super) fn draw_row(
     kernel: Kernel,
     lattice: &Lattice,
-    (i, j): (usize, usize),
-    sound: bool,
+    j: usize,
+    blocks: impl Fn(usize) -> u8,
     rows: &Range<u32>,
-    width: u32,
-    canvas: &mut impl Canvas,
+    canvas: &mut Canvas<'_>,
 ) {
-    let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
-    let (left, right) = bounds(corners.map(|c| c.x));
-    if right <= 0 || i64::from(left) >= i64::from(width) * i64::from(ONE) {
-        return;
-    }
-    let window = Window { kernel, rows, width: i64::from(width), column: i };
-    if sound {
-        // Convex, and near enough to linear.
-        return window.polygon(&corners, canvas, |span, row, canvas| span.straight(row, canvas));
-    }
-    match shape(&corners) {
-        Shape::Convex(sign) => {
-            let patch = Patch::new(&corners, sign);
-            // NaN where the area is lost in f64: the largest number of pieces.
-            let pieces = (patch.linear_error(lattice.unit) / TOLERANCE).sqrt();
-            if pieces <= 1.0 {
-                window.polygon(&corners, canvas, |span, row, canvas| span.straight(row, canvas));
+    let mut seen = Glance::default();
+    for b in (0..lattice.blocks()).rev() {
+        let mut cells = blocks(b);
+        if cells == 0 || !lattice.block_touches(j, b, rows) {
+            continue;
+        }
+        kernel.glance(lattice, j, b, canvas, &mut seen);
+        while cells != 0 {
+            let k = cells.ilog2() as usize;
+            cells &= !(1 << k);
+            let (i, rows) = (b * BLOCK + k, seen.rows[k] & canvas.open);
+            if rows == 0 {
+                continue;
+            }
+            let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
+            if seen.convex[k] == 0 {
+                draw(kernel, &corners, lattice.unit, rows, canvas);
             } else {
-                #[expect(
-                    clippy::cast_possible_truncation,
-                    clippy::cast_sign_loss,
-                    reason = "float to integer saturates, and NaN is taken out"
-                )]
-                let pieces = if pieces.is_nan() { MANY } else { (pieces.ceil() as usize).min(MANY) };
-                window.polygon(&corners, canvas, |span, row, canvas| span.bent(row, &patch, pieces, canvas));
-            }
-        }
-        Shape::Other => {
-            let mut triangles = triangles(&corners);
-            if canvas.backwards() {
-                triangles.reverse();
-            }
-            for triangle in triangles {
-                window.polygon(&triangle, canvas, |span, row, canvas| span.straight(row, canvas));
+                kernel.fill(&Piece::cell(&seen, k, &corners), rows, canvas);
             }
         }
     }
+}
+
+/// Draws a cell that is not convex, or has long sides.
+fn draw(kernel: Kernel, corners: &[Corner; 4], unit: f32, rows: u32, canvas: &mut Canvas<'_>) {
+    match shape(corners) {
+        Shape::Convex(sign) => large(corners, Some(sign), unit, rows, canvas),
+        Shape::Other => {
+            let ((left, right), (top, bottom)) = (bounds(corners.map(|c| c.x)), bounds(corners.map(|c| c.y)));
+            // Vertices lie within +-LIMIT, so differences fit.
+            let small = (right - left).max(bottom - top) <= LONGEST_SIDE;
+            for triangle in triangles(corners).into_iter().rev() {
+                let rows = rows & canvas.open & rows_of(&triangle, canvas);
+                let sign = turn(triangle[0], triangle[1], triangle[2]).signum();
+                if rows == 0 || sign == 0 {
+                    continue;
+                }
+                if small {
+                    kernel.fill(&Piece::triangle(&triangle, if sign > 0 { 1 } else { -1 }), rows, canvas);
+                } else {
+                    large(&triangle, None, unit, rows, canvas);
+                }
+            }
+        }
+    }
+}
+
+/// The rows of the canvas that a polygon meets.
+fn rows_of(corners: &[Corner; 4], canvas: &Canvas<'_>) -> u32 {
+    let (top, bottom) = bounds(corners.map(|c| c.y));
+    let from_first = |y: i32| (first_row(y) - i64::from(canvas.first)).clamp(0, i64::from(u32::BITS));
+    #[expect(clippy::cast_possible_truncation, reason = "32 bits are kept of 64")]
+    let below = |row: i64| (u64::from(u32::MAX) << row) as u32;
+    below(from_first(top)) & !below(from_first(bottom))
 }
 
 /// A cell that is not convex, divided along the diagonal 00-11 unless only the other one gives two triangles of one orientation (a dart whose
@@ -98,13 +104,6 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
     places.iter().fold((i32::MAX, i32::MIN), |(low, high), &p| (low.min(p), high.max(p)))
 }
 
-struct Window<'a> {
-    kernel: Kernel,
-    rows: &'a Range<u32>,
-    width: i64,
-    column: usize,
-}
-
 /// What a row meets of a convex polygon: pixels `[first, end)`, and the crossings at either side.
 struct Span {
     first: usize,
@@ -115,45 +114,49 @@ struct Span {
     y: f64,
 }
 
-impl Window<'_> {
-    /// Walks the rows of a convex polygon.
-    fn polygon<C: Canvas>(&self, corners: &[Corner; 4], canvas: &mut C, mut paint: impl FnMut(&Span, u32, &mut C)) {
-        let (top, bottom) = bounds(corners.map(|c| c.y));
-        let clip = |row: i64| u32::try_from(row.max(0)).unwrap_or(u32::MAX).clamp(self.rows.start, self.rows.end);
-        let (first, end) = (clip(first_row(top)), clip(first_row(bottom)));
-        if first >= end {
-            return;
-        }
-        self.kernel.walk(corners, first..end, |row, a, b| {
-            if canvas.wants(row, self.column)
-                && let Some(span) = self.span(a, b, row_centre(row))
-            {
-                paint(&span, row, canvas);
+/// A polygon with sides that are long: row by row between its exact crossings, linear in as many pieces as the tolerance asks for.
+fn large(corners: &[Corner; 4], convex: Option<i8>, unit: f32, rows: u32, canvas: &mut Canvas<'_>) {
+    let bent = convex.map(|sign| {
+        let patch = Patch::new(corners, sign);
+        // NaN where the area is lost in f64: the largest number of pieces.
+        let pieces = (patch.linear_error(unit) / TOLERANCE).sqrt();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates, and NaN is taken out")]
+        let pieces = if pieces.is_nan() { MANY } else { (pieces.ceil() as usize).clamp(1, MANY) };
+        (patch, pieces)
+    });
+    let range = canvas.first + rows.trailing_zeros()..canvas.first + (u32::BITS - rows.leading_zeros());
+    edge::walk(corners, range, |row, a, b| {
+        if rows >> (row - canvas.first) & 1 == 1
+            && let Some(span) = span(a, b, row_centre(row), canvas.width)
+        {
+            match &bent {
+                Some((patch, pieces)) if *pieces > 1 => span.bent(row, patch, *pieces, canvas),
+                _ => span.straight(row, canvas),
             }
-        });
-    }
+        }
+    });
+}
 
-    fn span(&self, a: Crossing, b: Crossing, y: i64) -> Option<Span> {
-        let (left, right) = if a.pixel <= b.pixel { (a, b) } else { (b, a) };
-        let clip = |pixel: i64| usize::try_from(pixel.clamp(0, self.width)).unwrap_or(0);
-        let (first, end) = (clip(left.pixel), clip(right.pixel));
-        (first < end).then_some(Span { first, end, left, right, y: y as f64 })
-    }
+fn span(a: Crossing, b: Crossing, y: i64, width: usize) -> Option<Span> {
+    let (left, right) = if a.pixel <= b.pixel { (a, b) } else { (b, a) };
+    let clip = |pixel: i64| usize::try_from(pixel.max(0)).unwrap_or(0).min(width);
+    let (first, end) = (clip(left.pixel), clip(right.pixel));
+    (first < end).then_some(Span { first, end, left, right, y: y as f64 })
 }
 
 impl Span {
     /// Linear from the left crossing to the right one.
     #[inline]
-    fn straight(&self, row: u32, canvas: &mut impl Canvas) {
-        canvas.paint(row, self.first..self.end, between(&self.left, &self.right, self.first));
+    fn straight(&self, row: u32, canvas: &mut Canvas<'_>) {
+        paint(canvas, row, self.first..self.end, between(&self.left, &self.right, self.first));
     }
 
     /// Linear in pieces of equal breadth, between places where the patch is inverted; at every pixel where pieces would be shorter than two.
-    fn bent(&self, row: u32, patch: &Patch, pieces: usize, canvas: &mut impl Canvas) {
+    fn bent(&self, row: u32, patch: &Patch, pieces: usize, canvas: &mut Canvas<'_>) {
         if self.end - self.first < 2 * pieces {
             for pixel in self.first..self.end {
                 let at = self.inverse(patch, column_centre(pixel));
-                canvas.paint(row, pixel..pixel + 1, line((at.u, at.v), (0.0, 0.0)));
+                paint(canvas, row, pixel..pixel + 1, line((at.u, at.v), (0.0, 0.0)));
             }
             return;
         }
@@ -165,7 +168,7 @@ impl Span {
             let to = if piece == pieces { self.right } else { self.inverse(patch, self.left.x + breadth * piece as f64) };
             let end = if piece == pieces { self.end } else { usize::try_from(to.pixel).unwrap_or(0).clamp(first, self.end) };
             if first < end {
-                canvas.paint(row, first..end, between(&from, &to, first));
+                paint(canvas, row, first..end, between(&from, &to, first));
             }
             (from, first) = (to, end);
         }
@@ -178,6 +181,23 @@ impl Span {
         let pixel = (x / f64::from(ONE) + 0.5) as i64;
         Crossing { pixel, x, u, v }
     }
+}
+
+/// Paints a run of pixels.
+fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, line: Line) {
+    let index = (row - canvas.first) as usize;
+    let start = index * canvas.pitch;
+    let (u, v) = (&mut canvas.u[start..][pixels.clone()], &mut canvas.v[start..][pixels]);
+    let (mut k, mut painted) = (0.0, 0);
+    for (u, v) in u.iter_mut().zip(v) {
+        if canvas.over || *u == BARE {
+            *u = line.u + k * line.du;
+            *v = line.v + k * line.dv;
+            painted += 1;
+        }
+        k += 1.0;
+    }
+    canvas.count(index, painted);
 }
 
 /// From pixel `first` on, the line between two places of a row.

@@ -1,15 +1,14 @@
-//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, where all cells between two columns are sound
-//! (`kernel::sound`) and the row crosses both, and cell by cell elsewhere (`mixed` divides them). Which way is taken depends on the mesh and
-//! the row alone: any banding gives the same bytes. O(cells touched + pixels).
+//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, where the row crosses every column and meets
+//! upright cells only (those that crossings do not show well enough, `kernel::soundness`, are drawn over them), and cell by cell elsewhere.
+//! Which way is taken depends on the mesh and the row alone: any banding gives the same bytes. O(cells touched + pixels).
 
 use std::ops::Range;
 
 use super::border::Border;
-use super::cell::{self, Canvas, Line};
+use super::cell;
 use super::edge::Edge;
-use super::kernel::{CellRow, Kernel, NOTES, SOUND, Spans, UPRIGHT};
+use super::kernel::{BARE, Canvas, CellRow, Kernel, LANES, NOTES, SOUND, Spans, UPRIGHT};
 use super::lattice::{BLOCK, LIMIT, Lattice, Reach, column_centre, row_centre};
-use super::mixed::Kinds;
 use super::sampler;
 use super::source::Source;
 use super::{Outside, RenderOptions};
@@ -17,13 +16,13 @@ use crate::geometry::Point;
 use crate::pixmap::Channels;
 
 /// Rows whose coordinates are made together.
-const STRIP: u32 = 16;
+const STRIP: u32 = 32;
 /// Pixels beyond the row that kernels may write.
-const SLACK: usize = 16;
+const SLACK: usize = LANES;
+/// Crossings in f32 are nearer than this to the exact ones, px.
+const DOUBT: f32 = 1.0 / 32.0;
 /// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
 const FARTHEST: u32 = 1 << 15;
-/// u where nothing is painted; no place has it.
-const BARE: f32 = f32::NEG_INFINITY;
 
 /// A mesh that is ready to be drawn.
 #[derive(Debug)]
@@ -34,10 +33,8 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// How each cell may be drawn, `[rows - 1][columns - 1]`.
-    soundness: Vec<u8>,
-    /// The rows that cross every column an odd number of times.
-    crossing: Range<u32>,
+    /// The cells that are not sound, a bit each, `[rows - 1][blocks]`.
+    bent: Vec<u8>,
     /// How each row is drawn.
     ways: Vec<Way>,
     /// Every pixel of the target is certainly covered.
@@ -49,10 +46,11 @@ pub(super) struct Drawing {
 enum Way {
     /// It crosses every column and meets sound cells only: by column crossings.
     Plain,
-    /// It crosses every column and meets upright cells only: the same, then the cells of bent strips over it.
-    Ordered,
-    /// Good strips by column crossings, all else cell by cell.
-    Divided,
+    /// It crosses every column and meets upright cells only: the same, then those that are not sound over it. Upright cells lie in order, so
+    /// that none of them hides another.
+    Mended,
+    /// Cell by cell.
+    Cells,
 }
 
 /// Coordinates of a strip and what they are made from; one a band.
@@ -65,16 +63,12 @@ struct Scratch {
     notes: Vec<[f32; BLOCK]>,
     first: Vec<u32>,
     runs: Vec<Range<usize>>,
-    kinds: Kinds,
-    good: Vec<Range<usize>>,
     /// The row of cells where each column last crossed a row.
     cells: Vec<usize>,
-    /// What each ordered row of the strip covers.
+    /// What each row of the strip covers that is drawn by crossings.
     covered: Vec<Range<usize>>,
-    /// Pixels of each divided row that nothing is painted on.
+    /// Pixels of each row that nothing is painted on.
     bare: Vec<usize>,
-    /// Pixels from one row's coordinates to the next one's: 0 where rows are made and used one by one.
-    pitch: usize,
 }
 
 impl Drawing {
@@ -85,8 +79,49 @@ impl Drawing {
             border.index();
         }
         let crossing = rows_that_cross(&lattice, options.target.height());
-        let (soundness, ways) = sound_cells(&lattice, &options, &crossing, kernel);
-        Self { lattice, border, options, kernel, level, soundness, crossing, ways, covered }
+        let mut drawing = Self { lattice, border, options, kernel, level, bent: vec![], ways: vec![], covered };
+        drawing.judge(&crossing);
+        drawing
+    }
+
+    /// Decides how target rows are drawn, and notes the cells that are not sound; `crossing` are the rows that cross every column.
+    fn judge(&mut self, crossing: &Range<u32>) {
+        let (lattice, target) = (&self.lattice, self.options.target);
+        let height = target.height();
+        self.ways = vec![Way::Cells; height as usize];
+        if crossing.is_empty() || height.max(target.width()) > FARTHEST {
+            return;
+        }
+        self.ways[crossing.start as usize..crossing.end as usize].fill(Way::Plain);
+        let row_of_cells = |j: usize| {
+            let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
+            let unit = lattice.unit.recip();
+            CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
+        };
+        let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
+        let mut soundness = vec![0; lattice.columns - 1];
+        self.bent = vec![0; (lattice.rows - 1) * lattice.blocks()];
+        for j in 0..lattice.rows - 1 {
+            let row = row_of_cells(j);
+            if j + 2 < lattice.rows {
+                self.kernel.bends(&row, &row_of_cells(j + 1), &mut below);
+            } else {
+                below.fill(0.0);
+            }
+            self.kernel.soundness(&row, &above, &below, &mut soundness);
+            if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
+                let bent = &mut self.bent[j * lattice.blocks()..];
+                for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
+                    bent[i / BLOCK] |= 1 << (i % BLOCK);
+                    let way = if soundness == UPRIGHT { Way::Mended } else { Way::Cells };
+                    let rows = lattice.cell_reach(i, j).rows(&(0..height));
+                    for known in &mut self.ways[rows.start as usize..rows.end as usize] {
+                        *known = way.max(*known);
+                    }
+                }
+            }
+            std::mem::swap(&mut above, &mut below);
+        }
     }
 
     /// Draws target rows.
@@ -126,104 +161,105 @@ impl Drawing {
         let ways = &self.ways[strip.start as usize..strip.end as usize];
         let all_plain = ways.iter().all(|&way| way == Way::Plain);
         let pitch = width as usize + SLACK;
-        scratch.pitch = if all_plain { 0 } else { pitch };
-        let size = if all_plain { 1 } else { strip.len() } * pitch;
+        // Plain rows are made and used one by one, in the first place; the others stand behind it.
+        let size = if all_plain { 1 } else { 1 + strip.len() } * pitch;
         if scratch.u.len() < size {
-            scratch.u.resize(size, BARE);
+            scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        scratch.x_crossings.fill(0.0);
-        scratch.v_crossings.fill(0.0);
-        self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
+        if ways.iter().any(|&way| way != Way::Cells) {
+            scratch.x_crossings.fill(0.0);
+            scratch.v_crossings.fill(0.0);
+            self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
+        }
         if all_plain {
             return;
         }
-        let all_cross = self.crossing.start <= strip.start && strip.end <= self.crossing.end;
-        scratch.kinds.begin(&self.lattice, &self.soundness, strip, all_cross);
         scratch.covered.clear();
         scratch.bare.clear();
-        scratch.bare.resize(strip.len(), 0);
         for (index, (row, way)) in strip.clone().zip(ways).enumerate() {
             scratch.runs.clear();
-            if *way == Way::Ordered {
-                self.spans(row, index, 0..self.lattice.columns - 1, scratch);
+            if *way == Way::Cells {
+                let u = &mut scratch.u[(index + 1) * pitch..][..pitch];
+                u[..width as usize].fill(BARE);
+                u[width as usize..].fill(0.0);
+            } else if *way == Way::Mended {
+                self.spans(row, index, (index + 1) * pitch, scratch);
             }
+            scratch.bare.push(width as usize);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
-            if *way != Way::Divided {
-                continue;
-            }
-            let stride = self.lattice.pitch + BLOCK;
-            let mut good = std::mem::take(&mut scratch.good);
-            scratch.kinds.decide(&self.lattice, row, &scratch.x_crossings[index * stride..(index + 1) * stride], &mut good);
-            for cells in &good {
-                self.spans(row, index, cells.clone(), scratch);
-            }
-            for gap in gaps(&scratch.runs, width as usize) {
-                scratch.bare[index] += gap.len();
-                scratch.u[index * pitch..][gap].fill(BARE);
-            }
-            scratch.good = good;
         }
-        let kinds = &scratch.kinds;
-        let cells = |i: &(usize, usize)| kinds.some(i.0);
-        let draw = |cell: (usize, usize), canvas: &mut Strip| {
-            let sound = self.soundness[cell.1 * (self.lattice.columns - 1) + cell.0] == SOUND;
-            cell::draw(self.kernel, &self.lattice, cell, sound, strip, width, canvas);
-        };
-        let (u, v) = (&mut scratch.u, &mut scratch.v);
-        let mut canvas = Strip { first: strip.start, kinds, ways, way: Way::Ordered, pitch, u, v, bare: &mut scratch.bare };
-        if ways.contains(&Way::Ordered) {
-            self.lattice.cells_touching(strip.clone()).filter(cells).for_each(|cell| draw(cell, &mut canvas));
-        }
-        if ways.contains(&Way::Divided) {
-            // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
-            canvas.way = Way::Divided;
-            for cell in self.lattice.cells_touching(strip.clone()).filter(cells).rev() {
-                if canvas.bare.iter().all(|&bare| bare == 0) {
-                    break;
-                }
-                draw(cell, &mut canvas);
+        let rows_of = |way: Way| ways.iter().rev().fold(0, |rows, &w| rows << 1 | u32::from(w == way));
+        let (u, v, bare) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.bare);
+        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: rows_of(Way::Mended) };
+        let blocks = self.lattice.blocks();
+        if canvas.open != 0 {
+            for j in self.lattice.rows_touching(strip) {
+                cell::draw_row(self.kernel, &self.lattice, j, |b| self.bent[j * blocks + b], strip, &mut canvas);
             }
+        }
+        // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
+        (canvas.over, canvas.open) = (false, rows_of(Way::Cells));
+        for j in self.lattice.rows_touching(strip).rev() {
+            if canvas.open == 0 {
+                break;
+            }
+            cell::draw_row(self.kernel, &self.lattice, j, |b| self.lattice.cells_of(b), strip, &mut canvas);
         }
     }
 
     /// Finds a row's coordinates and notes the runs of pixels that the picture covers; returns where the row begins in the scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
-        let start = index * scratch.pitch;
+        let width = self.options.target.width() as usize;
+        let way = self.ways[row as usize];
+        let start = if way == Way::Plain { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
-        match self.ways[row as usize] {
-            Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, scratch),
-            Way::Ordered => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            Way::Divided => runs(&scratch.u[start..start + self.options.target.width() as usize], &mut scratch.runs),
+        match way {
+            Way::Plain => self.spans(row, index, start, scratch),
+            Way::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            Way::Cells => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
     }
 
-    /// Coordinates of a row between the first and the last column of a range of good strips, and the run of pixels that they cover.
-    fn spans(&self, row: u32, index: usize, cells: Range<usize>, scratch: &mut Scratch) {
+    /// Coordinates of a row from its crossings of all columns, from `start` on in the scratch, and the run of pixels between the first and the last.
+    fn spans(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
+        let stride = self.lattice.pitch + BLOCK;
+        let x = &scratch.x_crossings[index * stride..];
         let mut pixel = |column: usize| {
+            // Where single precision leaves no doubt.
+            let place = x[column] - 0.5;
+            let beyond = place.ceil() - place;
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                clippy::cast_precision_loss,
+                reason = "between 0 and the width"
+            )]
+            if place > 0.0 && place < width as f32 && beyond > DOUBT && beyond < 1.0 - DOUBT {
+                return place.ceil() as usize;
+            }
             let crossing = self.crossing(column, row, &mut scratch.cells[column]);
             crossing.map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width))
         };
-        let covered = pixel(cells.start)..pixel(cells.end);
+        let covered = pixel(0)..pixel(self.lattice.columns - 1);
         if covered.is_empty() {
             return;
         }
-        let stride = self.lattice.pitch + BLOCK;
-        let crossings = index * stride + cells.start..(index + 1) * stride;
+        let crossings = index * stride..(index + 1) * stride;
         let mut spans = Spans {
             x: &scratch.x_crossings[crossings.clone()],
             v: &scratch.v_crossings[crossings],
-            u: &self.lattice.u[cells.start..],
-            columns: cells.len() + 1,
+            u: &self.lattice.u,
+            columns: self.lattice.columns,
             width,
             covered: covered.clone(),
             notes: &mut scratch.notes,
             first: &mut scratch.first,
         };
-        let row = index * scratch.pitch..index * scratch.pitch + width + SLACK;
+        let row = start..start + width + SLACK;
         self.kernel.spans(&mut spans, &mut scratch.u[row.clone()], &mut scratch.v[row]);
         scratch.runs.push(covered);
     }
@@ -290,45 +326,6 @@ impl Drawing {
     }
 }
 
-/// The rows of a strip in which cells are drawn one by one.
-struct Strip<'a> {
-    first: u32,
-    kinds: &'a Kinds,
-    ways: &'a [Way],
-    /// The rows that are drawn: ordered ones are painted over, divided ones where they are bare.
-    way: Way,
-    pitch: usize,
-    u: &'a mut [f32],
-    v: &'a mut [f32],
-    bare: &'a mut [usize],
-}
-
-impl Canvas for Strip<'_> {
-    fn wants(&self, row: u32, column: usize) -> bool {
-        let index = (row - self.first) as usize;
-        self.ways[index] == self.way && (self.way == Way::Ordered || self.bare[index] > 0) && self.kinds.drawn(row, column)
-    }
-
-    fn backwards(&self) -> bool {
-        self.way == Way::Divided
-    }
-
-    fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
-        let index = (row - self.first) as usize;
-        let (u, v) = (&mut self.u[index * self.pitch..][pixels.clone()], &mut self.v[index * self.pitch..][pixels]);
-        let (mut k, mut painted) = (0.0, 0);
-        for (u, v) in u.iter_mut().zip(v) {
-            if self.way == Way::Ordered || *u == BARE {
-                *u = line.u + k * line.du;
-                *v = line.v + k * line.dv;
-                painted += 1;
-            }
-            k += 1.0;
-        }
-        self.bare[index] = self.bare[index].saturating_sub(painted);
-    }
-}
-
 /// The runs of painted pixels.
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
@@ -354,44 +351,4 @@ fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let top = line(0).iter().fold(-LIMIT, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1).iter().fold(LIMIT, |bottom, &y| bottom.min(y));
     Reach { top, bottom }.rows(&(0..height))
-}
-
-/// How cells and target rows are drawn.
-fn sound_cells(lattice: &Lattice, options: &RenderOptions, crossing: &Range<u32>, kernel: Kernel) -> (Vec<u8>, Vec<Way>) {
-    let height = options.target.height();
-    let cells = lattice.columns - 1;
-    let mut soundness = vec![0; cells * (lattice.rows - 1)];
-    let mut ways = vec![Way::Divided; height as usize];
-    if height > FARTHEST || options.target.width() > FARTHEST {
-        return (soundness, ways);
-    }
-    if !crossing.is_empty() {
-        ways[crossing.start as usize..crossing.end as usize].fill(Way::Plain);
-    }
-    let row_of_cells = |j: usize| {
-        let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
-        let unit = lattice.unit.recip();
-        CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
-    };
-    let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
-    for (j, soundness) in soundness.chunks_exact_mut(cells).enumerate() {
-        let row = row_of_cells(j);
-        if j + 2 < lattice.rows {
-            kernel.bends(&row, &row_of_cells(j + 1), &mut below);
-        } else {
-            below.fill(0.0);
-        }
-        kernel.soundness(&row, &above, &below, soundness);
-        if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
-            for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
-                let way = if soundness == UPRIGHT { Way::Ordered } else { Way::Divided };
-                let rows = lattice.cell_reach(i, j).rows(&(0..height));
-                for row in rows {
-                    ways[row as usize] = ways[row as usize].max(way);
-                }
-            }
-        }
-        std::mem::swap(&mut above, &mut below);
-    }
-    (soundness, ways)
 }

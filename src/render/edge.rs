@@ -4,10 +4,12 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "lattice places have 30 bits, and all products fit 62")]
 
-use super::lattice::{Corner, HALF, ONE};
+use std::ops::Range;
+
+use super::lattice::{Corner, HALF, ONE, first_row, row_centre};
 
 /// Crossings nearer than this to a pixel's centre, px, are decided in integers. The f64 way is off by 2^-28 px at most.
-pub(super) const CLOSE_CALL: f64 = 1e-6;
+const CLOSE_CALL: f64 = 1e-6;
 
 /// An edge that is not horizontal, from top to bottom.
 #[derive(Clone, Copy, Debug)]
@@ -77,6 +79,52 @@ impl Edge {
         let numerator = (ax - i64::from(HALF)) * dy + (y - ay) * dx;
         let denominator = i64::from(ONE) * dy;
         -(-numerator).div_euclid(denominator)
+    }
+}
+
+/// Where rows cross a convex polygon (a triangle has a corner twice): left and right in any order.
+pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
+    let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
+    let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
+    for row in rows {
+        let y = row_centre(row);
+        if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y)) {
+            found(row, a, b);
+        }
+    }
+}
+
+/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
+struct Chain<'a> {
+    corners: &'a [Corner; 4],
+    at: usize,
+    step: usize,
+    edge: Option<Edge>,
+    /// The first row that the edge does not cross.
+    end: i64,
+}
+
+impl<'a> Chain<'a> {
+    fn new(corners: &'a [Corner; 4], at: usize, step: usize) -> Self {
+        Self { corners, at, step, edge: None, end: i64::MIN }
+    }
+
+    /// The crossing with a row that the polygon meets, not above the last one asked for.
+    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
+        if self.end <= i64::from(row) {
+            // At most all edges; rows below the lowest corner are never asked for.
+            for _ in 0..4 {
+                let from = self.corners[self.at];
+                self.at = (self.at + self.step) % 4;
+                let to = self.corners[self.at];
+                self.end = first_row(to.y);
+                if self.end > i64::from(row) {
+                    self.edge = Edge::new(from, to);
+                    break;
+                }
+            }
+        }
+        self.edge.as_ref().map(|edge| edge.at(y))
     }
 }
 

@@ -27,9 +27,9 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    const NOWHERE: Self = Self { top: i32::MAX, bottom: i32::MIN };
+    pub(super) const NOWHERE: Self = Self { top: i32::MAX, bottom: i32::MIN };
 
-    fn join(self, other: Self) -> Self {
+    pub(super) fn join(self, other: Self) -> Self {
         Self { top: self.top.min(other.top), bottom: self.bottom.max(other.bottom) }
     }
 
@@ -79,9 +79,9 @@ pub(super) struct Lattice {
     pub(super) rows: usize,
     /// `columns` rounded up to whole blocks.
     pub(super) pitch: usize,
-    /// Lattice places, `[rows][pitch]`.
+    /// Lattice places, `[rows][pitch]` and a block behind the last.
     pub(super) x: Vec<i32>,
-    /// Lattice places, `[rows][pitch]`.
+    /// Lattice places, `[rows][pitch]` and a block behind the last.
     pub(super) y: Vec<i32>,
     /// The sampler's coordinate of each column, `[pitch + BLOCK]`.
     pub(super) u: Vec<f32>,
@@ -130,7 +130,7 @@ impl Lattice {
         let mut u: Vec<f32> = rest_x.iter().map(|&x| across.at(x)).collect();
         u.resize(pitch + BLOCK, across.at(grid.width()));
         let v: Vec<f32> = (0..grid.rows()).map(|j| down.at(grid.y(j))).collect();
-        let (mut x, mut y) = (vec![0; rows * pitch], vec![0; rows * pitch]);
+        let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
         for ((j, displacement), (x, y)) in
             (0..).zip(mesh.displacement().chunks_exact(columns)).zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
         {
@@ -139,7 +139,7 @@ impl Lattice {
             x[columns..].fill(last.0);
             y[columns..].fill(last.1);
         }
-        let (row_reach, block_reach) = reaches(&y, pitch);
+        let (row_reach, block_reach) = reaches(&y, pitch, kernel);
         let unit = match options.filter {
             Filter::Nearest => 1.0,
             Filter::Bilinear => 128.0,
@@ -153,6 +153,36 @@ impl Lattice {
         Corner { x: self.x[index], y: self.y[index], u: self.u[column], v: self.v[row] }
     }
 
+    /// How far a cell reaches up and down.
+    pub(super) fn cell_reach(&self, i: usize, j: usize) -> Reach {
+        let above = j * self.pitch + i;
+        let below = above + self.pitch;
+        let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
+        Reach { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) }
+    }
+
+    /// The rows of cells that may touch target rows.
+    pub(super) fn rows_touching(&self, rows: &std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = usize> + '_ {
+        let rows = rows.clone();
+        (0..self.rows - 1).filter(move |&j| self.row_reach[j].meets(&rows))
+    }
+
+    /// Blocks of cells in a row of them.
+    pub(super) fn blocks(&self) -> usize {
+        (self.columns - 1).div_ceil(BLOCK)
+    }
+
+    /// The cells of a block, a bit each.
+    pub(super) fn cells_of(&self, block: usize) -> u8 {
+        u8::MAX >> (BLOCK - BLOCK.min(self.columns - 1 - block * BLOCK))
+    }
+
+    /// Whether some cell of a block may touch target rows.
+    pub(super) fn block_touches(&self, j: usize, block: usize, rows: &std::ops::Range<u32>) -> bool {
+        self.block_reach[j * (self.pitch / BLOCK) + block].meets(rows)
+    }
+
+    #[cfg(test)]
     /// The cells that may touch target rows, in painter's order: row by row, `(column, row)`.
     pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
@@ -169,20 +199,12 @@ impl Lattice {
 }
 
 /// Reaches of the rows of cells and of their blocks.
-fn reaches(y: &[i32], pitch: usize) -> (Vec<Reach>, Vec<Reach>) {
+fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<Reach>, Vec<Reach>) {
     let blocks = pitch / BLOCK;
-    // Of the vertices of each block and the one right of it, which its last cell has.
-    let lines: Vec<Reach> = y
-        .chunks_exact(pitch)
-        .flat_map(|line| {
-            (0..blocks).map(|b| {
-                let block = &line[b * BLOCK..(b + 1) * BLOCK];
-                let next = line[(b * BLOCK + BLOCK).min(pitch - 1)];
-                let (top, bottom) = block.iter().fold((next, next), |(top, bottom), &y| (top.min(y), bottom.max(y)));
-                Reach { top, bottom }
-            })
-        })
-        .collect();
+    let mut lines = vec![Reach::NOWHERE; y.len() / pitch * blocks];
+    for (y, reaches) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
+        kernel.reaches(y, reaches);
+    }
     let block_reach: Vec<Reach> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
     let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(Reach::NOWHERE, Reach::join)).collect();
     (row_reach, block_reach)

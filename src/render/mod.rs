@@ -21,8 +21,6 @@ mod kernel;
 #[forbid(unsafe_code)]
 mod lattice;
 #[forbid(unsafe_code)]
-mod mixed;
-#[forbid(unsafe_code)]
 mod patch;
 #[forbid(unsafe_code)]
 mod sampler;

@@ -1,21 +1,26 @@
 //! The inner loops of the renderer and the one place where an instruction set is chosen. `scalar` is the reference and defines every result:
-//! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `x86` repeats it in AVX2: the loops
-//! that a compiler can widen are the scalar ones compiled again, the sampler is written by hand. What was tried and dropped: `notes.md`.
+//! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `avx2` repeats it: the loops
+//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. What was tried and dropped: `notes.md`.
 
-#[forbid(unsafe_code)]
-mod scalar;
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
-mod x86;
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
+mod avx2_cells;
+#[forbid(unsafe_code)]
+mod cells;
+#[forbid(unsafe_code)]
+mod scalar;
 
 use std::ops::Range;
 
-use super::edge::Crossing;
-use super::lattice::{Corner, Lattice};
+use super::lattice::{Lattice, Reach};
 use super::source::Packed;
 use crate::level::Level;
 use crate::pixmap::Channels;
 
+pub(super) use cells::{BARE, Canvas, Glance, LANES, LONGEST_SIDE, Piece};
 pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, SOUND, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
@@ -27,8 +32,9 @@ macro_rules! dispatch {
     ($self:ident, $name:ident($($argument:expr),*)) => {
         match $self.0 {
             Level::Scalar => scalar::$name($($argument),*),
+            // AVX-512 was tried and gains nothing here (`notes.md`).
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 | Level::Avx512 => x86::$name($self, $($argument),*),
+            Level::Avx2 | Level::Avx512 => avx2::$name($self, $($argument),*),
             #[cfg(not(target_arch = "x86_64"))]
             Level::Avx2 | Level::Avx512 => scalar::$name($($argument),*),
         }
@@ -49,6 +55,11 @@ impl Kernel {
     /// Poses a row of vertices and snaps it to the lattice.
     pub(super) fn snap(self, rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]) {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
+    }
+
+    /// How far the vertices of each block of a line, and the one right of it, reach up and down.
+    pub(super) fn reaches(self, y: &[i32], reaches: &mut [Reach]) {
+        dispatch!(self, reaches(y, reaches));
     }
 
     /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0.
@@ -72,9 +83,14 @@ impl Kernel {
         dispatch!(self, spans(spans, u, v));
     }
 
-    /// Where target rows cross a convex polygon; a triangle has a corner twice. Rows must not reach beyond it.
-    pub(super) fn walk(self, corners: &[Corner; 4], rows: Range<u32>, found: impl FnMut(u32, Crossing, Crossing)) {
-        dispatch!(self, walk(corners, rows, found));
+    /// Looks at a block of cells: which rows of the canvas they meet, and whether they are convex.
+    pub(super) fn glance(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut Glance) {
+        dispatch!(self, glance(lattice, j, block, canvas, seen));
+    }
+
+    /// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest corner and its lowest.
+    pub(super) fn fill(self, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+        dispatch!(self, fill(piece, rows, canvas));
     }
 
     /// Bilinear samples of a run of pixels.

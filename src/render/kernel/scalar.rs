@@ -8,9 +8,9 @@
 
 use std::ops::Range;
 
+pub(super) use super::cells::{fill, glance};
 use crate::pixmap::Channels;
-use crate::render::edge::{Crossing, Edge};
-use crate::render::lattice::{BLOCK, Corner, LIMIT, Lattice, ONE, first_row, row_centre};
+use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, Reach};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
@@ -32,6 +32,17 @@ pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale
     for (((x, y), rest), d) in x.iter_mut().zip(y).zip(rest_x).zip(displacement) {
         *x = snapped(*rest, d[0], scale[0]);
         *y = snapped(rest_y, d[1], scale[1]);
+    }
+}
+
+/// Reaches of the vertices of each block of a line, and of the one right of it.
+#[inline(always)]
+pub(super) fn reaches(y: &[i32], reaches: &mut [Reach]) {
+    for (b, reach) in reaches.iter_mut().enumerate() {
+        let block = block(&y[b * BLOCK..]);
+        let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
+        let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| (top.min(y), bottom.max(y)));
+        *reach = Reach { top, bottom };
     }
 }
 
@@ -112,18 +123,18 @@ pub(super) fn soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
         let area = least(least(cross(top, left), cross(top, right)), least(cross(bottom, left), cross(bottom, right)));
         let width = (u[c + 1] - u[c]) * cells.unit;
         let fall = least(left.1, right.1);
-        let slant2 = most(top.1 * top.1, bottom.1 * bottom.1);
+        let slant = most(top.1.abs(), bottom.1.abs());
         let twist2 = norm2((right.0 - left.0, right.1 - left.1));
         let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
         let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
-        let (fall2, slant) = (fall * fall, slant2.sqrt());
+        let fall2 = fall * fall;
         // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else 1 + |dt| at most.
         let lines = if slant < fall { fall } else { fall + slant };
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
         let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
         let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
         let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
-        let sound = upright & (slant2 <= STEEPEST * STEEPEST * fall2) & near;
+        let sound = upright & (slant <= STEEPEST * fall) & near;
         soundness[c] = u8::from(upright) + u8::from(sound);
     }
 }
@@ -262,53 +273,6 @@ pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     spans.notes[2][0] = spans.v[0] + inside * spans.notes[3][0];
     spans.first[0] = spans.covered.start as u32;
     spans.first[spans.columns - 1] = spans.covered.end as u32;
-}
-
-/// Where rows cross a convex polygon (a triangle has a corner twice): left and right in any order.
-#[inline(always)]
-pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
-    let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
-    let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
-    for row in rows {
-        let y = row_centre(row);
-        if let (Some(a), Some(b)) = (one.crossing(row, y), other.crossing(row, y)) {
-            found(row, a, b);
-        }
-    }
-}
-
-/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
-struct Chain<'a> {
-    corners: &'a [Corner; 4],
-    at: usize,
-    step: usize,
-    edge: Option<Edge>,
-    /// The first row that the edge does not cross.
-    end: i64,
-}
-
-impl<'a> Chain<'a> {
-    fn new(corners: &'a [Corner; 4], at: usize, step: usize) -> Self {
-        Self { corners, at, step, edge: None, end: i64::MIN }
-    }
-
-    /// The crossing with a row that the polygon meets, not above the last one asked for.
-    fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
-        if self.end <= i64::from(row) {
-            // At most all edges; rows below the lowest corner are never asked for.
-            for _ in 0..4 {
-                let from = self.corners[self.at];
-                self.at = (self.at + self.step) % 4;
-                let to = self.corners[self.at];
-                self.end = first_row(to.y);
-                if self.end > i64::from(row) {
-                    self.edge = Edge::new(from, to);
-                    break;
-                }
-            }
-        }
-        self.edge.as_ref().map(|edge| edge.at(y))
-    }
 }
 
 /// U of a coordinate: kept in the picture, then truncated. NaN is 0.

@@ -1,26 +1,37 @@
 //! Which pixels a mesh paints, and with which places of the source.
 
-use super::super::cell::{self, Canvas, Line};
+use super::super::cell;
 use super::super::drawing::Drawing;
-use super::super::kernel::Kernel;
+use super::super::kernel::{BARE, Canvas, Kernel, LANES};
 use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
 use super::*;
-use std::ops::Range;
 
-/// Counts paintings.
-struct Counter {
-    width: usize,
-    counts: Vec<u32>,
-}
-
-impl Canvas for Counter {
-    fn wants(&self, _row: u32, _column: usize) -> bool {
-        true
-    }
-
-    fn paint(&mut self, row: u32, pixels: Range<usize>, _line: Line) {
-        for x in pixels {
-            self.counts[row as usize * self.width + x] += 1;
+/// Draws each cell by itself, in painter's order, in strips of a few rows, and shows the coordinates that it paints.
+fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: impl FnMut(usize, usize, Point)) {
+    const STRIP: u32 = 7;
+    let (width, kernel) = (target.width() as usize, Kernel::new(level));
+    let pitch = width + LANES;
+    let (mut u, mut v) = (vec![BARE; pitch * STRIP as usize], vec![0.0; pitch * STRIP as usize]);
+    for first in (0..target.height()).step_by(STRIP as usize) {
+        let rows = first..target.height().min(first + STRIP);
+        for (i, j) in lattice.cells_touching(rows.clone()) {
+            u.fill(BARE);
+            u.chunks_exact_mut(pitch).for_each(|row| row[width..].fill(0.0));
+            let mut bare = vec![width; rows.len()];
+            let open = (1 << rows.len()) - 1;
+            let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, bare: &mut bare, open };
+            let only = |b: usize| if b == i / 8 { 1 << (i % 8) } else { 0 };
+            cell::draw_row(kernel, lattice, j, only, &rows, &mut canvas);
+            for (y, bare) in rows.clone().zip(bare) {
+                let row = (y - first) as usize * pitch;
+                let before = bare;
+                let mut count = 0;
+                for x in (0..width).filter(|x| u[row + x] != BARE) {
+                    painted(x, y as usize, Point::new(f64::from(u[row + x]) / 128.0, f64::from(v[row + x]) / 128.0));
+                    count += 1;
+                }
+                assert_eq!(before, width - count, "bare pixels are counted");
+            }
         }
     }
 }
@@ -32,11 +43,9 @@ fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
 
 fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
     let width = target.width() as usize;
-    let mut counter = Counter { width, counts: vec![0; width * target.height() as usize] };
-    for cell in lattice.cells_touching(0..target.height()) {
-        cell::draw(Kernel::new(Level::detect()), lattice, cell, false, &(0..target.height()), target.width(), &mut counter);
-    }
-    counter.counts
+    let mut counts = vec![0; width * target.height() as usize];
+    cell_by_cell(lattice, target, Level::detect(), |x, y, _| counts[y * width + x] += 1);
+    counts
 }
 
 /// How often the snapped border winds around a place, in exact integers; `None` on the border itself.
@@ -154,26 +163,6 @@ fn coordinates_are_those_of_the_bilinear_patch() {
     assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
 }
 
-/// Keeps the coordinates that are painted last.
-struct Painter {
-    width: usize,
-    places: Vec<Option<Point>>,
-}
-
-impl Canvas for Painter {
-    fn wants(&self, _row: u32, _column: usize) -> bool {
-        true
-    }
-
-    fn paint(&mut self, row: u32, pixels: Range<usize>, line: Line) {
-        for (k, x) in pixels.enumerate() {
-            let k = k as f32;
-            let place = Point::new(f64::from(line.u + k * line.du) / 128.0, f64::from(line.v + k * line.dv) / 128.0);
-            self.places[row as usize * self.width + x] = Some(place);
-        }
-    }
-}
-
 #[test]
 fn folded_rows_are_those_of_painting_in_order() {
     let (mut painted, mut folded) = (0, 0);
@@ -183,16 +172,14 @@ fn folded_rows_are_those_of_painting_in_order() {
         folded += mesh.folded_cells().count();
         let target = extent(120, 90);
         let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
-        let mut painter = Painter { width: 120, places: vec![None; 120 * 90] };
-        for cell in drawing.lattice.cells_touching(0..90) {
-            cell::draw(Kernel::new(Level::detect()), &drawing.lattice, cell, false, &(0..90), 120, &mut painter);
-        }
+        let mut places = vec![None; 120 * 90];
+        cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| places[y * 120 + x] = Some(place));
         for row in 0..90 {
             let (u, v, runs) = drawing.row(row);
             let mut covered = [false; 120];
             runs.into_iter().for_each(|run| covered[run].fill(true));
             for x in 0..120 {
-                let place = painter.places[row as usize * 120 + x];
+                let place = places[row as usize * 120 + x];
                 assert_eq!(place.is_some(), covered[x], "seed {seed}, pixel {x}, {row}");
                 if let Some(place) = place {
                     let drawn = Point::new(f64::from(u[x]) / 128.0, f64::from(v[x]) / 128.0);

@@ -5,11 +5,11 @@ use std::arch::x86_64::*;
 use std::ops::Range;
 
 use super::Kernel;
+use super::cells::{Canvas, Glance};
 use super::scalar::{self, CellRow, NOTES, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
-use crate::render::edge::{CLOSE_CALL, Crossing, Edge};
-use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, row_centre};
+use crate::render::lattice::{BLOCK, Lattice, Reach};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -29,8 +29,10 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
+    reaches(y: &[i32], reaches: &mut [Reach]);
     soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
+    glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut Glance);
 }
 
 /// Pixels of a group, and columns of a block.
@@ -179,60 +181,7 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
     unsafe { wide(spans, u, v) }
 }
 
-/// Where rows cross a convex polygon: `scalar::walk`, the four edges in the lanes of a register.
-pub(super) fn walk(kernel: Kernel, corners: &[Corner; 4], rows: Range<u32>, found: impl FnMut(u32, Crossing, Crossing)) {
-    debug_assert!(kernel.0 >= Level::Avx2);
-    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
-    unsafe { wide_walk(corners, rows, found) }
-}
-
-#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-fn wide_walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
-    let [a, b, c, d] = *corners;
-    let next = |ends: __m256d| _mm256_permute4x64_pd::<0b00_11_10_01>(ends);
-    let (x, y) = (_mm256_cvtepi32_pd(_mm_setr_epi32(a.x, b.x, c.x, d.x)), _mm256_cvtepi32_pd(_mm_setr_epi32(a.y, b.y, c.y, d.y)));
-    let (u, v) = (_mm256_cvtps_pd(_mm_setr_ps(a.u, b.u, c.u, d.u)), _mm256_cvtps_pd(_mm_setr_ps(a.v, b.v, c.v, d.v)));
-    let upwards = _mm256_cmp_pd::<_CMP_LT_OQ>(next(y), y);
-    let sorted = |ends: __m256d| (_mm256_blendv_pd(ends, next(ends), upwards), _mm256_blendv_pd(next(ends), ends, upwards));
-    let ((top, bottom), (x, x1), (u, u1), (v, v1)) = (sorted(y), sorted(x), sorted(u), sorted(v));
-    let per_step = _mm256_div_pd(_mm256_set1_pd(1.0), _mm256_sub_pd(bottom, top));
-    let slope = |from: __m256d, to: __m256d| _mm256_mul_pd(_mm256_sub_pd(to, from), per_step);
-    let (slope_x, slope_u, slope_v) = (slope(x, x1), slope(u, u1), slope(v, v1));
-    let (half, close) = (_mm256_set1_pd(f64::from(HALF)), _mm256_set1_pd(CLOSE_CALL));
-    for row in rows {
-        let level = row_centre(row);
-        #[expect(clippy::cast_precision_loss, reason = "rows that cells touch are below 2^22")]
-        let y = _mm256_set1_pd(level as f64);
-        let below = _mm256_sub_pd(y, top);
-        let crosses = _mm256_and_pd(_mm256_cmp_pd::<_CMP_GE_OQ>(below, _mm256_setzero_pd()), _mm256_cmp_pd::<_CMP_LT_OQ>(y, bottom));
-        let lanes = _mm256_movemask_pd(crosses).cast_unsigned();
-        if lanes.count_ones() != 2 {
-            continue;
-        }
-        let at = |from: __m256d, slope: __m256d| _mm256_add_pd(from, _mm256_mul_pd(below, slope));
-        let (x, u, v) = (at(x, slope_x), at(u, slope_u), at(v, slope_v));
-        let place = _mm256_mul_pd(_mm256_sub_pd(x, half), _mm256_set1_pd(1.0 / f64::from(ONE)));
-        let off = _mm256_sub_pd(place, _mm256_round_pd::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(place));
-        let near = _mm256_cmp_pd::<_CMP_LE_OQ>(_mm256_andnot_pd(_mm256_set1_pd(-0.0), off), close);
-        let near = _mm256_movemask_pd(near).cast_unsigned() & lanes;
-        let mut pixels = [0_i32; 4];
-        let (mut xs, mut us, mut vs) = ([0.0; 4], [0.0; 4], [0.0; 4]);
-        // SAFETY: four numbers are stored into four numbers each.
-        unsafe {
-            _mm_storeu_si128(pixels.as_mut_ptr().cast(), _mm256_cvttpd_epi32(_mm256_ceil_pd(place)));
-            _mm256_storeu_pd(xs.as_mut_ptr(), x);
-            _mm256_storeu_pd(us.as_mut_ptr(), u);
-            _mm256_storeu_pd(vs.as_mut_ptr(), v);
-        }
-        let crossing = |lane: u32| {
-            let k = lane as usize & 3;
-            let exactly = || Edge::new(corners[k], corners[(k + 1) & 3]).map_or(0, |edge| edge.pixel_exactly(level));
-            let pixel = if near >> lane & 1 == 1 { exactly() } else { i64::from(pixels[k]) };
-            Crossing { pixel, x: xs[k], u: us[k], v: vs[k] }
-        };
-        found(row, crossing(lanes.trailing_zeros()), crossing((lanes & (lanes - 1)).trailing_zeros()));
-    }
-}
+pub(super) use super::avx2_cells::fill;
 
 /// Rows of the source that are fetched ahead.
 const AHEAD: usize = 4;
@@ -310,9 +259,9 @@ fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Plac
     let (across, down) = (inside(u, last_x), inside(v, last_y));
     let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
     let index = _mm256_add_epi32(index, _mm256_srli_epi32::<7>(across));
-    // Fractions alone are joined: beyond 512 px the whole part of `across` would reach into the upper half.
-    let fraction = |places: __m256i| _mm256_and_si256(places, _mm256_set1_epi32(127));
-    let fractions = _mm256_or_si256(fraction(across), _mm256_slli_epi32::<16>(fraction(down)));
+    // The low half of each lane from `across`, the high half from `down`; what is left of whole parts goes.
+    let fractions = _mm256_blend_epi16::<0b1010_1010>(across, _mm256_slli_epi32::<16>(down));
+    let fractions = _mm256_and_si256(fractions, _mm256_set1_epi16(127));
     // SAFETY: eight integers are stored into eight integers, twice.
     unsafe {
         _mm256_storeu_si256(places.index.as_mut_ptr().cast(), index);
@@ -382,16 +331,15 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
 
     // SAFETY: eight integers are loaded from eight integers.
     let fractions = unsafe { _mm256_loadu_si256(places.fractions.as_ptr().cast()) };
-    // Per pixel: bytes 128 - fx and fx, and 16 bits 256 fy.
-    let fx = _mm256_and_si256(fractions, _mm256_set1_epi32(127));
-    let wx = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32::<8>(fx), fx), _mm256_set1_epi32(128));
-    let wy = _mm256_slli_epi32::<8>(fractions);
-    let spread = |weights: __m256i, a: i8, b: i8| {
+    // Per pixel: bytes 128 - fx and fx, which are 255 fx + 128, and 16 bits 256 fy.
+    let weights = _mm256_mullo_epi16(fractions, _mm256_set1_epi32(256 << 16 | 255));
+    let weights = _mm256_add_epi16(weights, _mm256_set1_epi32(128));
+    let spread = |a: i8, b: i8| {
         let both = _mm_setr_epi8(a, a + 1, a, a + 1, a, a + 1, a, a + 1, b, b + 1, b, b + 1, b, b + 1, b, b + 1);
         _mm256_shuffle_epi8(weights, _mm256_broadcastsi128_si256(both))
     };
-    let (wx_a, wx_b) = (spread(wx, 0, 4), spread(wx, 8, 12));
-    let (wy_a, wy_b) = (spread(wy, 2, 6), spread(wy, 10, 14));
+    let (wx_a, wx_b) = (spread(0, 4), spread(8, 12));
+    let (wy_a, wy_b) = (spread(2, 6), spread(10, 14));
     let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15));
     // Across: the sum of w (t - 128), at most 2^14 either way.
     let blend = |pairs: __m256i, weights: __m256i| _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pairs, beside));

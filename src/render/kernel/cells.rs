@@ -1,0 +1,366 @@
+//! The general way of a cell, in lanes: which pixel centres a convex polygon holds, by exact integers (the rule of `edge`), and the place of the
+//! source that each shows, by the closed inverse of the bilinear patch (`patch` says why it is this root). One loop over eight pixels of a row,
+//! without branches, that every compiler turns into vectors; f32 in a fixed order, so each level gives the same bits. O(rows * blocks of pixels).
+
+#![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "targets that are drawn here have sides of at most 2^15")]
+#![expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
+#![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
+
+use super::scalar::STEP;
+use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, row_centre};
+
+/// Pixels that are decided together.
+pub(in crate::render) const LANES: usize = 8;
+/// Sides of a cell that is drawn in lanes are at most this long, lattice steps: edge functions of all lanes then fit 31 bits.
+pub(in crate::render) const LONGEST_SIDE: i32 = 112 * ONE;
+/// u where nothing is painted; no place has it.
+pub(in crate::render) const BARE: f32 = f32::NEG_INFINITY;
+
+/// Rows of pixels whose coordinates are found cell by cell.
+#[derive(Debug)]
+pub(in crate::render) struct Canvas<'a> {
+    /// The target row of the first.
+    pub(in crate::render) first: u32,
+    /// Pixels of a row.
+    pub(in crate::render) width: usize,
+    /// Pixels from one row to the next: at least `width + LANES`, and none behind `width` is [`BARE`].
+    pub(in crate::render) pitch: usize,
+    pub(in crate::render) u: &'a mut [f32],
+    pub(in crate::render) v: &'a mut [f32],
+    /// Whether cells come in order and are painted over what is there; else from the last one back, on bare pixels only.
+    pub(in crate::render) over: bool,
+    /// Bare pixels of each row; of no meaning where cells are painted over.
+    pub(in crate::render) bare: &'a mut [usize],
+    /// Rows that may still be painted, a bit each: those with bare pixels.
+    pub(in crate::render) open: u32,
+}
+
+impl Canvas<'_> {
+    /// So many bare pixels of a row were painted.
+    #[inline(always)]
+    pub(in crate::render) fn count(&mut self, row: usize, painted: usize) {
+        if !self.over {
+            self.bare[row] -= painted;
+            self.open &= !(u32::from(self.bare[row] == 0) << row);
+        }
+    }
+}
+
+/// A convex polygon, its last corner twice if it is a triangle, and the map of the source on it: the patch of a cell, or affine.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::render) struct Piece {
+    /// The lattice place that all else is relative to.
+    pub(super) x: i32,
+    pub(super) y: i32,
+    /// Pixels of a row that it can reach.
+    pub(super) pixels: [i32; 2],
+    /// Of each edge, the function `x X + y Y + c` that is not negative inside.
+    pub(super) edges: [[i32; 3]; 4],
+    pub(super) map: Map,
+    /// Coordinates at the origin (for `Map::Near` at the middle), and their growth with s and t.
+    pub(super) u: [f32; 3],
+    pub(super) v: [f32; 3],
+}
+
+/// How s and t are found.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Map {
+    Near(Near),
+    Root(Root),
+}
+
+/// Around the middle of a patch that is not far from affine, with s and t from -1/2 to 1/2: `s = s0 - s t twist.0` and `t = t0 - s t twist.1`, solved
+/// by two substitutions; s0 and t0 are the affine inverse, each `x X + y Y + c` of px.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Near {
+    pub(super) s: [f32; 3],
+    pub(super) t: [f32; 3],
+    pub(super) twist: [f32; 2],
+    /// The sides lie so far apart that single precision tells.
+    is_wide: bool,
+}
+
+/// The root of the quadratic, as `patch` has it; e, f and d in px, `area = e x f`, `bend = -f x d`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Root {
+    pub(super) e: [f32; 2],
+    pub(super) f: [f32; 2],
+    pub(super) d: [f32; 2],
+    pub(super) area: f32,
+    pub(super) bend: f32,
+    pub(super) sign: f32,
+}
+
+/// How far `Near` may be off, px of the sampled picture, times 16.
+const NEAR: f32 = 16.0 / 64.0;
+/// The least squared sine between sides that are told apart.
+const NARROWEST: f32 = 1e-6;
+/// The substitutions halve what is left at least.
+const LARGEST_TWIST: f32 = 0.5;
+
+impl Piece {
+    /// Cell `k` of a block that was looked at; it must be convex there.
+    #[inline(always)]
+    pub(in crate::render) fn cell(seen: &Glance, k: usize, corners: &[Corner; 4]) -> Self {
+        let [a, b, c, d] = corners;
+        let (du, dv) = (b.u - a.u, d.v - a.v);
+        let (map, u, v) = if seen.is_near[k] {
+            let [s0, s1, s2, t0, t1, t2, ds, dt] = std::array::from_fn(|n| seen.near[n][k]);
+            (Map::Near(Near { s: [s0, s1, s2], t: [t0, t1, t2], twist: [ds, dt], is_wide: true }), a.u + 0.5 * du, a.v + 0.5 * dv)
+        } else {
+            let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
+            (Map::Root(Root::new(e, f, [e1[0] - e[0], e1[1] - e[1]], seen.convex[k])), a.u, a.v)
+        };
+        Self {
+            x: a.x,
+            y: a.y,
+            pixels: [seen.pixels[0][k], seen.pixels[1][k]],
+            edges: std::array::from_fn(|e| std::array::from_fn(|n| seen.edges[e][n][k])),
+            map,
+            u: [u, du, 0.0],
+            v: [v, 0.0, dv],
+        }
+    }
+
+    /// A triangle, its last corner twice.
+    #[inline(always)]
+    pub(in crate::render) fn triangle(corners: &[Corner; 4], sign: i32) -> Self {
+        let [a, b, c, _] = corners;
+        let (e, f, flat) = (side(a, b), side(a, c), [0.0, 0.0]);
+        let near = Near::new(e, f, flat);
+        let (map, off) = if near.is_wide { (Map::Near(near), 0.5) } else { (Map::Root(Root::new(e, f, flat, sign)), 0.0) };
+        let along = |a: f32, b: f32, c: f32| [a + off * ((b - a) + (c - a)), b - a, c - a];
+        let mut edges = [[0; 3]; 4];
+        for k in 0..4 {
+            edges[k] = edge(&corners[k], &corners[(k + 1) & 3], a, sign);
+        }
+        let [x0, x1, x2, _] = corners.map(|c| c.x);
+        let pixels = [first_pixel(x0.min(x1).min(x2)), first_pixel(x0.max(x1).max(x2))];
+        Self { x: a.x, y: a.y, pixels, edges, map, u: along(a.u, b.u, c.u), v: along(a.v, b.v, c.v) }
+    }
+}
+
+/// Of an edge that is passed with the inside on its right if `sign` is 1, the function that is not negative inside.
+#[inline(always)]
+fn edge(from: &Corner, to: &Corner, origin: &Corner, sign: i32) -> [i32; 3] {
+    edge_between([from.x, from.y], [to.x, to.y], [origin.x, origin.y], sign)
+}
+
+#[inline(always)]
+fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i32; 3] {
+    let (dx, dy) = ((to[0].wrapping_sub(from[0])).wrapping_mul(sign), (to[1].wrapping_sub(from[1])).wrapping_mul(sign));
+    // Horizontal edges decide nothing: the rows of the polygon are known.
+    let dx = if dy == 0 { 0 } else { dx };
+    let (x, y) = (from[0].wrapping_sub(origin[0]), from[1].wrapping_sub(origin[1]));
+    // What lies on a right edge is outside.
+    [dy.wrapping_neg(), dx, x.wrapping_mul(dy).wrapping_sub(y.wrapping_mul(dx)).wrapping_sub(i32::from(dy > 0))]
+}
+
+/// The first pixel whose centre is not left of a place.
+#[inline(always)]
+fn first_pixel(x: i32) -> i32 {
+    x.wrapping_add(ONE - 1 - HALF) >> ONE.trailing_zeros()
+}
+
+/// From a corner to another, px.
+#[inline(always)]
+fn side(from: &Corner, to: &Corner) -> [f32; 2] {
+    [(to.x - from.x) as f32 * STEP, (to.y - from.y) as f32 * STEP]
+}
+
+impl Root {
+    #[inline(always)]
+    fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2], sign: i32) -> Self {
+        Self { e, f, d, area: cross(e, f), bend: -cross(f, d), sign: sign as f32 }
+    }
+}
+
+#[inline(always)]
+fn norm2(a: [f32; 2]) -> f32 {
+    a[0] * a[0] + a[1] * a[1]
+}
+
+#[inline(always)]
+fn cross(a: [f32; 2], b: [f32; 2]) -> f32 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+impl Near {
+    #[inline(always)]
+    fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2]) -> Self {
+        let [middle_e, middle_f] = [e, f].map(|side| [side[0] + 0.5 * d[0], side[1] + 0.5 * d[1]]);
+        let middle = [0.5 * (e[0] + f[0]) + 0.25 * d[0], 0.5 * (e[1] + f[1]) + 0.25 * d[1]];
+        let area = cross(middle_e, middle_f);
+        let per_area = 1.0 / area;
+        let s = [middle_f[1] * per_area, -middle_f[0] * per_area];
+        let t = [-middle_e[1] * per_area, middle_e[0] * per_area];
+        Self {
+            s: [s[0], s[1], -(s[0] * middle[0] + s[1] * middle[1])],
+            t: [t[0], t[1], -(t[0] * middle[0] + t[1] * middle[1])],
+            twist: [s[0] * d[0] + s[1] * d[1], t[0] * d[0] + t[1] * d[1]],
+            is_wide: area * area > NARROWEST * (norm2(middle_e) * norm2(middle_f)),
+        }
+    }
+}
+
+/// What is seen of a block of cells at once.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::render) struct Glance {
+    /// The rows of the canvas that each cell meets and that are open, a bit each.
+    pub(in crate::render) rows: [u32; BLOCK],
+    /// The sign of the area where a cell is strictly convex and its sides are not longer than [`LONGEST_SIDE`], else 0.
+    pub(in crate::render) convex: [i32; BLOCK],
+    /// What pieces are made of where cells are convex: [`Near`], if it holds, the pixels that they reach, and their edges.
+    near: [[f32; BLOCK]; 8],
+    is_near: [bool; BLOCK],
+    pixels: [[i32; BLOCK]; 2],
+    edges: [[[i32; BLOCK]; 3]; 4],
+}
+
+/// Looks at the cells of block `b` of row `j`.
+#[inline(always)]
+pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut Glance) {
+    let at = j * lattice.pitch + b * BLOCK;
+    let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
+        let places = &places[at..=at + BLOCK];
+        (places[..BLOCK].try_into().expect("a block"), places[1..].try_into().expect("a block"))
+    };
+    let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
+    let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
+    // Of the centres of the canvas's first row and of the first column behind it; targets are not larger than 2^15 where this is used.
+    let (first, right_end) = (canvas.first as i32 * ONE + HALF, canvas.width as i32 * ONE);
+    for k in 0..BLOCK {
+        let (left, right_side) = (ax[k].min(bx[k]).min(cx[k].min(dx[k])), ax[k].max(bx[k]).max(cx[k].max(dx[k])));
+        let (top, bottom) = (ay[k].min(by[k]).min(cy[k].min(dy[k])), ay[k].max(by[k]).max(cy[k].max(dy[k])));
+        // The first row whose centre is not above, from the canvas's first.
+        let row = |y: i32| ((y - first + (ONE - 1)) >> ONE.trailing_zeros()).clamp(0, 32) as u64;
+        let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
+        let rows = below(row(top)) & !below(row(bottom)) & canvas.open;
+        seen.rows[k] = if (right_side > 0) & (left < right_end) { rows } else { 0 };
+        let small = (right_side - left).max(bottom - top) <= LONGEST_SIDE;
+        // Of no meaning where the cell is not small.
+        let turn = |ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32| {
+            let (px, py, qx, qy) = (bx.wrapping_sub(ax), by.wrapping_sub(ay), cx.wrapping_sub(bx), cy.wrapping_sub(by));
+            px.wrapping_mul(qy).wrapping_sub(py.wrapping_mul(qx))
+        };
+        let turns = [
+            turn(dx[k], dy[k], ax[k], ay[k], bx[k], by[k]),
+            turn(ax[k], ay[k], bx[k], by[k], cx[k], cy[k]),
+            turn(bx[k], by[k], cx[k], cy[k], dx[k], dy[k]),
+            turn(cx[k], cy[k], dx[k], dy[k], ax[k], ay[k]),
+        ];
+        let right = (turns[0] > 0) & (turns[1] > 0) & (turns[2] > 0) & (turns[3] > 0) & small;
+        let flipped = (turns[0] < 0) & (turns[1] < 0) & (turns[2] < 0) & (turns[3] < 0) & small;
+        seen.convex[k] = i32::from(right) - i32::from(flipped);
+        seen.pixels[0][k] = first_pixel(left);
+        seen.pixels[1][k] = first_pixel(right_side);
+    }
+    if seen.rows.iter().all(|&rows| rows == 0) {
+        return;
+    }
+    let (u, dv) = (&lattice.u[b * BLOCK..=(b + 1) * BLOCK], (lattice.v[j + 1] - lattice.v[j]).abs());
+    for k in 0..BLOCK {
+        let (a, b, c, d) = ([ax[k], ay[k]], [bx[k], by[k]], [cx[k], cy[k]], [dx[k], dy[k]]);
+        let side = |a: [i32; 2], b: [i32; 2]| [b[0].wrapping_sub(a[0]) as f32 * STEP, b[1].wrapping_sub(a[1]) as f32 * STEP];
+        let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
+        let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
+        let [ds, dt] = near.twist.map(f32::abs);
+        let (off_u, off_v, both) = (ds * (u[k + 1] - u[k]).abs(), dt * dv, ds + dt);
+        // False where the area is lost.
+        let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
+        seen.is_near[k] = near.is_wide & (both < LARGEST_TWIST) & (off < NEAR * lattice.unit);
+        let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
+        for (lanes, value) in seen.near.iter_mut().zip([s[0], s[1], s[2], t[0], t[1], t[2], twist[0], twist[1]]) {
+            lanes[k] = value;
+        }
+        for (lanes, (from, to)) in seen.edges.iter_mut().zip([(a, b), (b, c), (c, d), (d, a)]) {
+            for (lanes, value) in lanes.iter_mut().zip(edge_between(from, to, a, seen.convex[k])) {
+                lanes[k] = value;
+            }
+        }
+    }
+}
+
+/// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest corner and its lowest.
+#[inline(always)]
+pub(super) fn fill(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+    let (from, to) = reach(piece, canvas.width);
+    let x0 = column(from).wrapping_sub(piece.x);
+    let mut left = rows;
+    while left != 0 {
+        let row = left.trailing_zeros();
+        left &= left - 1;
+        let y = line(canvas.first + row).wrapping_sub(piece.y);
+        let mut inside = piece.edges.map(|[gx, gy, g]| gx.wrapping_mul(x0).wrapping_add(gy.wrapping_mul(y)).wrapping_add(g));
+        let pixels = row as usize * canvas.pitch + from..row as usize * canvas.pitch + to.max(from);
+        let (mut x, y, mut painted) = (x0 as f32 * STEP, y as f32 * STEP, 0);
+        for (u, v) in canvas.u[pixels.clone()].iter_mut().zip(&mut canvas.v[pixels]) {
+            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (canvas.over || *u == BARE) {
+                (*u, *v) = piece.place(x, y);
+                painted += 1;
+            }
+            for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {
+                *inside = inside.wrapping_add(gx.wrapping_mul(ONE));
+            }
+            x += 1.0;
+        }
+        canvas.count(row as usize, painted);
+    }
+}
+
+/// The pixels of a row that a piece can reach.
+#[inline(always)]
+pub(super) fn reach(piece: &Piece, width: usize) -> (usize, usize) {
+    let clip = |pixel: i32| usize::try_from(pixel).unwrap_or(0).min(width);
+    (clip(piece.pixels[0]), clip(piece.pixels[1]))
+}
+
+/// Lattice x of the centres of a column of pixels, of a target that crossings could draw.
+#[inline(always)]
+pub(super) fn column(pixel: usize) -> i32 {
+    (pixel as i32).wrapping_mul(ONE).wrapping_add(HALF)
+}
+
+/// Lattice y of the centres of a row of pixels.
+#[inline(always)]
+pub(super) fn line(row: u32) -> i32 {
+    row_centre(row) as i32
+}
+
+impl Piece {
+    /// The coordinates at px (x, y) from the origin.
+    #[inline(always)]
+    fn place(&self, x: f32, y: f32) -> (f32, f32) {
+        let (s, t) = match &self.map {
+            Map::Near(near) => {
+                let s0 = (near.s[1] * y + near.s[2]) + near.s[0] * x;
+                let t0 = (near.t[1] * y + near.t[2]) + near.t[0] * x;
+                let once = s0 * t0;
+                let (s1, t1) = (s0 - once * near.twist[0], t0 - once * near.twist[1]);
+                let twice = s1 * t1;
+                (s0 - twice * near.twist[0], t0 - twice * near.twist[1])
+            }
+            Map::Root(root) => {
+                let ([ex, ey], [fx, fy], [dx, dy]) = (root.e, root.f, root.d);
+                let b = (root.area - y * dx) + x * dy;
+                let c = x * ey - y * ex;
+                let under = b * b - (4.0 * root.bend) * c;
+                let m = (if under > 0.0 { under } else { 0.0 }).sqrt() * root.sign;
+                let same = b * m >= 0.0;
+                let t = within((if same { -2.0 * c } else { m - b }) / (if same { b + m } else { 2.0 * root.bend }));
+                let (along_x, along_y) = (ex + dx * t, ey + dy * t);
+                let (rest_x, rest_y) = (x - fx * t, y - fy * t);
+                let wide = along_x.abs() > along_y.abs();
+                (within((if wide { rest_x } else { rest_y }) / (if wide { along_x } else { along_y })), t)
+            }
+        };
+        (self.u[0] + s * self.u[1] + t * self.u[2], self.v[0] + s * self.v[1] + t * self.v[2])
+    }
+}
+
+/// Into [0, 1]; NaN becomes 0.
+#[inline(always)]
+fn within(share: f32) -> f32 {
+    let share = if share > 0.0 { share } else { 0.0 };
+    if share < 1.0 { share } else { 1.0 }
+}
