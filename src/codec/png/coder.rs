@@ -1,7 +1,7 @@
 //! From filtered bytes to the bits of a deflate block. Bytes are taken apart into eights that are not all zero, runs of at least eight zeros
 //! (a literal and matches of distance 1), and an end of less than eight; the same walk counts symbols and writes codes. Bytes are looked up two at a
 //! time (`Pairs`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
-//! store. Cost: about 0.4 ns a byte with pairs, 0.6 without.
+//! store. A level may take many eights at once (`Lookup::many`). Cost: about 0.4 ns a byte with pairs, 0.6 without.
 
 use super::bits::BitWriter;
 use super::huffman::{Codes, END, LITERALS};
@@ -33,15 +33,20 @@ pub(super) struct Tables<'a, L> {
 /// Appends the codes of at most `PIECE` bytes to `out`.
 #[inline(always)]
 pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
-    let mut coder = Coder { waiting: bits.waiting, filled: bits.filled, at: 0, tables, stage };
+    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled, at: 0, stage }, tables };
     walk(piece, &mut coder);
-    let Coder { waiting, filled, at, .. } = coder;
+    let Staged { waiting, filled, at, .. } = coder.bits;
     *bits = BitWriter { waiting, filled };
     out.extend_from_slice(&stage[..at]);
 }
 
 /// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
 pub(super) trait Sink {
+    /// Takes as many whole eights from the front as it likes, up to the first that is all zero; returns how many bytes these are.
+    #[inline(always)]
+    fn many(&mut self, _bytes: &[u8]) -> usize {
+        0
+    }
     fn eight(&mut self, bytes: u64);
     /// `count >= 8`.
     fn zeros(&mut self, count: usize);
@@ -51,7 +56,9 @@ pub(super) trait Sink {
 #[inline(always)]
 pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     let mut rest = bytes;
-    while let Some((eight, after)) = rest.split_first_chunk::<8>() {
+    loop {
+        rest = &rest[sink.many(rest)..];
+        let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
         let eight = u64::from_le_bytes(*eight);
         rest = after;
         if eight != 0 {
@@ -201,6 +208,12 @@ pub(super) const fn length(entry: u32) -> u32 {
 /// Codes of two neighbouring bytes, the first lowest.
 pub(super) trait Lookup {
     fn two(&self, bytes: u16) -> u32;
+
+    /// [`Sink::many`], coded.
+    #[inline(always)]
+    fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> usize {
+        0
+    }
 }
 
 /// One entry a byte.
@@ -213,7 +226,7 @@ impl Single {
     }
 
     #[inline(always)]
-    fn one(&self, byte: u8) -> u32 {
+    pub(super) fn one(&self, byte: u8) -> u32 {
         self.0[usize::from(byte)]
     }
 }
@@ -271,18 +284,35 @@ impl Runs {
     }
 }
 
-struct Coder<'a, L> {
+/// Bits on their way to the stage.
+pub(super) struct Staged<'a> {
     waiting: u64,
     filled: u32,
     at: usize,
-    tables: &'a Tables<'a, L>,
     stage: &'a mut Stage,
 }
 
-impl<L: Lookup> Coder<'_, L> {
+impl Staged<'_> {
+    /// The same place, to be kept in registers by a loop; its end goes back by [`Staged::go_on`].
+    #[inline(always)]
+    pub(super) fn lend(&mut self) -> Staged<'_> {
+        Staged { waiting: self.waiting, filled: self.filled, at: self.at, stage: &mut *self.stage }
+    }
+
+    /// Where a lent one ended.
+    #[inline(always)]
+    pub(super) fn ended(self) -> (u64, u32, usize) {
+        (self.waiting, self.filled, self.at)
+    }
+
+    #[inline(always)]
+    pub(super) fn go_on(&mut self, (waiting, filled, at): (u64, u32, usize)) {
+        (self.waiting, self.filled, self.at) = (waiting, filled, at);
+    }
+
     /// `length <= 56`.
     #[inline(always)]
-    fn put(&mut self, code: u64, length: u32) {
+    pub(super) fn put(&mut self, code: u64, length: u32) {
         self.waiting |= code << self.filled;
         self.filled += length;
         // Never masks anything (STAGE holds the longest coded piece); it stands for a bounds check.
@@ -292,20 +322,32 @@ impl<L: Lookup> Coder<'_, L> {
         self.waiting >>= self.filled & 56;
         self.filled &= 7;
     }
+}
 
+struct Coder<'a, L> {
+    bits: Staged<'a>,
+    tables: &'a Tables<'a, L>,
+}
+
+impl<L: Lookup> Coder<'_, L> {
     #[inline(always)]
     fn put_entry(&mut self, entry: u32) {
-        self.put(code(entry), length(entry));
+        self.bits.put(code(entry), length(entry));
     }
 
     /// Two pairs, 48 bits at most.
     #[inline(always)]
     fn four(&mut self, first: u32, second: u32) {
-        self.put(code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)));
+        self.bits.put(code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)));
     }
 }
 
 impl<L: Lookup> Sink for Coder<'_, L> {
+    #[inline(always)]
+    fn many(&mut self, bytes: &[u8]) -> usize {
+        self.tables.pairs.many(bytes, &mut self.bits)
+    }
+
     #[inline(always)]
     #[expect(clippy::cast_possible_truncation, reason = "the low half word of a shifted word is what is meant")]
     fn eight(&mut self, bytes: u64) {

@@ -38,21 +38,34 @@ pub(super) fn encode(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>
 /// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
 #[inline(always)]
 pub(super) fn body(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+    strip(rows, last, most, out, |single, code| {
+        if rows.filtered_len() < PAIRS_FROM {
+            return code.rows(single);
+        }
+        let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
+        fill_pairs(single, &mut pairs);
+        let adler = code.rows(&Pairs(&pairs));
+        PAIRS.set(Some(pairs));
+        adler
+    })
+}
+
+/// A strip, its rows coded by `code_with`, which chooses how bytes are looked up.
+#[inline(always)]
+pub(super) fn strip(
+    rows: Rows<'_>,
+    last: bool,
+    most: usize,
+    out: &mut Vec<u8>,
+    code_with: impl FnOnce(&Single, RowCoder<'_>) -> Option<u32>,
+) -> Option<u32> {
     let mut piece = [0; PIECE];
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
     let (single, runs) = (Single::new(&codes), Runs::new(&codes));
-    let adler = if rows.filtered_len() < PAIRS_FROM {
-        code_rows(rows, &Tables { pairs: &single, single: &single, runs: &runs }, &mut piece, &mut bits, most, out)
-    } else {
-        let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
-        fill_pairs(&single, &mut pairs);
-        let tables = Tables { pairs: &Pairs(&pairs), single: &single, runs: &runs };
-        let adler = code_rows(rows, &tables, &mut piece, &mut bits, most, out);
-        PAIRS.set(Some(pairs));
-        adler
-    }?;
+    let coder = RowCoder { rows, single: &single, runs: &runs, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
+    let adler = code_with(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
     (out.len() <= most).then_some(adler)
@@ -122,7 +135,26 @@ fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
     }
 }
 
-/// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
+/// The rows of a strip on their way to `out`.
+pub(super) struct RowCoder<'a> {
+    rows: Rows<'a>,
+    single: &'a Single,
+    runs: &'a Runs,
+    piece: &'a mut [u8; PIECE],
+    bits: &'a mut BitWriter,
+    most: usize,
+    out: &'a mut Vec<u8>,
+}
+
+impl RowCoder<'_> {
+    /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
+    #[inline(always)]
+    pub(super) fn rows(self, lookup: &impl Lookup) -> Option<u32> {
+        let Self { rows, single, runs, piece, bits, most, out } = self;
+        code_rows(rows, &Tables { pairs: lookup, single, runs }, piece, bits, most, out)
+    }
+}
+
 #[inline(always)]
 fn code_rows<L: Lookup>(
     rows: Rows<'_>,

@@ -1,0 +1,142 @@
+//! The fast strip for AVX-512 with VBMI: 64 residuals are looked up at once in registers (`vpermi2b`), and their codes are joined in lanes that grow from
+//! 16 to 64 bits, so that eight codes go to a store as a rule. The same bits as the portable coder's.
+
+use std::arch::x86_64::*;
+
+use super::super::coder::{Lookup, Single, Staged, code, length};
+use super::super::fast;
+use super::super::rows::Rows;
+
+/// Must be called where [`crate::level::Level::Avx512`] is here.
+pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+    // SAFETY: the one caller asks `Level::is_here` first, which covers every feature.
+    unsafe { fast_avx512(rows, last, most, out) }
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
+fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+    fast::strip(rows, last, most, out, |single, code| code.rows(&Wide::new(single)))
+}
+
+/// Bits of a code in a 16-bit lane; its length stands above.
+const CODE_BITS: u32 = 12;
+/// Most bits of eight codes that go to a store at once.
+const MOST: i64 = 56;
+
+/// The codes of all bytes, `length << 12 | code`, their low and their high halves apart. Made by `fast_avx512` only.
+struct Wide<'a> {
+    single: &'a Single,
+    low: [u8; 256],
+    high: [u8; 256],
+}
+
+impl<'a> Wide<'a> {
+    #[inline(always)]
+    fn new(single: &'a Single) -> Self {
+        let (mut low, mut high) = ([0; 256], [0; 256]);
+        for (byte, (low, high)) in (0..=u8::MAX).zip(low.iter_mut().zip(&mut high)) {
+            let entry = single.one(byte);
+            #[expect(clippy::cast_possible_truncation, reason = "codes and lengths are at most 12")]
+            let lane = code(entry) as u16 | (length(entry) << CODE_BITS) as u16;
+            [*low, *high] = lane.to_le_bytes();
+        }
+        Self { single, low, high }
+    }
+}
+
+impl Lookup for Wide<'_> {
+    #[inline(always)]
+    fn two(&self, bytes: u16) -> u32 {
+        self.single.two(bytes)
+    }
+
+    #[inline(always)]
+    fn many(&self, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
+        if bytes.len() < 64 {
+            return 0;
+        }
+        // SAFETY: a `Wide` is made and used inside `fast_avx512` only.
+        unsafe { sixty_fours(self, bytes, bits) }
+    }
+}
+
+/// Codes 64 bytes a time up to a group of eight that is all zero; how many bytes that were.
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
+fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
+    let load = |bytes: &[u8; 64]| {
+        // SAFETY: 64 bytes are loaded from 64 bytes.
+        unsafe { _mm512_loadu_si512(bytes.as_ptr().cast()) }
+    };
+    let quarters = |table: &[u8; 256]| {
+        let (quarters, _) = table.as_chunks::<64>();
+        [load(&quarters[0]), load(&quarters[1]), load(&quarters[2]), load(&quarters[3])]
+    };
+    let (low, high) = (quarters(&tables.low), quarters(&tables.high));
+    // In registers: behind the reference each code would wait for the last one's way through memory.
+    let (mut own, mut done) = (bits.lend(), 0);
+    for block in bytes.as_chunks::<64>().0 {
+        let block = load(block);
+        if _mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512()) != 0 {
+            break;
+        }
+        done += 64;
+        let upper = _mm512_movepi8_mask(block);
+        let look_up = |[a, b, c, d]: [__m512i; 4]| {
+            _mm512_mask_blend_epi8(upper, _mm512_permutex2var_epi8(a, block, b), _mm512_permutex2var_epi8(c, block, d))
+        };
+        let (low, high) = (look_up(low), look_up(high));
+        // Of every 16 bytes the first eight and the last eight, each four to a lane.
+        let ((first, first_length), (second, second_length)) =
+            (fours(_mm512_unpacklo_epi8(low, high)), fours(_mm512_unpackhi_epi8(low, high)));
+        // First fours, then second fours of each eight, the eights in order.
+        let (fore, rear) = (_mm512_unpacklo_epi64(first, second), _mm512_unpackhi_epi64(first, second));
+        let fore_length = _mm512_unpacklo_epi64(first_length, second_length);
+        let rear_length = _mm512_unpackhi_epi64(first_length, second_length);
+        let lengths = _mm512_add_epi64(fore_length, rear_length);
+        if _mm512_cmpgt_epi64_mask(lengths, _mm512_set1_epi64(MOST)) == 0 {
+            let codes = lanes(_mm512_or_si512(fore, _mm512_sllv_epi64(rear, fore_length)));
+            for (code, length) in codes.into_iter().zip(lanes(lengths)) {
+                put(&mut own, code, length);
+            }
+        } else {
+            let (fore, rear) = (lanes(fore).into_iter().zip(lanes(fore_length)), lanes(rear).into_iter().zip(lanes(rear_length)));
+            for ((fore, fore_length), (rear, rear_length)) in fore.zip(rear) {
+                put(&mut own, fore, fore_length);
+                put(&mut own, rear, rear_length);
+            }
+        }
+    }
+    let ended = own.ended();
+    bits.go_on(ended);
+    done
+}
+
+#[inline(always)]
+fn put(bits: &mut Staged<'_>, code: u64, length: u64) {
+    #[expect(clippy::cast_possible_truncation, reason = "at most 56")]
+    bits.put(code, length as u32);
+}
+
+/// Four codes of 16-bit lanes in each 64-bit lane, the first lowest, and their length.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn fours(lanes: __m512i) -> (__m512i, __m512i) {
+    let code = _mm512_set1_epi32((1 << CODE_BITS) - 1);
+    let (first, second) = (_mm512_and_si512(lanes, code), _mm512_and_si512(_mm512_srli_epi32::<16>(lanes), code));
+    let first_length = _mm512_and_si512(_mm512_srli_epi32::<CODE_BITS>(lanes), _mm512_set1_epi32(15));
+    let lengths = _mm512_add_epi32(first_length, _mm512_srli_epi32::<{ 16 + CODE_BITS }>(lanes));
+    let pairs = _mm512_or_si512(first, _mm512_sllv_epi32(second, first_length));
+    let low = _mm512_set1_epi64(0xffff_ffff);
+    let low_length = _mm512_and_si512(lengths, low);
+    let fours = _mm512_or_si512(_mm512_and_si512(pairs, low), _mm512_sllv_epi64(_mm512_srli_epi64::<32>(pairs), low_length));
+    (fours, _mm512_add_epi64(low_length, _mm512_srli_epi64::<32>(lengths)))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn lanes(of: __m512i) -> [u64; 8] {
+    let mut lanes = [0; 8];
+    // SAFETY: 64 bytes are stored into 64 bytes.
+    unsafe { _mm512_storeu_si512(lanes.as_mut_ptr().cast(), of) };
+    lanes
+}
