@@ -108,8 +108,8 @@ impl Times {
         self.quantile(0.05)
     }
 
-    pub fn len(&self) -> usize {
-        self.0.len()
+    pub fn samples(&self) -> &[f64] {
+        &self.0
     }
 }
 
@@ -228,14 +228,14 @@ impl Drop for Report {
     }
 }
 
-/// The argument: what is run has one of its parts (between commas) in its title. Empty runs everything.
+/// The argument: tables whose title contains it are run. Empty runs everything.
 pub fn filter() -> String {
     std::env::args().skip(1).find(|arg| !arg.starts_with('-')).unwrap_or_default()
 }
 
 /// Whether the argument lets `title` run.
 pub fn wanted(title: &str) -> bool {
-    filter().split(',').any(|part| title.contains(part))
+    title.contains(&filter())
 }
 
 /// What follows a flag: `--paired DIR`.
@@ -252,7 +252,9 @@ fn machine() -> String {
         .ok()
         .and_then(|s| s.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(": ").nth(1)).map(str::to_owned))
         .unwrap_or_else(|| "unknown processor".to_owned());
-    format!("{cpu}, {} threads", std::thread::available_parallelism().map_or(1, usize::from))
+    // Others at work on the same cores spoil two threads first.
+    let load = std::fs::read_to_string("/proc/loadavg").ok().and_then(|s| s.split(' ').next().map(|load| format!(", load {load} before")));
+    format!("{cpu}, {} threads{}", std::thread::available_parallelism().map_or(1, usize::from), load.unwrap_or_default())
 }
 
 /// A pool of so many threads.
