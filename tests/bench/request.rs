@@ -2,7 +2,7 @@
 //! vertices, RGBA, transparent outside, PNG `fast`; nothing is timed that is made once (the picture, the plan).
 //!
 //! `cargo bench --bench request [-- FILTER]`; a filter is a part of a title (`in process`, `loopback`, `3840 x 2160`, ...).
-//! `request --paired DIR` writes the picture and the handles there and then times `1 thread` and `2 threads` of 500 x 500 when it is asked to
+//! `request --paired DIR` writes the picture and the handles there and then times `1 thread`, `2 threads` and `deform` of 500 x 500 when it is asked to
 //! (see `harness/paired.rs`).
 
 #![allow(

@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{self, Falloff, Field, Handle, Handles, Method, Pose};
+use mlswarp::geometry::Grid;
 use mlswarp::pixmap::{Channels, Extent, Pixmap};
 use mlswarp::warp::{Folds, GridSpec, Image, Limits, OutputSpec, Plan, RestSpec, Setup, Warp};
 
@@ -63,6 +64,17 @@ impl Drag {
     pub fn extent(&self) -> Extent {
         self.image.extent()
     }
+}
+
+/// The plan and a pose of the same handles, for the deformation alone.
+pub fn deformation(extent: Extent, handle_count: usize) -> (deform::Plan, Pose) {
+    let (p, q) = handles(handle_count, extent, 1.0);
+    let rest = Handles::new(p, None).expect("well-formed handles");
+    let falloff = Falloff::new(1.0, rest.has_lines()).expect("alpha in range");
+    let field = Field::new(rest, Method::Rigid, falloff, 1.0).expect("a regular set");
+    let pose = field.pose(&q).expect("targets that agree");
+    let grid = Grid::with_counts(f64::from(extent.width()), f64::from(extent.height()), VERTICES, VERTICES);
+    (deform::Plan::of_grid(&field, &grid), pose)
 }
 
 /// A picture as a file, RGBA if it is.

@@ -8,7 +8,7 @@ use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Extent};
 use mlswarp::warp::GridSpec;
 
-use crate::drag::{Drag, GRID, samples};
+use crate::drag::{Drag, GRID, deformation, samples};
 use crate::harness::pictures::{FULL_HD, SMALL, UHD, VERTICES, bytes, encode, extent, handles, photograph, size, tiles};
 use crate::harness::{self, Contender, Goal, Report, contender, inside, paired, pool, remote};
 
@@ -122,7 +122,12 @@ pub fn answer(folder: Option<&Path>) {
     let (one, two) = (pool(1), pool(2));
     let mut drags = [Drag::new(&photo, HANDLES, GRID), Drag::new(&photo, HANDLES, GRID)];
     let [a, b] = &mut drags;
-    paired::serve(&mut [inside(&one, ONE, || a.png(0)), inside(&two, TWO, || b.png(1))]);
+    let (plan, pose) = deformation(extent(SMALL), HANDLES);
+    paired::serve(&mut [
+        inside(&one, ONE, || a.png(0)),
+        inside(&two, TWO, || b.png(1)),
+        inside(&one, "deform", || _ = black_box(plan.displace(black_box(&pose)))),
+    ]);
 }
 
 /// The photograph side by side with itself: the same kind of pixels, ever more of them.
