@@ -145,11 +145,13 @@ pub struct Report {
     name: &'static str,
     text: String,
     goals: String,
+    /// Of the last table.
+    times: Vec<Times>,
 }
 
 impl Report {
     pub fn new(name: &'static str, what: &str) -> Self {
-        let mut report = Self { name, text: String::new(), goals: String::new() };
+        let mut report = Self { name, text: String::new(), goals: String::new(), times: Vec::new() };
         report.line(&format!("# {name}: {what}\n"));
         report.line(&format!("Machine: {}; level {}.\n", machine(), mlswarp::level::Level::detect().name()));
         report
@@ -186,18 +188,41 @@ impl Report {
             .expect("a string takes what is written");
         }
         self.line(&table);
-        times.iter().map(Times::median).collect()
+        self.times = times;
+        self.times.iter().map(Times::median).collect()
+    }
+
+    /// Contender `a` to contender `b` of the last table.
+    pub fn ratio(&self, a: usize, b: usize) -> Figure {
+        let (a, b) = (&self.times[a], &self.times[b]);
+        Figure { median: a.median() / b.median(), low: Some(a.low() / b.low()) }
     }
 
     /// A figure beside the goal that it is held against; the goals stand together at the report's end.
-    pub fn goal(&mut self, what: &str, figure: f64, goal: Goal) {
+    pub fn goal(&mut self, what: &str, figure: impl Into<Figure>, goal: Goal) {
+        let Figure { median: figure, low } = figure.into();
         let (words, met) = match goal {
             Goal::AtMost(limit) => (format!("at most {limit:.3}"), figure <= limit),
             Goal::AtLeast(limit) => (format!("at least {limit:.3}"), figure >= limit),
             Goal::Between(low, high) => (format!("{low} to {high}"), (low..=high).contains(&figure)),
         };
-        writeln!(self.goals, "| {what} | {figure:.3} | {words} | {} |", if met { "yes" } else { "no" })
-            .expect("a string takes what is written");
+        let low = low.map_or_else(String::new, |low| format!("{low:.3}"));
+        let row = format!("| {what} | {figure:.3} | {words} | {} | {low} |\n", if met { "yes" } else { "no" });
+        self.goals.push_str(&row);
+    }
+}
+
+/// What is held against a goal.
+#[derive(Clone, Copy)]
+pub struct Figure {
+    pub median: f64,
+    /// The same of the fastest 5 %.
+    pub low: Option<f64>,
+}
+
+impl From<f64> for Figure {
+    fn from(median: f64) -> Self {
+        Self { median, low: None }
     }
 }
 
@@ -212,7 +237,7 @@ pub enum Goal {
 impl Drop for Report {
     fn drop(&mut self) {
         if !self.goals.is_empty() {
-            let goals = format!("## Goals\n\n| what | figure | goal | met |\n|---|---:|---|---|\n{}", self.goals);
+            let goals = format!("## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|\n{}", self.goals);
             self.line(&goals);
         }
         // A part of a report does not replace a whole one.
