@@ -1,21 +1,31 @@
-//! PNG encoding of a photograph (500 x 500, RGBA and RGB, 8 bit) against the crates that do it in Rust: medians of interleaved runs, one thread,
-//! and the strips on two threads. Also 1920 x 1080 made from the same photograph. Buffers are reused where an encoder allows it.
-//! Run: `cargo bench --bench png`; an argument keeps the contenders with one of its parts (between commas) in their name.
+//! PNG encoding of the warped photograph (RGBA with alpha 0 or 255, and RGB, 8 bit) against the crates that do it in Rust, 500 x 500 and
+//! 1920 x 1080, one thread, and the strips on two; and how time grows with the pixels. Buffers are reused where an encoder allows it.
+//!
+//! `cargo bench --bench png [-- FILTER]`; a filter is a part of a table's title.
+//! `png --paired DIR` writes the pictures there, `index.json` naming them, and then times `strips fast` for each case that is asked for
+//! (see `harness/paired.rs`).
 
 #![allow(
     missing_docs,
+    missing_debug_implementations,
+    unreachable_pub,
     clippy::print_stdout,
     clippy::unwrap_used,
     clippy::cast_possible_truncation,
     reason = "a program that prints a table"
 )]
 
-use std::hint::black_box;
-use std::time::{Duration, Instant};
+#[path = "harness/mod.rs"]
+mod harness;
 
+use std::hint::black_box;
+use std::path::Path;
+
+use harness::pictures::{FULL_HD, SMALL, bytes, encode, extent, photograph, size, tiles, warped};
+use harness::{Contender, Goal, Report, contender, inside, paired, pool};
 use mlswarp::codec::{Compression, PngShape, PngWriter};
 use mlswarp::level::Level;
-use mlswarp::pixmap::{Channels, Depth, Extent};
+use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap};
 use rayon::prelude::*;
 
 struct Picture {
@@ -26,124 +36,138 @@ struct Picture {
     samples: Vec<u8>,
 }
 
-type Encode<'a> = Box<dyn FnMut(&mut Vec<u8>) + 'a>;
-
-struct Contender<'a> {
-    name: String,
-    run: Encode<'a>,
-    times: Vec<Duration>,
-    bytes: usize,
+impl Picture {
+    fn new(name: String, pixmap: &Pixmap) -> Self {
+        let extent = pixmap.extent();
+        Self { name, width: extent.width(), height: extent.height(), channels: pixmap.channels(), samples: bytes(pixmap).to_vec() }
+    }
 }
 
 fn main() {
-    let filter = std::env::args().skip(1).find(|arg| !arg.starts_with('-')).unwrap_or_default();
-    for picture in pictures() {
-        bench(&picture, &filter);
+    match harness::option("--paired") {
+        Some(folder) => answer(Path::new(&folder)),
+        None => tables(),
     }
 }
 
-/// The photograph cropped to 500 x 500, and enlarged to 1920 x 1080.
-fn pictures() -> Vec<Picture> {
-    let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/astronaut.png")).unwrap();
-    let photo = image::load_from_memory(&bytes).unwrap();
-    let large = photo.crop_imm(0, 0, 512, 288).resize_exact(1920, 1080, image::imageops::FilterType::CatmullRom);
-    let mut pictures = Vec::new();
-    for photo in [photo.crop_imm(0, 0, 500, 500), large] {
-        let rgba = photo.to_rgba8().into_raw();
-        let (width, height) = (photo.width(), photo.height());
-        // A round hole in the alpha channel, as a warp leaves one at the border.
-        let mut cut = rgba.clone();
-        for (i, pixel) in cut.chunks_exact_mut(4).enumerate() {
-            let (x, y) = (i as u32 % width, i as u32 / width);
-            let (dx, dy) = ((2 * x).abs_diff(width) as f32 / width as f32, (2 * y).abs_diff(height) as f32 / height as f32);
-            if dx.powi(6) + dy.powi(6) > 0.8 {
-                pixel.fill(0);
-            }
-        }
-        let rgb = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-        for (channels, samples, name) in
-            [(Channels::Rgba, rgba, "RGBA, alpha 255"), (Channels::Rgba, cut, "RGBA, alpha 0 or 255"), (Channels::Rgb, rgb, "RGB")]
-        {
-            pictures.push(Picture { name: format!("{width} x {height} {name}"), width, height, channels, samples });
+fn tables() {
+    let mut report = Report::new("png", "pixels to the bytes of a PNG, 8 bit");
+    for picture in pictures() {
+        if harness::wanted(&picture.name) {
+            table(&mut report, &picture);
         }
     }
-    pictures
+    if harness::wanted("growth") {
+        growth(&mut report);
+    }
+}
+
+/// The photograph warped, transparent where it bent away; and as RGB, unwarped, since nothing of it is missing then.
+fn pictures() -> Vec<Picture> {
+    let of = |sides, channels| {
+        let photo = photograph(extent(sides), channels);
+        match channels {
+            Channels::Rgba => Picture::new(format!("{} RGBA, warped, alpha 0 or 255", size(photo.extent())), &warped(photo)),
+            Channels::Rgb => Picture::new(format!("{} RGB", size(photo.extent())), &photo),
+        }
+    };
+    [SMALL, FULL_HD].into_iter().flat_map(|sides| [Channels::Rgba, Channels::Rgb].map(|channels| of(sides, channels))).collect()
 }
 
 struct Contenders<'a>(Vec<Contender<'a>>);
 
 impl<'a> Contenders<'a> {
-    fn add(&mut self, name: &str, run: impl FnMut(&mut Vec<u8>) + 'a) {
-        self.0.push(Contender { name: name.to_owned(), run: Box::new(run), times: Vec::new(), bytes: 0 });
+    fn add(&mut self, name: &str, mut run: impl FnMut(&mut Vec<u8>) + 'a) {
+        let mut out = Vec::new();
+        let size = write(&mut run, &mut out);
+        self.0.push(contender(name, move || _ = write(&mut run, &mut out)).sized(size));
+    }
+
+    fn add_inside(&mut self, pool: &'a rayon::ThreadPool, name: &str, mut run: impl FnMut(&mut Vec<u8>) + Send + 'a) {
+        let mut out = Vec::new();
+        let size = write(&mut run, &mut out);
+        self.0.push(inside(pool, name, move || _ = write(&mut run, &mut out)).sized(size));
     }
 }
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
+/// Bytes written.
+fn write(run: &mut impl FnMut(&mut Vec<u8>), out: &mut Vec<u8>) -> usize {
+    out.clear();
+    run(out);
+    black_box(out).len()
 }
 
-fn bench(picture: &Picture, filter: &str) {
+fn table(report: &mut Report, picture: &Picture) {
     let (one, two) = (pool(1), pool(2));
+    let small = picture.width < 1000;
     let mut contenders = Contenders(Vec::new());
+    contenders.add("png Fastest", move |out| crate_png(picture, png::Compression::Fastest, None, out));
     for &level in Level::available().iter().rev() {
-        contenders.add(&format!("strips fast, {level:?}"), move |out| strips(picture, Compression::Fast, level, out));
+        contenders.add(&format!("strips fast, {}", level.name()), move |out| strips(picture, Compression::Fast, level, out));
     }
-    contenders.add("strips fast, 2 threads", |out| two.install(|| parallel(picture, Compression::Fast, out)));
+    contenders.add_inside(&two, "strips fast, 2 threads", move |out| parallel(picture, Compression::Fast, out));
     contenders.add("strips none", move |out| strips(picture, Compression::None, Level::detect(), out));
-    if picture.width < 1000 {
+    if small {
         contenders.add("strips best", move |out| strips(picture, Compression::Best, Level::detect(), out));
         contenders.add("png High", move |out| crate_png(picture, png::Compression::High, None, out));
     }
     contenders.add("png NoCompression", move |out| crate_png(picture, png::Compression::NoCompression, None, out));
-    contenders.add("png Fastest", move |out| crate_png(picture, png::Compression::Fastest, None, out));
     contenders.add("png Fast", move |out| crate_png(picture, png::Compression::Fast, None, out));
     contenders.add("png Fastest, Paeth", move |out| crate_png(picture, png::Compression::Fastest, Some(png::Filter::Paeth), out));
     contenders.add("image default", move |out| crate_image(picture, out));
     contenders.add("mtpng fast, 1 thread", |out| crate_mtpng(picture, &one, out));
     contenders.add("zune-png (stored)", move |out| crate_zune(picture, out));
     let mut contenders = contenders.0;
-    contenders.retain(|contender| filter.split(',').any(|part| contender.name.contains(part)));
+    let medians = report.table(&picture.name, if small { 61 } else { 21 }, &mut contenders);
+    report.line(&format!(
+        "{} bytes of samples; strips fast: {:.0} MB/s.\n",
+        picture.samples.len(),
+        picture.samples.len() as f64 / medians[1] / 1e6
+    ));
+    let (fastest, fast) = (contenders[0].bytes().unwrap(), contenders[1].bytes().unwrap());
+    let two = report.ratio(1 + Level::available().len(), 1);
+    let one = report.ratio(1, 0);
+    report.goal(&format!("{}: 1 thread / png Fastest", picture.name), one, Goal::AtMost(0.5));
+    report.goal(&format!("{}: size / png Fastest", picture.name), fast as f64 / fastest as f64, Goal::AtMost(1.0));
+    report.goal(&format!("{}: 2 threads / 1 thread", picture.name), two, Goal::AtMost(0.6));
+}
 
-    let mut out = Vec::new();
-    let deadline = Instant::now() + Duration::from_secs(if picture.width < 1000 { 4 } else { 6 });
-    let mut round = 0;
-    while round < 7 || Instant::now() < deadline && round < 400 {
-        for contender in &mut contenders {
-            // The slow ones get a few runs only.
-            if round >= 5 && contender.times.iter().sum::<Duration>() > Duration::from_millis(700) {
-                continue;
-            }
-            out.clear();
-            let start = Instant::now();
-            (contender.run)(&mut out);
-            contender.times.push(start.elapsed());
-            contender.bytes = out.len();
-            black_box(&out);
+/// The photograph side by side with itself: the same kind of pixels, ever more of them.
+fn growth(report: &mut Report) {
+    let sides = [250, 500, 1000, 2000];
+    let extents = sides.map(|side| extent((side, side)));
+    let pictures = extents.map(|e: Extent| Picture::new(size(e), &tiles(e)));
+    let mut contenders = Contenders(Vec::new());
+    for picture in &pictures {
+        contenders.add(&picture.name, move |out| strips(picture, Compression::Fast, Level::detect(), out));
+    }
+    let medians = report.table("growth, RGBA, strips fast, 1 thread", 41, &mut contenders.0);
+    for k in 1..sides.len() {
+        let slope = harness::slope([extents[k - 1], extents[k]].map(|e| e.pixels() as f64), [medians[k - 1], medians[k]]);
+        report.line(&format!("Slope in pixels, {} to {}: {slope:.2}", sides[k - 1], sides[k]));
+        if sides[k] == 1000 {
+            report.goal("slope in pixels, 500^2 to 1000^2", slope, Goal::Between(0.9, 1.1));
         }
-        round += 1;
     }
+    report.line("");
+}
 
-    let quantile = |contender: &Contender<'_>, part: f64| {
-        let mut times = contender.times.clone();
-        times.sort();
-        times[(times.len() as f64 * part) as usize].as_secs_f64() * 1e3
-    };
-    let median = |contender: &Contender<'_>| quantile(contender, 0.5);
-    let rival = contenders.iter().find(|c| c.name == "png Fastest").map(|c| (median(c), quantile(c, 0.05), c.bytes));
-    println!(
-        "\n{} ({} bytes); F is png Fastest; p5 is the twentieth part of the runs that was fastest",
-        picture.name,
-        picture.samples.len()
-    );
-    println!("{:<24} {:>9} {:>9} {:>7} {:>9} {:>8} {:>8} {:>8}", "", "ms", "p5 ms", "MB/s", "bytes", "ms / F", "p5 / F", "size / F");
-    for contender in &contenders {
-        let (ms, low) = (median(contender), quantile(contender, 0.05));
-        let (time, low_ratio, size) =
-            rival.map_or((0.0, 0.0, 0.0), |(time, least, bytes)| (ms / time, low / least, contender.bytes as f64 / bytes as f64));
-        let speed = picture.samples.len() as f64 / ms / 1e3;
-        let name = &contender.name;
-        println!("{name:<24} {ms:>9.3} {low:>9.3} {speed:>7.0} {:>9} {time:>8.3} {low_ratio:>8.3} {size:>8.3}", contender.bytes);
+fn answer(folder: &Path) {
+    let pictures = [("500x500", SMALL), ("1920x1080", FULL_HD)]
+        .map(|(case, sides)| (case, Picture::new(case.to_owned(), &warped(photograph(extent(sides), Channels::Rgba)))));
+    let mut index = Vec::new();
+    let mut contenders = Contenders(Vec::new());
+    for (case, picture) in &pictures {
+        let file = format!("{case}.warped.rgba");
+        paired::write(folder, &file, &picture.samples);
+        contenders.add(case, move |out| strips(picture, Compression::Fast, Level::detect(), out));
+        index.push(serde_json::json!({
+            "case": case, "width": picture.width, "height": picture.height, "picture": file,
+            "bytes": contenders.0.last().and_then(Contender::bytes), "level": Level::detect().name(),
+        }));
     }
+    paired::write(folder, "index.json", serde_json::Value::from(index).to_string().as_bytes());
+    paired::serve(&mut contenders.0);
 }
 
 fn writer(picture: &Picture, compression: Compression) -> PngWriter {
@@ -177,16 +201,8 @@ fn parallel(picture: &Picture, compression: Compression, out: &mut Vec<u8>) {
 }
 
 fn crate_png(picture: &Picture, compression: png::Compression, filter: Option<png::Filter>, out: &mut Vec<u8>) {
-    let mut encoder = png::Encoder::new(out, picture.width, picture.height);
-    encoder.set_color(if picture.channels == Channels::Rgb { png::ColorType::Rgb } else { png::ColorType::Rgba });
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(compression);
-    if let Some(filter) = filter {
-        encoder.set_filter(filter);
-    }
-    let mut writer = encoder.write_header().unwrap();
-    writer.write_image_data(&picture.samples).unwrap();
-    writer.finish().unwrap();
+    let extent = extent((picture.width, picture.height));
+    encode(extent, picture.channels, &picture.samples, (compression, filter), out);
 }
 
 fn crate_image(picture: &Picture, out: &mut Vec<u8>) {

@@ -1,155 +1,173 @@
-//! Times the renderer, mesh to pixels: the astronaut scaled to three sizes, 8-bit RGBA and RGB, a smooth mesh of 100 x 100 vertices, each
-//! level that the machine has, on 1 and 2 threads (rayon over bands); then the same with 1 % and 10 % of the cells folded. Median ms (ns a pixel)
-//! of as many runs as fit half a second. `cargo bench --bench render [-- FILTER]`; a filter is a part of a row's name.
+//! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth mesh of 100 x 100 vertices and two that fold, each
+//! level that the machine has, on 1 and 2 threads (bands in parallel); and how time grows with the pixels.
+//!
+//! `cargo bench --bench render [-- FILTER]`; a filter is a part of a table's title.
+//! `render --paired DIR` writes sources, dense maps and our pictures of the cases of `cases` there, `index.json` naming them, and then times
+//! our side of each case that is asked for (see `harness/paired.rs`).
 
-#![expect(clippy::print_stdout, reason = "the table is the result")]
-#![expect(clippy::cast_possible_truncation, reason = "three known sizes")]
+#![allow(
+    missing_docs,
+    missing_debug_implementations,
+    unreachable_pub,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    reason = "a program that prints a table"
+)]
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+#[path = "harness/mod.rs"]
+mod harness;
 
-use mlswarp::geometry::{Grid, Mesh, Vec2};
+use std::path::Path;
+use std::sync::Arc;
+
+use harness::pictures::{FULL_HD, Folded, SMALL, UHD, VERTICES, bytes, extent, mesh, options, photograph, size, tiles};
+use harness::{Contender, Goal, Report, dense, inside, paired, pool};
+use mlswarp::geometry::Mesh;
 use mlswarp::level::Level;
-use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
-use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
+use mlswarp::pixmap::{Channels, Extent};
+use mlswarp::render::{Renderer, Source};
 use rayon::prelude::*;
 
-const SIZES: [(u32, u32); 3] = [(500, 500), (1920, 1080), (3840, 2160)];
-const VERTICES: u32 = 100;
-const BUDGET: Duration = Duration::from_millis(500);
+/// Bands of a picture that two threads share.
+const BANDS: u32 = 8;
 
 fn main() {
-    let filter = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).unwrap_or_default();
-    println!("{:<44} {:>16} {:>16}", "render, mesh to pixels", "1 thread", "2 threads");
-    for (width, height) in SIZES {
-        let extent = Extent::new(width, height).expect("sizes are not zero");
-        for channels in [Channels::Rgba, Channels::Rgb] {
-            let source = Arc::new(Source::new(photograph(extent, channels)));
-            for (folded, share) in [("", 0.0), (" 1 % folded", 0.01), (" 10 % folded", 0.1)] {
-                let mesh = mesh(extent, share);
-                for &level in Level::available() {
-                    let name = format!("{width}x{height} {channels:?} {level:?}{folded}");
-                    if name.contains(&filter) {
-                        report(&name, &source, &mesh, extent, level);
-                    }
-                }
-            }
+    match harness::option("--paired") {
+        Some(folder) => answer(Path::new(&folder)),
+        None => tables(),
+    }
+}
+
+fn tables() {
+    let mut report = Report::new("render", "mesh to pixels, 8 bit, bilinear, transparent outside");
+    for (sides, channels, folded) in [
+        (SMALL, Channels::Rgba, Folded::Nowhere),
+        (SMALL, Channels::Rgba, Folded::UnderOnePercent),
+        (SMALL, Channels::Rgba, Folded::TenPercent),
+        (SMALL, Channels::Rgb, Folded::Nowhere),
+        (FULL_HD, Channels::Rgba, Folded::Nowhere),
+        (FULL_HD, Channels::Rgb, Folded::Nowhere),
+        (UHD, Channels::Rgba, Folded::Nowhere),
+        (UHD, Channels::Rgb, Folded::Nowhere),
+    ] {
+        let extent = extent(sides);
+        let title = format!("{} {channels:?}, {}", size(extent), folded.name());
+        if harness::wanted(&title) {
+            table(&mut report, &title, extent, channels, folded);
         }
     }
-}
-
-fn report(name: &str, source: &Arc<Source>, mesh: &Mesh, extent: Extent, level: Level) {
-    let mut out = vec![0; extent.pixels() as usize * 4];
-    let columns = [1, 2].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started");
-        let rows = extent.height() / if threads == 1 { 1 } else { 8 };
-        let ms = pool.install(|| median(|| draw(source, mesh, extent, level, rows, &mut out)));
-        format!("{ms:.3} ({:.2})", ms * 1e6 / extent.pixels() as f64)
-    });
-    println!("{name:<44} {:>16} {:>16}", columns[0], columns[1]);
-}
-
-fn draw(source: &Arc<Source>, mesh: &Mesh, extent: Extent, level: Level, rows: u32, out: &mut [u8]) {
-    let options = RenderOptions { target: extent, filter: Filter::Bilinear, outside: Outside::Transparent };
-    let renderer = Renderer::with_level(source.clone(), mesh, options, level);
-    let row = extent.width() as usize * renderer.channels().count();
-    let out = &mut out[..row * extent.height() as usize];
-    if rows == extent.height() {
-        return renderer.band(0..rows, out);
+    if harness::wanted("growth") {
+        growth(&mut report);
     }
-    out.par_chunks_mut(row * rows as usize).enumerate().for_each(|(k, band)| {
-        let first = k as u32 * rows;
-        renderer.band(first..first + (band.len() / row) as u32, band);
-    });
 }
 
-/// Milliseconds.
-fn median(mut run: impl FnMut()) -> f64 {
-    run();
-    let (begin, mut times) = (Instant::now(), Vec::new());
-    while times.len() < 5 || begin.elapsed() < BUDGET {
-        let start = Instant::now();
-        run();
-        times.push(start.elapsed());
+fn table(report: &mut Report, title: &str, extent: Extent, channels: Channels, folded: Folded) {
+    let source = Arc::new(Source::new(photograph(extent, channels)));
+    let mesh = mesh(extent, folded);
+    let share = 100.0 * mesh.folded_cells().count() as f64 / f64::from((VERTICES - 1) * (VERTICES - 1));
+    let (one, two) = (pool(1), pool(2));
+    let mut contenders = Vec::new();
+    for &level in Level::available().iter().rev() {
+        for (threads, pool, bands) in [(1, &one, 1), (2, &two, BANDS)] {
+            let mut drawing = Drawing::new(&source, &mesh, extent, level, bands);
+            contenders.push(inside(pool, format!("{}, {threads} thread(s)", level.name()), move || drawing.draw()));
+        }
     }
-    times.sort_unstable();
-    times[times.len() / 2].as_secs_f64() * 1e3
+    let medians = report.table(title, 41, &mut contenders);
+    report.line(&format!("{share:.2} % of the cells fold; {:.2} ns a pixel.\n", medians[0] * 1e9 / extent.pixels() as f64));
 }
 
-/// The astronaut at a size, by the renderer itself.
-fn photograph(extent: Extent, channels: Channels) -> Pixmap {
-    let file = std::fs::File::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/astronaut.png")).expect("the photograph is there");
-    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG");
-    let mut samples = vec![0; reader.output_buffer_size().expect("a small picture")];
-    let info = reader.next_frame(&mut samples).expect("a whole picture");
-    let whole = Pixmap::new(Extent::new(info.width, info.height).expect("not empty"), Channels::Rgb, Samples::Eight(samples));
-    let grid = Grid::with_counts(f64::from(info.width), f64::from(info.height), 2, 2);
-    let options = RenderOptions { target: extent, filter: Filter::Bilinear, outside: Outside::Edge };
-    let renderer = Renderer::new(Arc::new(Source::new(whole)), &Mesh::identity(grid), options);
-    assert_eq!((renderer.channels(), renderer.depth()), (Channels::Rgb, Depth::Eight), "a photograph");
-    let mut samples = vec![0; extent.pixels() as usize * 3];
-    renderer.band(0..extent.height(), &mut samples);
-    if channels == Channels::Rgba {
-        samples = samples.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], u8::MAX]).collect();
+/// One picture, drawn again and again into one buffer.
+struct Drawing<'a> {
+    source: &'a Arc<Source>,
+    mesh: &'a Mesh,
+    extent: Extent,
+    level: Level,
+    bands: u32,
+    out: Vec<u8>,
+}
+
+impl<'a> Drawing<'a> {
+    fn new(source: &'a Arc<Source>, mesh: &'a Mesh, extent: Extent, level: Level, bands: u32) -> Self {
+        Self { source, mesh, extent, level, bands, out: Vec::new() }
     }
-    Pixmap::new(extent, channels, Samples::Eight(samples))
-}
 
-/// The rigid moving-least-squares mesh of eleven handles that are moved by 20 to 40 px (of 500), and farther until `folded` of the cells fold.
-fn mesh(extent: Extent, folded: f64) -> Mesh {
-    const REST: [[f64; 2]; 11] = [
-        [0.2, 0.2],
-        [0.8, 0.25],
-        [0.5, 0.5],
-        [0.25, 0.75],
-        [0.75, 0.8],
-        [0.5, 0.1],
-        [0.1, 0.5],
-        [0.9, 0.55],
-        [0.5, 0.9],
-        [0.35, 0.4],
-        [0.65, 0.6],
-    ];
-    const MOVES: [[f64; 2]; 11] = [
-        [0.05, 0.04],
-        [-0.06, 0.03],
-        [0.04, -0.06],
-        [-0.05, -0.04],
-        [0.05, 0.06],
-        [0.0, 0.05],
-        [0.06, 0.0],
-        [-0.04, -0.03],
-        [0.03, -0.05],
-        [-0.04, 0.05],
-        [0.05, 0.03],
-    ];
-    let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
-    let grid = Grid::with_counts(width, height, VERTICES, VERTICES);
-    let place = |[x, y]: [f64; 2]| Vec2::new(x * width, y * height);
-    let posed = |strength: f64| {
-        let vertices = (0..VERTICES).flat_map(|j| (0..VERTICES).map(move |i| grid.vertex(i, j)));
-        let displacement = vertices.map(|v| {
-            let v = Vec2::new(v.x, v.y);
-            let handles = REST.into_iter().zip(MOVES).map(|(p, d)| (place(p), place(p) + place(d) * strength));
-            let weighed = handles.map(|(p, q)| (1.0 / ((p - v).norm2() + 1e-9), p, q));
-            let (sum, p_star, q_star) =
-                weighed.clone().fold((0.0, Vec2::ZERO, Vec2::ZERO), |(sum, a, b), (w, p, q)| (sum + w, a + p * w, b + q * w));
-            let (p_star, q_star) = (p_star * (1.0 / sum), q_star * (1.0 / sum));
-            let turn = weighed.fold(Vec2::ZERO, |turn, (w, p, q)| turn + (p - p_star).conj().complex_mul(q - q_star) * w);
-            let posed = (v - p_star).complex_mul(turn) * (1.0 / turn.norm()) + q_star;
-            [(posed.x - v.x) as f32, (posed.y - v.y) as f32]
+    fn draw(&mut self) {
+        let renderer = Renderer::with_level(Arc::clone(self.source), self.mesh, options(self.extent), self.level);
+        let row = self.extent.width() as usize * renderer.channels().count();
+        self.out.resize(row * self.extent.height() as usize, 0);
+        if self.bands == 1 {
+            return renderer.band(0..self.extent.height(), &mut self.out);
+        }
+        let rows = self.extent.height().div_ceil(self.bands);
+        self.out.par_chunks_mut(row * rows as usize).enumerate().for_each(|(k, band)| {
+            let first = k as u32 * rows;
+            renderer.band(first..first + (band.len() / row) as u32, band);
         });
-        Mesh::new(grid, displacement.collect())
-    };
-    let wanted = folded * f64::from((VERTICES - 1) * (VERTICES - 1));
-    let mut strength = 1.0;
-    loop {
-        let mesh = posed(strength);
-        if mesh.folded_cells().count() as f64 >= wanted {
-            return mesh;
-        }
-        strength += 0.05;
     }
+}
+
+/// The photograph side by side with itself: the same kind of pixels, ever more of them.
+fn growth(report: &mut Report) {
+    let sides = [250, 500, 1000, 2000];
+    let extents = sides.map(|side| extent((side, side)));
+    let drawn = extents.map(|e| (Arc::new(Source::new(tiles(e))), mesh(e, Folded::Nowhere)));
+    let one = pool(1);
+    let drawings = extents.iter().zip(&drawn).map(|(&e, (source, mesh))| {
+        let mut drawing = Drawing::new(source, mesh, e, Level::detect(), 1);
+        inside(&one, size(e), move || drawing.draw())
+    });
+    let mut contenders: Vec<Contender<'_>> = drawings.collect();
+    let medians = report.table("growth, RGBA, smooth, 1 thread", 41, &mut contenders);
+    let slopes = (1..sides.len()).map(|k| {
+        let pixels = [extents[k - 1], extents[k]].map(|e| e.pixels() as f64);
+        (k, harness::slope(pixels, [medians[k - 1], medians[k]]))
+    });
+    for (k, slope) in slopes {
+        report.line(&format!("Slope in pixels, {} to {}: {slope:.2}", sides[k - 1], sides[k]));
+        if sides[k] == 1000 {
+            report.goal("slope in pixels, 500^2 to 1000^2", slope, Goal::Between(0.9, 1.1));
+        }
+    }
+    report.line("");
+}
+
+/// The cases that rivals in other processes draw too.
+fn cases() -> [(&'static str, Extent, Folded); 5] {
+    [
+        ("500x500", extent(SMALL), Folded::Nowhere),
+        ("1920x1080", extent(FULL_HD), Folded::Nowhere),
+        ("3840x2160", extent(UHD), Folded::Nowhere),
+        ("500x500-folded-1", extent(SMALL), Folded::UnderOnePercent),
+        ("500x500-folded-10", extent(SMALL), Folded::TenPercent),
+    ]
+}
+
+fn answer(folder: &Path) {
+    let drawn: Vec<_> = cases()
+        .into_iter()
+        .map(|(name, extent, folded)| {
+            (name, extent, folded, Arc::new(Source::new(photograph(extent, Channels::Rgba))), mesh(extent, folded))
+        })
+        .collect();
+    let one = pool(1);
+    let (mut index, mut contenders) = (Vec::new(), Vec::new());
+    for (name, extent, folded, source, mesh) in &drawn {
+        let map: Vec<u8> = dense::map(mesh, *extent).iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+        let mut drawing = Drawing::new(source, mesh, *extent, Level::detect(), 1);
+        drawing.draw();
+        let files = [("source.rgba", bytes(source.pixmap())), ("map.f32", &map), ("ours.rgba", &drawing.out)];
+        let [source, map, ours] = files.map(|(kind, bytes)| {
+            let file = format!("{name}.{kind}");
+            paired::write(folder, &file, bytes);
+            file
+        });
+        index.push(serde_json::json!({
+            "case": name, "what": format!("{}, {}", size(*extent), folded.name()), "width": extent.width(), "height": extent.height(),
+            "source": source, "map": map, "ours": ours, "level": Level::detect().name(),
+        }));
+        contenders.push(inside(&one, *name, move || drawing.draw()));
+    }
+    paired::write(folder, "index.json", serde_json::Value::from(index).to_string().as_bytes());
+    paired::serve(&mut contenders);
 }

@@ -1,0 +1,95 @@
+//! A picture under a hand: everything that is made once, and the poses that come one after the other.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use mlswarp::deform::{self, Falloff, Field, Handle, Handles, Method, Pose};
+use mlswarp::geometry::Grid;
+use mlswarp::pixmap::{Channels, Extent, Pixmap};
+use mlswarp::warp::{Folds, GridSpec, Image, Limits, OutputSpec, Plan, RestSpec, Setup, Warp};
+
+use crate::harness::pictures::{VERTICES, bytes, encode, handles};
+
+pub const GRID: GridSpec = GridSpec::Counts { columns: VERTICES, rows: VERTICES };
+
+/// No two drags that follow each other have the same q.
+const POSES: u32 = 8;
+
+pub struct Drag {
+    image: Arc<Image>,
+    setup: Setup,
+    plan: Plan,
+    pub rest: Vec<Handle>,
+    pub poses: Vec<Vec<Handle>>,
+    turn: usize,
+    strips: Vec<Vec<u8>>,
+}
+
+impl Drag {
+    pub fn new(picture: &Pixmap, handle_count: usize, grid: GridSpec) -> Self {
+        Self::of_file(&file(picture), handle_count, grid)
+    }
+
+    pub fn of_file(file: &[u8], handle_count: usize, grid: GridSpec) -> Self {
+        let limits = Limits::default();
+        let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
+        let (rest, _) = handles(handle_count, image.extent(), 1.0);
+        let poses = (0..POSES).map(|k| handles(handle_count, image.extent(), 1.0 - 0.02 * f64::from(k)).1).collect();
+        let spec = RestSpec { p: rest.clone(), grid, ..RestSpec::default() };
+        let setup = Setup::new(&spec, image.extent(), &limits).expect("handles that can be warped");
+        let plan = setup.plan();
+        Self { image, setup, plan, rest, poses, turn: 0, strips: Vec::new() }
+    }
+
+    /// The next q to the strips of a PNG, which stay where the writer put them: the service sends them as they are.
+    pub fn png(&mut self, helpers: usize) {
+        self.turn = (self.turn + 1) % self.poses.len();
+        let pose = self.setup.pose(&self.poses[self.turn]).expect("a pose of these handles");
+        let (limits, output) = (Limits::default(), OutputSpec::default());
+        let warp = Warp::new(&self.image, &self.setup, &self.plan, &pose, Folds::Report, &output, &limits, &|| false);
+        self.strips.clear();
+        let _ = warp.expect("nothing folds, nothing is too large").write(helpers, &(), &mut |bytes| {
+            self.strips.push(bytes);
+            ControlFlow::Continue(())
+        });
+    }
+
+    /// The file of one pose.
+    pub fn file_of(&mut self, pose: usize) -> Vec<u8> {
+        self.turn = (pose + self.poses.len() - 1) % self.poses.len();
+        self.png(0);
+        self.strips.concat()
+    }
+
+    pub fn extent(&self) -> Extent {
+        self.image.extent()
+    }
+}
+
+/// The plan and a pose of the same handles, for the deformation alone.
+pub fn deformation(extent: Extent, handle_count: usize) -> (deform::Plan, Pose) {
+    let (p, q) = handles(handle_count, extent, 1.0);
+    let rest = Handles::new(p, None).expect("well-formed handles");
+    let falloff = Falloff::new(1.0, rest.has_lines()).expect("alpha in range");
+    let field = Field::new(rest, Method::Rigid, falloff, 1.0).expect("a regular set");
+    let pose = field.pose(&q).expect("targets that agree");
+    let grid = Grid::with_counts(f64::from(extent.width()), f64::from(extent.height()), VERTICES, VERTICES);
+    (deform::Plan::of_grid(&field, &grid), pose)
+}
+
+/// A picture as a file, RGBA if it is.
+pub fn file(picture: &Pixmap) -> Vec<u8> {
+    let mut file = Vec::new();
+    encode(picture.extent(), picture.channels(), bytes(picture), (png::Compression::Fastest, None), &mut file);
+    file
+}
+
+/// The samples of one of our files, by another decoder.
+pub fn samples(file: &[u8]) -> (Channels, Vec<u8>) {
+    let picture = image::load_from_memory(file).expect("a PNG");
+    if picture.color().has_alpha() {
+        (Channels::Rgba, picture.to_rgba8().into_raw())
+    } else {
+        (Channels::Rgb, picture.to_rgb8().into_raw())
+    }
+}
