@@ -4,6 +4,8 @@
 #[forbid(unsafe_code)]
 mod columns;
 #[forbid(unsafe_code)]
+mod elementary;
+#[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod falloff;
@@ -11,6 +13,8 @@ mod falloff;
 mod family;
 #[forbid(unsafe_code)]
 mod field;
+#[forbid(unsafe_code)]
+mod fit;
 #[forbid(unsafe_code)]
 mod handles;
 mod kernel;

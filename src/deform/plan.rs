@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::field::{Field, Workspace};
 use super::kernel::{self, LANES, Lanes};
+use super::row::{Rows, Vertices};
 use super::{Method, Pose};
 use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
@@ -71,14 +72,13 @@ impl Plan {
         let mut table = vec![Lanes::default(); vertices.div_ceil(LANES) * per_block];
         if per_block > 0 {
             table.par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().for_each_init(
-                || Workspace::new(columns),
+                || Workspace::<LANES>::new(columns),
                 |workspace, (task, blocks)| {
                     for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
                         let first = (task * BLOCKS_PER_TASK + k) * LANES;
-                        for lane in 0..LANES.min(vertices - first) {
-                            field.row(vertex(first + lane), false, workspace);
-                            store(family, workspace, block, lane);
-                        }
+                        // The last block repeats the last vertex.
+                        field.rows(&gather(|lane| vertex((first + lane).min(vertices - 1))), false, workspace);
+                        store(family, &workspace.rows, block);
                     }
                 },
             );
@@ -130,16 +130,19 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: &(dyn F
             .par_chunks_mut(LANES * BLOCKS_PER_TASK)
             .enumerate()
             .map_init(
-                || Workspace::new(field.handles().columns()),
+                || Workspace::<LANES>::new(field.handles().columns()),
                 |workspace, (task, out)| {
                     if gone() {
                         return None;
                     }
                     let mut least = f32::INFINITY;
-                    for (k, out) in out.iter_mut().enumerate() {
-                        field.row(vertex(grid, columns, task * LANES * BLOCKS_PER_TASK + k), false, workspace);
-                        *out = to_f32(family::displacement(field.family(), &workspace.row, pose.displacements()));
-                        least = least.min(family::rotation(field.family(), &workspace.row, pose.displacements()));
+                    for (k, out) in out.chunks_mut(LANES).enumerate() {
+                        let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
+                        field.rows(&gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1))), false, workspace);
+                        for (lane, out) in out.iter_mut().enumerate() {
+                            *out = to_f32(family::displacement(field.family(), &workspace.rows, lane, pose.displacements()));
+                            least = least.min(family::rotation(field.family(), &workspace.rows, lane, pose.displacements()));
+                        }
                     }
                     Some(least)
                 },
@@ -159,31 +162,42 @@ fn to_f32(d: Vec2) -> [f32; 2] {
     [d.x as f32, d.y as f32]
 }
 
-/// Writes one vertex's row into its lane of a block.
-#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
-fn store(family: Method, workspace: &Workspace, block: &mut [Lanes], lane: usize) {
-    let row = &workspace.row;
+/// The vertices of a block.
+fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
+    let mut v = Vertices::all(Point::new(0.0, 0.0));
+    for lane in 0..LANES {
+        let Point { x, y } = vertex(lane);
+        (v.x[lane], v.y[lane]) = (x, y);
+    }
+    v
+}
+
+/// Writes the rows of a block.
+fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
+    #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+    let put = |lanes: &mut Lanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match family {
         Method::Affine => {
-            for (lanes, c) in block.iter_mut().zip(&row.h) {
-                lanes.0[lane] = c.x as f32;
+            for (lanes, c) in block.iter_mut().zip(&rows.h) {
+                put(lanes, &c[0]);
             }
         }
         Method::Similarity => {
-            for (lanes, c) in block.chunks_exact_mut(2).zip(&row.h) {
-                lanes[0].0[lane] = c.x as f32;
-                lanes[1].0[lane] = c.y as f32;
+            for (lanes, c) in block.chunks_exact_mut(2).zip(&rows.h) {
+                put(&mut lanes[0], &c[0]);
+                put(&mut lanes[1], &c[1]);
             }
         }
         Method::Rigid => {
-            for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&row.h).zip(&row.wn) {
-                lanes[0].0[lane] = h.x as f32;
-                lanes[1].0[lane] = h.y as f32;
-                lanes[2].0[lane] = *wn as f32;
+            for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&rows.h).zip(&rows.wn) {
+                put(&mut lanes[0], &h[0]);
+                put(&mut lanes[1], &h[1]);
+                put(&mut lanes[2], wn);
             }
-            let e = block.len() - 2;
-            block[e].0[lane] = row.e.x as f32;
-            block[e + 1].0[lane] = row.e.y as f32;
+            if let [.., ex, ey] = block {
+                put(ex, &rows.e[0]);
+                put(ey, &rows.e[1]);
+            }
         }
     }
 }

@@ -13,7 +13,7 @@ pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mu
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
 pub(super) fn displace_inline(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
-    // The unused lanes of a last block hold zeros: m = 1 there. A least per lane keeps the loops free of a horizontal step.
+    // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops free of a horizontal step.
     let mut least = [1.0f32; LANES];
     match family {
         Method::Affine => blocks(table, d.len(), out, |block| affine(block, d)),
