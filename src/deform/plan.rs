@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::field::{Field, Workspace};
-use super::kernel::{self, LANES, Lanes};
+use super::kernel::{self, LANES, Lanes, lanes_per_block};
 use super::row::{Rows, Vertices};
 use super::{Method, Pose};
 use crate::deform::family;
@@ -32,15 +32,6 @@ pub struct Plan {
 pub struct PoseQuality {
     /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
     pub least_rotation: f32,
-}
-
-/// Lanes in a block of this family.
-const fn lanes_per_block(family: Method, columns: usize) -> usize {
-    match family {
-        Method::Affine => columns,
-        Method::Similarity => 2 * columns,
-        Method::Rigid => 3 * columns + 2,
-    }
 }
 
 impl Plan {
@@ -90,23 +81,34 @@ impl Plan {
     #[must_use]
     pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
         assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
-        let mut out = vec![[0.0; 2]; self.vertices];
         let mut quality = PoseQuality { least_rotation: 1.0 };
-        if !pose.is_identity() && self.columns > 0 {
-            let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
-            let per_block = lanes_per_block(self.family, self.columns);
-            let run = |table: &[Lanes], out: &mut [[f32; 2]]| kernel::displace(self.family, table, &d, out);
-            quality.least_rotation = if size_of_val(self.table.as_slice()) <= SERIAL_BYTES || rayon::current_num_threads() == 1 {
-                run(&self.table, &mut out)
-            } else {
-                let blocks = self.vertices.div_ceil(LANES).div_ceil(4 * rayon::current_num_threads());
-                self.table
-                    .par_chunks(blocks * per_block)
-                    .zip(out.par_chunks_mut(blocks * LANES))
-                    .map(|(table, out)| run(table, out))
-                    .reduce(|| f32::INFINITY, f32::min)
-            };
+        if pose.is_identity() || self.columns == 0 {
+            return (vec![[0.0; 2]; self.vertices], quality);
         }
+        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let per_block = lanes_per_block(self.family, self.columns);
+        let blocks = self.vertices.div_ceil(LANES);
+        let mut out = Vec::with_capacity(blocks);
+        let threads = rayon::current_num_threads();
+        if threads == 1 || size_of_val(self.table.as_slice()) <= SERIAL_BYTES {
+            quality.least_rotation = kernel::displace(self.family, &self.table, &d, &mut out);
+        } else {
+            let parts: Vec<_> = self
+                .table
+                .par_chunks(blocks.div_ceil(4 * threads) * per_block)
+                .map(|table| {
+                    let mut out = Vec::new();
+                    (kernel::displace(self.family, table, &d, &mut out), out)
+                })
+                .collect();
+            for (least, part) in parts {
+                quality.least_rotation = quality.least_rotation.min(least);
+                out.extend(part);
+            }
+        }
+        // The last block repeats its last vertex.
+        let mut out = out.into_flattened();
+        out.truncate(self.vertices);
         (out, quality)
     }
 

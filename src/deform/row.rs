@@ -5,6 +5,8 @@
 //! N vertices are weighed at once: every step is a loop over them without a branch, which the compiler turns into vectors of the width that it
 //! is allowed (`kernel`). One vertex is N = 1. A point is a mass at a place; a segment is one too, with moments along its direction.
 
+#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+
 use super::Method;
 use super::columns::{Mark, Sources};
 use super::falloff::Falloff;
@@ -175,7 +177,7 @@ impl Waist<'_> {
         }
         for (s, Span { view, place, first, second, .. }) in self.sources.segments.iter().zip(&mut scratch.spans) {
             Moments([place.w, *first, *second]) = view.moments(s, v, self.falloff, r2min, self.exact);
-            anchor.take_segment(index, &place.w, v, s.tau, &view.from_nearest(s));
+            anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
             index += 1;
         }
         anchor

@@ -2,6 +2,8 @@
 //! alpha; no cancellation, no special cases), and the robust closed form for alpha = 2 that replaces the paper's appendix B.
 //! Units: lengths along the segment in lengths of the segment; weights relative to `(r2min)^-alpha`.
 
+#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+
 use super::columns::Segment;
 use super::elementary::angle;
 use super::falloff::{Falloff, Power};
@@ -126,7 +128,7 @@ impl<const N: usize> View<N> {
 
     /// v from the place nearest to it, px, in the frame of `tau`.
     #[inline(always)]
-    pub(super) fn from_nearest(&self, s: &Segment) -> [[f64; N]; 2] {
+    pub(super) fn off_nearest(&self, s: &Segment) -> [[f64; N]; 2] {
         let mut along = self.beyond;
         for u in &mut along {
             *u *= -s.length;

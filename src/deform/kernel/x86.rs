@@ -1,11 +1,11 @@
 //! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a processor that has the level.
 
-use super::{Lanes, Method, Rows, Scratch, Vertices, Waist, scalar};
+use super::{Lanes, Method, Pairs, Rows, Scratch, Vertices, Waist, scalar};
 
 /// See [`super::displace`].
-pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     #[target_feature(enable = "avx2")]
-    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
         scalar::displace_inline(family, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -13,9 +13,9 @@ pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out
 }
 
 /// See [`super::displace`].
-pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
         scalar::displace_inline(family, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
