@@ -23,6 +23,8 @@ mod meetings;
 #[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
+mod quadrature;
+#[forbid(unsafe_code)]
 mod row;
 #[forbid(unsafe_code)]
 mod segments;

@@ -1,5 +1,5 @@
-//! A segment seen from N vertices: its moments about the place nearest to v, by graded Gauss-Legendre nodes (section 3 of the paper for any
-//! alpha; no cancellation, no special cases), and the robust closed form for alpha = 2 that replaces the paper's appendix B.
+//! A segment seen from N vertices: its moments about the place nearest to v, by quadrature (section 3 of the paper for any alpha), and
+//! by the robust closed form for alpha = 2 that replaces the paper's appendix B.
 //! Units: lengths along the segment in lengths of the segment; weights relative to `(r2min)^-alpha`.
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
@@ -7,56 +7,12 @@
 use super::columns::Segment;
 use super::elementary::angle;
 use super::falloff::{Falloff, Power};
+use super::quadrature::Sight;
 use super::row::Vertices;
 
 /// The closed form stands for the nodes of a segment that is further away than this share of its length: nearer, its second moment cancels
 /// by (L/h)^2.
 const CLOSED_FROM: f64 = 1e-3;
-/// Nodes that are weighed at once.
-const BATCH: usize = 8;
-
-/// Nodes in [0, 1] and weights of a panel of length 1. A panel is no longer than its distance from v, so n nodes leave about 4.6^(-2n): 8 are
-/// enough for a plan, whose coefficients are f32, at alpha up to 2.
-const GAUSS_8: [Batch; 1] = [batch([
-    (0.183_434_642_495_649_8, 0.362_683_783_378_362),
-    (0.525_532_409_916_329, 0.313_706_645_877_887_3),
-    (0.796_666_477_413_626_7, 0.222_381_034_453_374_48),
-    (0.960_289_856_497_536_2, 0.101_228_536_290_376_26),
-])];
-
-/// The same with 16 nodes, for exact evaluation and for plans at higher alpha.
-const GAUSS_16: [Batch; 2] = [
-    batch([
-        (0.095_012_509_837_637_44, 0.189_450_610_455_068_5),
-        (0.281_603_550_779_258_9, 0.182_603_415_044_923_6),
-        (0.458_016_777_657_227_4, 0.169_156_519_395_002_54),
-        (0.617_876_244_402_643_7, 0.149_595_988_816_576_73),
-    ]),
-    batch([
-        (0.755_404_408_355_003, 0.124_628_971_255_533_87),
-        (0.865_631_202_387_831_7, 0.095_158_511_682_492_78),
-        (0.944_575_023_073_232_6, 0.062_253_523_938_647_89),
-        (0.989_400_934_991_649_9, 0.027_152_459_411_754_095),
-    ]),
-];
-
-struct Batch {
-    at: [f64; BATCH],
-    weight: [f64; BATCH],
-}
-
-/// Mirrors positive nodes on [-1, 1] and moves them to [0, 1].
-const fn batch(half: [(f64, f64); BATCH / 2]) -> Batch {
-    let mut b = Batch { at: [0.0; BATCH], weight: [0.0; BATCH] };
-    let mut k = 0;
-    while k < BATCH / 2 {
-        let (x, omega) = half[k];
-        (b.at[k], b.at[BATCH - 1 - k]) = (0.5 * (1.0 - x), 0.5 * (1.0 + x));
-        (b.weight[k], b.weight[BATCH - 1 - k]) = (0.5 * omega, 0.5 * omega);
-        k += 1;
-    }
-    b
-}
 
 /// Where N vertices see a segment.
 #[derive(Clone, Copy, Debug)]
@@ -139,13 +95,12 @@ impl<const N: usize> View<N> {
     /// The moments, weights relative to `r2min`. `exact`: by the nodes, at their full number.
     #[inline(always)]
     pub(super) fn moments(&self, s: &Segment, v: &Vertices<N>, falloff: Falloff, r2min: &[f64; N], exact: bool) -> Moments<N> {
-        let rule: &[Batch] = if exact || falloff.alpha() > 2.0 { &GAUSS_16 } else { &GAUSS_8 };
         let closed = !exact && falloff.power() == Power::Two;
         let mut m = if closed { self.moments_alpha_two(s, v, r2min) } else { Moments([[0.0; N]; 3]) };
         let near = (CLOSED_FROM * s.length) * (CLOSED_FROM * s.length);
         for k in 0..N {
             if !closed || self.r2[k] <= near {
-                let [m0, m1, m2] = self.by_nodes(k, s, falloff, r2min[k], rule);
+                let [m0, m1, m2] = self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);
                 (m.0[0][k], m.0[1][k], m.0[2][k]) = (m0, m1, m2);
             }
         }
@@ -153,9 +108,9 @@ impl<const N: usize> View<N> {
     }
 
     #[inline(always)]
-    fn by_nodes(&self, k: usize, s: &Segment, falloff: Falloff, r2min: f64, rule: &[Batch]) -> [f64; 3] {
+    fn by_nodes(&self, k: usize, s: &Segment, falloff: Falloff, r2min: f64, many: bool) -> [f64; 3] {
         let h = self.off[k] / s.length;
-        let sight = Sight { beyond: self.beyond[k].abs(), h2: h * h, ratio: r2min / (s.length * s.length), falloff, rule };
+        let sight = Sight { beyond: self.beyond[k].abs(), h2: h * h, ratio: r2min / (s.length * s.length), falloff, many };
         let (a, b) = (sight.side(self.share_b[k]), sight.side(self.share_a[k]));
         let scale = s.weight * s.length;
         [scale * (a[0] + b[0]), scale * (b[1] - a[1]), scale * (a[2] + b[2])]
@@ -185,67 +140,6 @@ impl<const N: usize> View<N> {
             m.0[2][k] = d11 * ((1.0 - b) * (1.0 - b)) - 2.0 * d01 * (b * (1.0 - b)) + d00 * (b * b);
         }
         m
-    }
-}
-
-/// What the nodes on either side of the nearest place have in common.
-struct Sight<'a> {
-    /// |beyond|, and the squared distance from the line, in lengths.
-    beyond: f64,
-    h2: f64,
-    /// r2min in squared lengths.
-    ratio: f64,
-    falloff: Falloff,
-    rule: &'a [Batch],
-}
-
-impl Sight<'_> {
-    /// `sum w z^m`, m = 0, 1, 2, over z in [0, end] from the nearest place, a density of 1. Panels [0, end / 2^n], then each as long as all before it:
-    /// none is longer than its distance from v.
-    #[inline(always)]
-    fn side(&self, end: f64) -> [f64; 3] {
-        let mut sums = [[0.0; BATCH]; 3];
-        if end > 0.0 {
-            let nearest = self.beyond * self.beyond + self.h2;
-            let mut first = end;
-            // The distance is bounded below by the snap: 64 steps are never reached.
-            for _ in 0..64 {
-                if first * first <= nearest {
-                    break;
-                }
-                first *= 0.5;
-            }
-            self.panel(0.0, first, &mut sums);
-            while first < end {
-                self.panel(first, first, &mut sums);
-                first *= 2.0;
-            }
-        }
-        sums.map(|lanes| {
-            let [a, b, c, d, e, f, g, h] = lanes;
-            ((a + h) + (b + g)) + ((c + f) + (d + e))
-        })
-    }
-
-    #[inline(always)]
-    fn panel(&self, from: f64, length: f64, sums: &mut [[f64; BATCH]; 3]) {
-        let [s0, s1, s2] = sums;
-        for Batch { at, weight } in self.rule {
-            let mut z = [0.0; BATCH];
-            let mut w = [0.0; BATCH];
-            for k in 0..BATCH {
-                z[k] = from + length * at[k];
-                let u = self.beyond + z[k];
-                w[k] = self.ratio / (u * u + self.h2);
-            }
-            self.falloff.of_lanes(&mut w);
-            for k in 0..BATCH {
-                let w = length * weight[k] * w[k];
-                s0[k] += w;
-                s1[k] += w * z[k];
-                s2[k] += w * z[k] * z[k];
-            }
-        }
     }
 }
 
@@ -376,8 +270,8 @@ mod tests {
                     let t = (f64::from(i) + 0.5) / f64::from(n);
                     let y = t - view.share_b[0];
                     let w = s.length / f64::from(n) * (view.r2[0] / (s.a + (s.b - s.a) * t - v).norm2()).powf(alpha);
-                    for (m, e) in expected.iter_mut().enumerate() {
-                        *e += w * y.powi(m as i32);
+                    for (e, power) in expected.iter_mut().zip([1.0, y, y * y]) {
+                        *e += w * power;
                     }
                 }
                 for (g, e) in got.iter().zip(expected) {
