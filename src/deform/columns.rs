@@ -29,6 +29,34 @@ pub(super) struct Segment {
     pub(super) column: usize,
 }
 
+/// A point at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mark {
+    pub(super) p: Point,
+    pub(super) mass: f64,
+    pub(super) column: usize,
+}
+
+/// The elements by kind, each with its own columns: what a row is summed over.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sources {
+    pub(super) points: Vec<Mark>,
+    pub(super) segments: Vec<Segment>,
+}
+
+impl Sources {
+    pub(super) fn of(elements: &[Element]) -> Self {
+        let mut sources = Self::default();
+        for element in elements {
+            match *element {
+                Element::Point { p, mass, column } => sources.points.push(Mark { p, mass, column }),
+                Element::Segment(segment) => sources.segments.push(segment),
+            }
+        }
+        sources
+    }
+}
+
 /// What the set's geometry allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rank {

@@ -1,6 +1,7 @@
 //! The fall-off `w = |p - v|^(-2 alpha)`, always as a power of a ratio of squared distances so that it never overflows.
 
 use super::DeformError;
+use super::elementary::pow;
 
 /// The exponent alpha, checked. `0 < alpha <= 8`, with lines at least 1/2.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,7 +10,7 @@ pub struct Falloff {
     power: Power,
 }
 
-/// Powers that need only multiplications and roots; all others cost a `powf`.
+/// Powers that need only multiplications and roots; all others cost a logarithm and an exponential.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Power {
     Half,
@@ -61,16 +62,23 @@ impl Falloff {
         self.power
     }
 
-    /// `ratio^alpha`, ratio in [0, 1].
-    #[inline]
-    pub(super) fn of(self, ratio: f64) -> f64 {
+    /// Replaces every ratio in [0, 1] by `ratio^alpha`.
+    #[inline(always)]
+    pub(super) fn of_lanes<const N: usize>(self, ratios: &mut [f64; N]) {
         match self.power {
-            Power::Half => ratio.sqrt(),
-            Power::One => ratio,
-            Power::OneAndHalf => ratio * ratio.sqrt(),
-            Power::Two => ratio * ratio,
-            Power::Three => ratio * ratio * ratio,
-            Power::Other => ratio.powf(self.alpha),
+            Power::Half => each(ratios, f64::sqrt),
+            Power::One => {}
+            Power::OneAndHalf => each(ratios, |r| r * r.sqrt()),
+            Power::Two => each(ratios, |r| r * r),
+            Power::Three => each(ratios, |r| r * r * r),
+            Power::Other => each(ratios, |r| pow(r, self.alpha)),
         }
+    }
+}
+
+#[inline(always)]
+fn each<const N: usize>(ratios: &mut [f64; N], power: impl Fn(f64) -> f64) {
+    for r in ratios {
+        *r = power(*r);
     }
 }

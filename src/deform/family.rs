@@ -2,36 +2,36 @@
 //! with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v bit for bit.
 
 use super::Method;
-use super::row::Row;
+use super::row::Rows;
 use crate::geometry::Vec2;
 
 /// Below this |m| no rotation is better than another (f64).
 const UNDEFINED: f64 = 1e-9;
 
-/// `f(v) - v`, px.
-pub(super) fn displacement(family: Method, row: &Row, d: &[Vec2]) -> Vec2 {
+/// `f(v) - v` of vertex `k` of the rows, px.
+pub(super) fn displacement<const N: usize>(family: Method, rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
     match family {
-        Method::Affine => row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c.x),
-        Method::Similarity => row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + c.complex_mul(*d)),
+        Method::Affine => rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
+        Method::Similarity => pull(rows, k, d),
         Method::Rigid => {
-            let mut u = Vec2::ZERO;
-            let mut shift = Vec2::ZERO;
-            for ((h, wn), d) in row.h.iter().zip(&row.wn).zip(d) {
-                u += h.complex_mul(*d);
-                shift += *d * *wn;
-            }
-            row.e.complex_mul(rho(u)) + shift
+            let shift = rows.wn.iter().zip(d).fold(Vec2::ZERO, |sum, (wn, d)| sum + *d * wn[k]);
+            Vec2::new(rows.e[0][k], rows.e[1][k]).complex_mul(rho(pull(rows, k, d))) + shift
         }
     }
 }
 
+/// `sum H_j d_j` (rigid: u) or `sum C_j d_j` (similarity).
+fn pull<const N: usize>(rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
+    rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d))
+}
+
 /// |m| of the fitted rotation for rigid, 1 for the other families: near 0 every rotation fits.
 #[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
-pub(super) fn rotation(family: Method, row: &Row, d: &[Vec2]) -> f32 {
+pub(super) fn rotation<const N: usize>(family: Method, rows: &Rows<N>, k: usize, d: &[Vec2]) -> f32 {
     match family {
         Method::Affine | Method::Similarity => 1.0,
         Method::Rigid => {
-            let u = row.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| sum + h.complex_mul(*d));
+            let u = pull(rows, k, d);
             (1.0 + u.x).hypot(u.y) as f32
         }
     }

@@ -3,14 +3,15 @@
 
 use std::cell::RefCell;
 
-use super::columns::{Element, Rank, elements, rank};
+use super::columns::{Element, Rank, Sources, elements, rank};
 use super::falloff::Falloff;
 use super::family::displacement;
 use super::handles::Handles;
+use super::kernel;
 use super::meetings::Meetings;
-use super::row::{Row, Scratch, Waist};
+use super::row::{Rows, Scratch, Vertices, Waist};
 use super::{DeformError, Handle, Method, Pose, Warning};
-use crate::geometry::{Point, Vec2};
+use crate::geometry::Point;
 
 /// Masses outside of this range would leave f64's ratios, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
@@ -25,21 +26,22 @@ pub struct Field {
     family: Method,
     rank: Rank,
     elements: Vec<Element>,
+    sources: Sources,
     owners: Vec<usize>,
     meetings: Meetings,
     warnings: Vec<Warning>,
 }
 
-/// Rows and scratch that a caller keeps while it maps many places.
+/// Rows and scratch that a caller keeps while it maps many places, N at once.
 #[derive(Debug)]
-pub(super) struct Workspace {
-    pub(super) row: Row,
-    pub(super) scratch: Scratch,
+pub(super) struct Workspace<const N: usize> {
+    pub(super) rows: Rows<N>,
+    pub(super) scratch: Scratch<N>,
 }
 
-impl Workspace {
+impl<const N: usize> Workspace<N> {
     pub(super) fn new(columns: usize) -> Self {
-        Self { row: Row::zeroed(columns), scratch: Scratch::default() }
+        Self { rows: Rows::zeroed(columns), scratch: Scratch::default() }
     }
 }
 
@@ -69,7 +71,7 @@ impl Field {
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        Ok(Self { handles, falloff, point_mass, family, rank, elements, owners, meetings, warnings })
+        Ok(Self { handles, falloff, point_mass, family, rank, sources: Sources::of(&elements), elements, owners, meetings, warnings })
     }
 
     /// The handles at rest.
@@ -120,42 +122,37 @@ impl Field {
     /// f of a place, in f64 by the quadrature nodes: the definition, not the grid.
     #[must_use]
     pub fn map(&self, pose: &Pose, place: Point) -> Point {
-        thread_local!(static WORKSPACE: RefCell<Workspace> = RefCell::new(Workspace::new(0)));
+        thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
         WORKSPACE.with_borrow_mut(|workspace| {
             let columns = self.handles.columns();
-            workspace.row.h.resize(columns, Vec2::ZERO);
-            workspace.row.wn.resize(columns, 0.0);
-            self.row(place, true, workspace);
-            place + displacement(self.family, &workspace.row, pose.displacements())
+            workspace.rows.h.resize(columns, [[0.0]; 2]);
+            workspace.rows.wn.resize(columns, [0.0]);
+            self.rows(&Vertices::all(place), true, workspace);
+            place + displacement(self.family, &workspace.rows, 0, pose.displacements())
         })
     }
 
-    /// The row of a vertex into the workspace. `exact`: quadrature nodes throughout.
-    pub(super) fn row(&self, v: Point, exact: bool, workspace: &mut Workspace) {
-        let Workspace { row, scratch } = workspace;
+    /// The rows of N vertices into the workspace. `exact`: quadrature nodes throughout.
+    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) {
+        let Workspace { rows, scratch } = workspace;
         match self.rank {
-            Rank::Empty => row.clear(),
-            Rank::OnePlace => self.translation(row),
+            Rank::Empty => rows.clear(),
+            Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => {
-                let waist =
-                    Waist { elements: &self.elements, extent: self.handles.extent(), falloff: self.falloff, method: self.family, exact };
-                waist.row(v, scratch, row);
+                let (extent, falloff, method) = (self.handles.extent(), self.falloff, self.family);
+                kernel::rows(&Waist { sources: &self.sources, extent, falloff, method, exact }, v, scratch, rows);
             }
         }
     }
 
     /// All handles at one place: the mass-weighted mean of their displacements, for every family.
-    fn translation(&self, row: &mut Row) {
-        row.clear();
-        let masses = self.elements.iter().filter_map(|e| match e {
-            Element::Point { mass, column, .. } => Some((*column, *mass)),
-            Element::Segment(_) => None,
-        });
-        let total: f64 = masses.clone().map(|(_, mass)| mass).sum();
-        for (column, mass) in masses {
+    fn translation<const N: usize>(&self, rows: &mut Rows<N>) {
+        rows.clear();
+        let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();
+        for mark in &self.sources.points {
             match self.family {
-                Method::Affine | Method::Similarity => row.h[column].x = mass / total,
-                Method::Rigid => row.wn[column] = mass / total,
+                Method::Affine | Method::Similarity => rows.h[mark.column][0] = [mark.mass / total; N],
+                Method::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }
     }

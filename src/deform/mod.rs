@@ -4,6 +4,8 @@
 #[forbid(unsafe_code)]
 mod columns;
 #[forbid(unsafe_code)]
+mod elementary;
+#[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod falloff;
@@ -12,12 +14,16 @@ mod family;
 #[forbid(unsafe_code)]
 mod field;
 #[forbid(unsafe_code)]
+mod fit;
+#[forbid(unsafe_code)]
 mod handles;
 mod kernel;
 #[forbid(unsafe_code)]
 mod meetings;
 #[forbid(unsafe_code)]
 mod plan;
+#[forbid(unsafe_code)]
+mod quadrature;
 #[forbid(unsafe_code)]
 mod row;
 #[forbid(unsafe_code)]

@@ -7,7 +7,8 @@
 use rayon::prelude::*;
 
 use super::field::{Field, Workspace};
-use super::kernel::{self, LANES, Lanes};
+use super::kernel::{self, LANES, Lanes, lanes_per_block};
+use super::row::{Rows, Vertices};
 use super::{Method, Pose};
 use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
@@ -31,15 +32,6 @@ pub struct Plan {
 pub struct PoseQuality {
     /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
     pub least_rotation: f32,
-}
-
-/// Lanes in a block of this family.
-const fn lanes_per_block(family: Method, columns: usize) -> usize {
-    match family {
-        Method::Affine => columns,
-        Method::Similarity => 2 * columns,
-        Method::Rigid => 3 * columns + 2,
-    }
 }
 
 impl Plan {
@@ -71,14 +63,13 @@ impl Plan {
         let mut table = vec![Lanes::default(); vertices.div_ceil(LANES) * per_block];
         if per_block > 0 {
             table.par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().for_each_init(
-                || Workspace::new(columns),
+                || Workspace::<LANES>::new(columns),
                 |workspace, (task, blocks)| {
                     for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
                         let first = (task * BLOCKS_PER_TASK + k) * LANES;
-                        for lane in 0..LANES.min(vertices - first) {
-                            field.row(vertex(first + lane), false, workspace);
-                            store(family, workspace, block, lane);
-                        }
+                        // The last block repeats the last vertex.
+                        field.rows(&gather(|lane| vertex((first + lane).min(vertices - 1))), false, workspace);
+                        store(family, &workspace.rows, block);
                     }
                 },
             );
@@ -90,23 +81,34 @@ impl Plan {
     #[must_use]
     pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
         assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
-        let mut out = vec![[0.0; 2]; self.vertices];
         let mut quality = PoseQuality { least_rotation: 1.0 };
-        if !pose.is_identity() && self.columns > 0 {
-            let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
-            let per_block = lanes_per_block(self.family, self.columns);
-            let run = |table: &[Lanes], out: &mut [[f32; 2]]| kernel::displace(self.family, table, &d, out);
-            quality.least_rotation = if size_of_val(self.table.as_slice()) <= SERIAL_BYTES || rayon::current_num_threads() == 1 {
-                run(&self.table, &mut out)
-            } else {
-                let blocks = self.vertices.div_ceil(LANES).div_ceil(4 * rayon::current_num_threads());
-                self.table
-                    .par_chunks(blocks * per_block)
-                    .zip(out.par_chunks_mut(blocks * LANES))
-                    .map(|(table, out)| run(table, out))
-                    .reduce(|| f32::INFINITY, f32::min)
-            };
+        if pose.is_identity() || self.columns == 0 {
+            return (vec![[0.0; 2]; self.vertices], quality);
         }
+        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let per_block = lanes_per_block(self.family, self.columns);
+        let blocks = self.vertices.div_ceil(LANES);
+        let mut out = Vec::with_capacity(blocks);
+        let threads = rayon::current_num_threads();
+        if threads == 1 || size_of_val(self.table.as_slice()) <= SERIAL_BYTES {
+            quality.least_rotation = kernel::displace(self.family, &self.table, &d, &mut out);
+        } else {
+            let parts: Vec<_> = self
+                .table
+                .par_chunks(blocks.div_ceil(4 * threads) * per_block)
+                .map(|table| {
+                    let mut out = Vec::new();
+                    (kernel::displace(self.family, table, &d, &mut out), out)
+                })
+                .collect();
+            for (least, part) in parts {
+                quality.least_rotation = quality.least_rotation.min(least);
+                out.extend(part);
+            }
+        }
+        // The last block repeats its last vertex.
+        let mut out = out.into_flattened();
+        out.truncate(self.vertices);
         (out, quality)
     }
 
@@ -130,16 +132,19 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: &(dyn F
             .par_chunks_mut(LANES * BLOCKS_PER_TASK)
             .enumerate()
             .map_init(
-                || Workspace::new(field.handles().columns()),
+                || Workspace::<LANES>::new(field.handles().columns()),
                 |workspace, (task, out)| {
                     if gone() {
                         return None;
                     }
                     let mut least = f32::INFINITY;
-                    for (k, out) in out.iter_mut().enumerate() {
-                        field.row(vertex(grid, columns, task * LANES * BLOCKS_PER_TASK + k), false, workspace);
-                        *out = to_f32(family::displacement(field.family(), &workspace.row, pose.displacements()));
-                        least = least.min(family::rotation(field.family(), &workspace.row, pose.displacements()));
+                    for (k, out) in out.chunks_mut(LANES).enumerate() {
+                        let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
+                        field.rows(&gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1))), false, workspace);
+                        for (lane, out) in out.iter_mut().enumerate() {
+                            *out = to_f32(family::displacement(field.family(), &workspace.rows, lane, pose.displacements()));
+                            least = least.min(family::rotation(field.family(), &workspace.rows, lane, pose.displacements()));
+                        }
                     }
                     Some(least)
                 },
@@ -159,31 +164,42 @@ fn to_f32(d: Vec2) -> [f32; 2] {
     [d.x as f32, d.y as f32]
 }
 
-/// Writes one vertex's row into its lane of a block.
-#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
-fn store(family: Method, workspace: &Workspace, block: &mut [Lanes], lane: usize) {
-    let row = &workspace.row;
+/// The vertices of a block.
+fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
+    let mut v = Vertices::all(Point::new(0.0, 0.0));
+    for lane in 0..LANES {
+        let Point { x, y } = vertex(lane);
+        (v.x[lane], v.y[lane]) = (x, y);
+    }
+    v
+}
+
+/// Writes the rows of a block.
+fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
+    #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+    let put = |lanes: &mut Lanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match family {
         Method::Affine => {
-            for (lanes, c) in block.iter_mut().zip(&row.h) {
-                lanes.0[lane] = c.x as f32;
+            for (lanes, c) in block.iter_mut().zip(&rows.h) {
+                put(lanes, &c[0]);
             }
         }
         Method::Similarity => {
-            for (lanes, c) in block.chunks_exact_mut(2).zip(&row.h) {
-                lanes[0].0[lane] = c.x as f32;
-                lanes[1].0[lane] = c.y as f32;
+            for (lanes, c) in block.chunks_exact_mut(2).zip(&rows.h) {
+                put(&mut lanes[0], &c[0]);
+                put(&mut lanes[1], &c[1]);
             }
         }
         Method::Rigid => {
-            for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&row.h).zip(&row.wn) {
-                lanes[0].0[lane] = h.x as f32;
-                lanes[1].0[lane] = h.y as f32;
-                lanes[2].0[lane] = *wn as f32;
+            for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&rows.h).zip(&rows.wn) {
+                put(&mut lanes[0], &h[0]);
+                put(&mut lanes[1], &h[1]);
+                put(&mut lanes[2], wn);
             }
-            let e = block.len() - 2;
-            block[e].0[lane] = row.e.x as f32;
-            block[e + 1].0[lane] = row.e.y as f32;
+            if let [.., ex, ey] = block {
+                put(ex, &rows.e[0]);
+                put(ey, &rows.e[1]);
+            }
         }
     }
 }

@@ -1,149 +1,156 @@
-//! A segment seen from a vertex: the integrals of section 3 of the paper as graded Gauss-Legendre nodes (any alpha; no cancellation, no
-//! special cases), and the robust closed form for alpha = 2 that replaces the paper's appendix B.
-//! Units: u, h in lengths of the segment; weights relative to `(r2min)^-alpha`.
+//! A segment seen from N vertices: its moments about the place nearest to v, by quadrature (section 3 of the paper for any alpha), and
+//! by the robust closed form for alpha = 2 that replaces the paper's appendix B.
+//! Units: lengths along the segment in lengths of the segment; weights relative to `(r2min)^-alpha`.
+
+#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
 use super::columns::Segment;
-use super::falloff::Falloff;
-use crate::geometry::Point;
+use super::elementary::angle;
+use super::falloff::{Falloff, Power};
+use super::quadrature::Sight;
+use super::row::Vertices;
 
-/// Positive nodes and weights on [-1, 1]. A panel is no longer than its distance from v, so n nodes leave about 4.6^(-2n): 8 are enough for a
-/// plan, whose coefficients are f32, at alpha up to 2.
-const GAUSS_8: [(f64, f64); 4] = [
-    (0.1834346424956498, 0.362_683_783_378_362),
-    (0.525_532_409_916_329, 0.31370664587788729),
-    (0.796_666_477_413_626_7, 0.22238103445337447),
-    (0.960_289_856_497_536_2, 0.10122853629037626),
-];
+/// The closed form stands for the nodes of a segment that is further away than this share of its length: nearer, its second moment cancels
+/// by (L/h)^2.
+const CLOSED_FROM: f64 = 1e-3;
 
-/// The same with 16 nodes, for exact evaluation and for plans at higher alpha.
-const GAUSS_16: [(f64, f64); 8] = [
-    (0.095_012_509_837_637_44, 0.189_450_610_455_068_5),
-    (0.281_603_550_779_258_9, 0.182_603_415_044_923_6),
-    (0.458_016_777_657_227_4, 0.169_156_519_395_002_54),
-    (0.617_876_244_402_643_7, 0.149_595_988_816_576_73),
-    (0.755_404_408_355_003, 0.124_628_971_255_533_87),
-    (0.865_631_202_387_831_7, 0.095_158_511_682_492_78),
-    (0.944_575_023_073_232_6, 0.062_253_523_938_647_89),
-    (0.989_400_934_991_649_9, 0.027_152_459_411_754_095),
-];
-
-/// A segment in foot coordinates of a vertex v: u is the arc length from v's foot, h the distance from the line, in segment lengths.
+/// Where N vertices see a segment.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct View {
-    /// u of the ends; `u2 - u1 = 1`.
-    pub(super) u1: f64,
-    pub(super) u2: f64,
+pub(super) struct View<const N: usize> {
+    /// How far v's foot on the line is from the nearest place of the segment, lengths: 0 beside it, positive before a, negative beyond b.
+    beyond: [f64; N],
+    /// Shares of the ends a and b at the nearest place, `1 - t` and `t`: also its distances from b and a.
+    pub(super) share_a: [f64; N],
+    pub(super) share_b: [f64; N],
     /// Signed distance of v from the line, px, positive to the left of `tau` (y-up words).
-    pub(super) off: f64,
-    /// |off| in segment lengths.
-    h: f64,
+    off: [f64; N],
     /// Squared distance of v from the segment, px^2.
-    pub(super) r2: f64,
+    pub(super) r2: [f64; N],
 }
 
-/// A quadrature node: an ordinary weighted point of the segment.
+/// `sum w y^m` over the places of a segment, y from the place nearest to v towards b, lengths. Sums of terms of one sign or about the place
+/// where the weight is largest: nothing cancels however near v is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Node {
-    /// Shares of the ends a and b: `1 - t`, `t`.
-    pub(super) share_a: f64,
-    pub(super) share_b: f64,
-    /// Arc length from the foot, segment lengths.
-    pub(super) u: f64,
-    pub(super) weight: f64,
-}
+pub(super) struct Moments<const N: usize>(pub(super) [[f64; N]; 3]);
 
-impl View {
-    #[inline]
-    pub(super) fn new(s: &Segment, v: Point) -> Self {
-        let (from_a, from_b) = (v - s.a, v - s.b);
-        let (u1, u2) = (-from_a.dot(s.tau) / s.length, -from_b.dot(s.tau) / s.length);
-        // The nearer end gives the offset with the smaller rounding.
-        let off = s.tau.cross(if from_a.norm2() <= from_b.norm2() { from_a } else { from_b });
-        let r2 = if u1 >= 0.0 {
-            from_a.norm2()
-        } else if u2 <= 0.0 {
-            from_b.norm2()
-        } else {
-            off * off
-        };
-        Self { u1, u2, off, h: off.abs() / s.length, r2 }
-    }
+impl<const N: usize> View<N> {
+    pub(super) const ZERO: Self = Self { beyond: [0.0; N], share_a: [0.0; N], share_b: [0.0; N], off: [0.0; N], r2: [0.0; N] };
 
-    /// Parameter of the nearest point of the segment, in [0, 1].
-    pub(super) fn nearest(&self) -> f64 {
-        (-self.u1).clamp(0.0, 1.0)
-    }
-
-    /// Graded Gauss-Legendre: panels are halved until each is no longer than its distance from v.
-    #[inline]
-    pub(super) fn nodes(&self, s: &Segment, falloff: Falloff, r2min: f64, exact: bool, mut node: impl FnMut(Node)) {
-        let rule: &[(f64, f64)] = if exact || falloff.alpha() > 2.0 { &GAUSS_16 } else { &GAUSS_8 };
-        let ratio = r2min / (s.length * s.length);
-        let h2 = self.h * self.h;
-        let scale = s.weight * s.length;
-        let mut panel = |p: f64, q: f64| {
-            let half = 0.5 * (q - p);
-            let mid = 0.5 * (p + q);
-            let (to_p, to_q) = (p - self.u1, self.u2 - q);
-            for &(x, omega) in rule {
-                for x in [-x, x] {
-                    let u = mid + half * x;
-                    let weight = scale * half * omega * falloff.of(ratio / (u * u + h2));
-                    node(Node { share_a: to_q + half * (1.0 - x), share_b: to_p + half * (1.0 + x), u, weight });
-                }
-            }
-        };
-        if self.u1 < 0.0 && self.u2 > 0.0 {
-            self.graded(self.u1, 0.0, &mut panel);
-            self.graded(0.0, self.u2, &mut panel);
-        } else {
-            self.graded(self.u1, self.u2, &mut panel);
-        }
-    }
-
-    /// Halves `[p, q]` (0 not inside) towards the foot. The far half is never longer than its distance, so only the near one goes on.
-    #[inline]
-    fn graded(&self, p: f64, q: f64, panel: &mut impl FnMut(f64, f64)) {
-        let (mut p, mut q) = (p, q);
-        // The length halves with each step and the distance is bounded below by the snap: 64 steps are never reached.
-        for _ in 0..64 {
-            if p.max(0.0).max(-q).hypot(self.h) >= q - p {
-                break;
-            }
-            let mid = 0.5 * (p + q);
-            if q <= 0.0 {
-                panel(p, mid);
-                p = mid;
+    #[inline(always)]
+    pub(super) fn new(s: &Segment, v: &Vertices<N>) -> Self {
+        let mut view = Self::ZERO;
+        let per_length = 1.0 / s.length;
+        for k in 0..N {
+            let (ax, ay) = (v.x[k] - s.a.x, v.y[k] - s.a.y);
+            let (bx, by) = (v.x[k] - s.b.x, v.y[k] - s.b.y);
+            let (u1, u2) = (-(ax * s.tau.x + ay * s.tau.y) * per_length, -(bx * s.tau.x + by * s.tau.y) * per_length);
+            let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
+            // The nearer end gives the offset with the smaller rounding.
+            let (nx, ny) = if a2 <= b2 { (ax, ay) } else { (bx, by) };
+            let off = s.tau.x * ny - s.tau.y * nx;
+            let (before, after) = (u1 >= 0.0, u2 <= 0.0);
+            view.beyond[k] = if before {
+                u1
+            } else if after {
+                u2
             } else {
-                panel(mid, q);
-                q = mid;
-            }
+                0.0
+            };
+            view.share_a[k] = if before {
+                1.0
+            } else if after {
+                0.0
+            } else {
+                u2
+            };
+            view.share_b[k] = if before {
+                0.0
+            } else if after {
+                1.0
+            } else {
+                -u1
+            };
+            view.off[k] = off;
+            view.r2[k] = if before {
+                a2
+            } else if after {
+                b2
+            } else {
+                off * off
+            };
         }
-        panel(p, q);
+        view
     }
 
-    /// `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no branch on the extension (mathematics 3.2).
-    #[inline]
-    pub(super) fn masses_alpha_two(&self, s: &Segment, v: Point, r2min: f64) -> [f64; 3] {
-        let (a, b) = (s.a - v, s.b - v);
-        let (r1, r2) = (a.norm2().sqrt(), b.norm2().sqrt());
-        let (cross, dot) = (self.off.abs() * s.length, a.dot(b));
-        let phi = cross.atan2(dot);
-        let (g1, g2) = if phi < 0.3 { g_series(phi * phi) } else { g_closed(phi, cross / (r1 * r2), dot / (r1 * r2)) };
+    /// v from the place nearest to it, px, in the frame of `tau`.
+    #[inline(always)]
+    pub(super) fn off_nearest(&self, s: &Segment) -> [[f64; N]; 2] {
+        let mut along = self.beyond;
+        for u in &mut along {
+            *u *= -s.length;
+        }
+        [along, self.off]
+    }
+
+    /// The moments, weights relative to `r2min`. `exact`: by the nodes, at their full number.
+    #[inline(always)]
+    pub(super) fn moments(&self, s: &Segment, v: &Vertices<N>, falloff: Falloff, r2min: &[f64; N], exact: bool) -> Moments<N> {
+        let closed = !exact && falloff.power() == Power::Two;
+        let mut m = if closed { self.moments_alpha_two(s, v, r2min) } else { Moments([[0.0; N]; 3]) };
+        let near = (CLOSED_FROM * s.length) * (CLOSED_FROM * s.length);
+        for k in 0..N {
+            if !closed || self.r2[k] <= near {
+                let [m0, m1, m2] = self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);
+                (m.0[0][k], m.0[1][k], m.0[2][k]) = (m0, m1, m2);
+            }
+        }
+        m
+    }
+
+    #[inline(always)]
+    fn by_nodes(&self, k: usize, s: &Segment, falloff: Falloff, r2min: f64, many: bool) -> [f64; 3] {
+        let h = self.off[k] / s.length;
+        let sight = Sight { beyond: self.beyond[k].abs(), h2: h * h, ratio: r2min / (s.length * s.length), falloff, many };
+        let (a, b) = (sight.side(self.share_b[k]), sight.side(self.share_a[k]));
+        let scale = s.weight * s.length;
+        [scale * (a[0] + b[0]), scale * (b[1] - a[1]), scale * (a[2] + b[2])]
+    }
+
+    /// From `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no branch on the extension (mathematics 3.2).
+    #[inline(always)]
+    fn moments_alpha_two(&self, s: &Segment, v: &Vertices<N>, r2min: &[f64; N]) -> Moments<N> {
         let half = 0.5 * s.weight * s.length;
-        let (q1, q2, q12) = (r2min / (r1 * r1), r2min / (r2 * r2), r2min / (r1 * r2));
-        [half * g1 * q1 * q12, half * g2 * q12 * q12, half * g1 * q2 * q12]
+        let mut m = Moments([[0.0; N]; 3]);
+        for k in 0..N {
+            let (ax, ay) = (s.a.x - v.x[k], s.a.y - v.y[k]);
+            let (bx, by) = (s.b.x - v.x[k], s.b.y - v.y[k]);
+            let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
+            let per_ab = 1.0 / (a2 * b2).sqrt();
+            let (cross, dot) = (self.off[k].abs() * s.length, ax * bx + ay * by);
+            let phi = angle(cross, dot);
+            let (near, far) = (g_series(phi * phi), g_closed(phi, cross * per_ab, dot * per_ab));
+            let (g1, g2) = if phi < 0.3 { near } else { far };
+            let q12 = r2min[k] * per_ab;
+            let (q1, q2) = (r2min[k] / a2, r2min[k] / b2);
+            let (d00, d01, d11) = (half * g1 * q1 * q12, half * g2 * q12 * q12, half * g1 * q2 * q12);
+            let (of_a, of_b) = (d00 + d01, d01 + d11);
+            let b = self.share_b[k];
+            m.0[0][k] = of_a + of_b;
+            m.0[1][k] = of_b * (1.0 - b) - of_a * b;
+            m.0[2][k] = d11 * ((1.0 - b) * (1.0 - b)) - 2.0 * d01 * (b * (1.0 - b)) + d00 * (b * b);
+        }
+        m
     }
 }
 
-#[inline]
+#[inline(always)]
 fn g_closed(phi: f64, sin: f64, cos: f64) -> (f64, f64) {
     let s2 = sin * sin;
     ((phi / sin - cos) / s2, (1.0 - phi * cos / sin) / s2)
 }
 
 /// Series in `x = phi^2` (appendix of the mathematics); 12 terms reach 1e-15 at phi = 0.3.
-#[inline]
+#[inline(always)]
 fn g_series(x: f64) -> (f64, f64) {
     const G1: [f64; 12] = [
         0.666_666_666_666_666_6,
@@ -173,28 +180,36 @@ fn g_series(x: f64) -> (f64, f64) {
         5.337_585_930_369_606e-9,
         6.461_631_082_271_668e-10,
     ];
-    let horner = |c: &[f64; 12]| c.iter().rev().fold(0.0, |sum, &k| sum * x + k);
-    (horner(&G1), horner(&G2))
+    let (mut g1, mut g2) = (G1[11], G2[11]);
+    for k in (0..11).rev() {
+        (g1, g2) = (g1 * x + G1[k], g2 * x + G2[k]);
+    }
+    (g1, g2)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vec2;
+    use crate::geometry::{Point, Vec2};
 
     fn segment(a: Point, b: Point) -> Segment {
         let length = a.distance(b);
         Segment { a, b, length, tau: (b - a) * (1.0 / length), weight: 1.0, column: 0 }
     }
 
-    fn by_quadrature(s: &Segment, v: Point, alpha: f64, r2min: f64) -> [f64; 3] {
-        let mut d = [0.0; 3];
-        View::new(s, v).nodes(s, Falloff::new(alpha, true).unwrap(), r2min, true, |n| {
-            d[0] += n.weight * n.share_a * n.share_a;
-            d[1] += n.weight * n.share_a * n.share_b;
-            d[2] += n.weight * n.share_b * n.share_b;
-        });
-        d
+    /// Moments about the nearest place, and r2min = the segment's own.
+    fn moments(s: &Segment, v: Point, alpha: f64, exact: bool) -> (View<1>, [f64; 3]) {
+        let v = Vertices::all(v);
+        let view = View::new(s, &v);
+        let Moments([[m0], [m1], [m2]]) = view.moments(s, &v, Falloff::new(alpha, true).unwrap(), &view.r2, exact);
+        (view, [m0, m1, m2])
+    }
+
+    /// `d00, d01, d11` of the mathematics: the moments seen from the ends.
+    fn shares(s: &Segment, v: Point, alpha: f64, exact: bool) -> [f64; 3] {
+        let (view, [m0, m1, m2]) = moments(s, v, alpha, exact);
+        let (a, b) = (view.share_a[0], view.share_b[0]);
+        [a * a * m0 - 2.0 * a * m1 + m2, a * b * m0 + (a - b) * m1 - m2, b * b * m0 + 2.0 * b * m1 + m2]
     }
 
     /// Vertices beside the foot, beyond the ends, on the extension and far away, at distances 1e-3 .. 1e5 px.
@@ -216,11 +231,11 @@ mod tests {
     fn closed_form_of_alpha_two_equals_quadrature() {
         for s in [segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0)), segment(Point::new(7.0, 3.0), Point::new(7.5, -2.0))] {
             for v in views(&s) {
-                let view = View::new(&s, v);
-                let closed = view.masses_alpha_two(&s, v, view.r2);
-                let nodes = by_quadrature(&s, v, 2.0, view.r2);
-                for (c, n) in closed.iter().zip(nodes) {
-                    assert!((c - n).abs() <= 1e-9 * n.abs(), "v = {v:?}: closed {closed:?}, quadrature {nodes:?}");
+                let (_, closed) = moments(&s, v, 2.0, false);
+                let (_, nodes) = moments(&s, v, 2.0, true);
+                let sizes = [nodes[0], (nodes[0] * nodes[2]).sqrt(), nodes[2]];
+                for ((c, n), size) in closed.iter().zip(nodes).zip(sizes) {
+                    assert!((c - n).abs() <= 1e-9 * size, "v = {v:?}: closed {closed:?}, quadrature {nodes:?}");
                 }
             }
         }
@@ -232,40 +247,52 @@ mod tests {
         let s = segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0));
         for alpha in [0.5, 1.0, 1.3, 2.0, 3.0, 5.5, 8.0] {
             for v in views(&s) {
-                let view = View::new(&s, v);
-                let mass = |exact| {
-                    let mut mass = [0.0; 2];
-                    view.nodes(&s, Falloff::new(alpha, true).unwrap(), view.r2, exact, |n| {
-                        mass[0] += n.weight * n.share_a;
-                        mass[1] += n.weight * n.share_b;
-                    });
-                    mass
-                };
-                for (few, many) in mass(false).into_iter().zip(mass(true)) {
+                let few = shares(&s, v, alpha, false);
+                let many = shares(&s, v, alpha, true);
+                for (few, many) in [(few[0] + few[1], many[0] + many[1]), (few[1] + few[2], many[1] + many[2])] {
                     assert!((few - many).abs() <= 2e-8 * many, "alpha {alpha}, v = {v:?}: {few} against {many}");
                 }
             }
         }
     }
 
+    /// Many small midpoints say the same, wherever v is; the second moment keeps its digits next to the line.
     #[test]
-    fn nodes_integrate_length_and_shares() {
+    fn moments_are_those_of_many_points() {
         let s = segment(Point::new(0.0, 0.0), Point::new(30.0, 40.0));
-        for v in views(&s) {
-            let mut shares: f64 = 0.0;
-            let mut count = 0;
-            View::new(&s, v).nodes(&s, Falloff::new(0.5, true).unwrap(), 1.0, true, |n| {
-                shares = shares.max((n.share_a + n.share_b - 1.0).abs());
-                assert!(n.share_a >= -1e-12 && n.share_b >= -1e-12 && n.weight > 0.0 && n.weight.is_finite());
-                count += 1;
-            });
-            assert!(count <= 1200);
-            assert!(shares < 1e-10, "v = {v:?}: shares are off by {shares}");
+        for alpha in [0.7, 1.5, 3.0] {
+            for (along, off) in [(0.3, 5.0), (-0.2, 3.0), (1.4, 0.0), (0.5, -80.0), (30.0, 7.0)] {
+                let v = s.a + s.tau * (along * s.length) + Vec2::new(-s.tau.y, s.tau.x) * off;
+                let (view, got) = moments(&s, v, alpha, true);
+                let mut expected = [0.0; 3];
+                let n = 200_000;
+                for i in 0..n {
+                    let t = (f64::from(i) + 0.5) / f64::from(n);
+                    let y = t - view.share_b[0];
+                    let w = s.length / f64::from(n) * (view.r2[0] / (s.a + (s.b - s.a) * t - v).norm2()).powf(alpha);
+                    for (e, power) in expected.iter_mut().zip([1.0, y, y * y]) {
+                        *e += w * power;
+                    }
+                }
+                for (g, e) in got.iter().zip(expected) {
+                    assert!((g - e).abs() <= 1e-8 * e.abs().max(expected[2]), "{along}, {off}: {got:?} against {expected:?}");
+                }
+            }
         }
     }
 
     #[test]
-    fn quadrature_of_alpha_one_and_half_equals_its_integrals() {
+    fn shares_of_the_nearest_place_add_up() {
+        let s = segment(Point::new(0.0, 0.0), Point::new(30.0, 40.0));
+        for v in views(&s) {
+            let view = View::new(&s, &Vertices::<1>::all(v));
+            let (a, b) = (view.share_a[0], view.share_b[0]);
+            assert!(a >= 0.0 && b >= 0.0 && (a + b - 1.0).abs() < 1e-10, "v = {v:?}: {a}, {b}");
+        }
+    }
+
+    #[test]
+    fn quadrature_of_alpha_one_equals_its_integrals() {
         // I0, I1, I2 of the mathematics' table at alpha 1, foot inside and h <= L, where that table is exact.
         let s = segment(Point::new(10.0, 20.0), Point::new(110.0, 20.0));
         for off in [1e-3, 0.5, 20.0, 99.0] {
@@ -273,13 +300,8 @@ mod tests {
             let (u1, u2, length) = (-37.0, 63.0, 100.0);
             let (d1, d2) = (u1 * u1 + off * off, u2 * u2 + off * off);
             let phi = (off * length).atan2(u1 * u2 + off * off);
-            let (i0, i1, i2) = (phi / off, 0.5 * f64::ln(d2 / d1), length - off * phi);
-            let expected = [
-                (u2 * u2 * i0 - 2.0 * u2 * i1 + i2) / (length * length),
-                (-u1 * u2 * i0 + (u1 + u2) * i1 - i2) / (length * length),
-                (u1 * u1 * i0 - 2.0 * u1 * i1 + i2) / (length * length),
-            ];
-            let got = by_quadrature(&s, v, 1.0, 1.0);
+            let expected = [phi / off, 0.5 * f64::ln(d2 / d1) / length, (length - off * phi) / (length * length)].map(|i| i * off * off);
+            let (_, got) = moments(&s, v, 1.0, true);
             for (g, e) in got.iter().zip(expected) {
                 assert!((g - e).abs() <= 1e-9 * e.abs(), "h = {off}: {got:?} against {expected:?}");
             }

@@ -33,7 +33,7 @@ fn read(table: &[[f32; 64]]) -> f32 {
 
 fn main() {
     // Inside the pool: no hand-over is timed, and no second thread is used.
-    pool(1).install(tables);
+    pool(1).install(if std::env::args().any(|arg| arg == ONE_LEVEL) { one_level } else { tables });
 }
 
 fn tables() {
@@ -71,23 +71,67 @@ fn tables() {
         contenders.push(contender("piston2d-deform_grid 0.15 (f64, rigid)", move || piston.update()));
         report.table(&format!("{n} handles, table of {:.2} MB", plan.bytes() as f64 / 1e6), 31, &mut contenders);
     }
+    levels(&mut report);
     growth(&mut report);
 }
 
-/// Log-log slope in vertices and in handles: 1 is linear.
+/// Log-log slope in vertices and in handles: 1 is linear. All tables lie in L2 (1 MB and more on the processors of today) and not in L1: across
+/// two levels the slope would be that of the memory.
 fn growth(report: &mut Report) {
     let time = |side: u32, n: usize| {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
         let plan = Plan::of_grid(&field, &grid);
-        harness::medians(
-            15,
+        let median = harness::medians(
+            31,
             &mut [contender("", || {
                 black_box(plan.displace(black_box(&pose)));
             })],
-        )[0]
+        )[0];
+        (median, plan.bytes() as f64 / 1e6)
     };
-    let vertices = (time(200, 20) / time(100, 20)).ln() / 4f64.ln();
-    let handles = (time(100, 40) / time(100, 10)).ln() / 4f64.ln();
-    report.line(&format!("Growth: slope {vertices:.2} in vertices (100^2 to 200^2, 20 handles), {handles:.2} in handles (10 to 40)."));
+    let slope = |(few, _): (f64, f64), (many, _): (f64, f64), times: f64| (many / few).ln() / times.ln();
+    let (small, large) = (time(40, 7), time(80, 7));
+    let (few, many) = (time(32, 30), time(32, 60));
+    report.line(&format!(
+        "Growth within L2: slope {:.2} in vertices (40^2 to 80^2, 7 handles, tables of {:.2} and {:.2} MB), {:.2} in handles (30 to 60, 32^2 vertices, \
+         {:.2} and {:.2} MB).",
+        slope(small, large, 4.0),
+        small.1,
+        large.1,
+        slope(few, many, 2.0),
+        few.1,
+        many.1
+    ));
+}
+
+/// The time of 7 and 100 handles on every level of the machine: this program again, with the level lowered as a user would lower it.
+fn levels(report: &mut Report) {
+    report.line("## Levels, 10,000 vertices\n\n| level | 7 handles | 100 handles |\n|---|---:|---:|");
+    let program = std::env::current_exe().expect("a program knows where it is");
+    for level in mlswarp::level::Level::available() {
+        let child = std::process::Command::new(&program).arg(ONE_LEVEL).env("MLSWARP_LEVEL", level.name()).output().expect("runs again");
+        let line = String::from_utf8(child.stdout).expect("prints text");
+        report.line(&format!("| {} | {} |", level.name(), line.trim()));
+    }
+    report.line("");
+}
+
+/// Asks this program for one row of the table of levels.
+const ONE_LEVEL: &str = "--one-level";
+
+fn one_level() {
+    let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 100, 100);
+    let row: Vec<String> = [7, 100]
+        .into_iter()
+        .map(|n| {
+            let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
+            let plan = Plan::of_grid(&field, &grid);
+            let work = contender("", || {
+                black_box(plan.displace(black_box(&pose)));
+            });
+            harness::time(harness::medians(31, &mut [work])[0])
+        })
+        .collect();
+    println!("{}", row.join(" | "));
 }

@@ -1,5 +1,5 @@
-//! Posing a block of vertices: the only loop that a drag runs over the table. One dispatch point; every level does the same operations in the
-//! same order (no fused multiply-add), so all levels give the same bits.
+//! Posing a block of vertices: the only loop that a drag runs over the table; and weighing a block for a plan. One dispatch point; every level
+//! does the same operations in the same order (no fused multiply-add), so all levels give the same bits. Figures and dead ends: `notes.md`.
 
 mod scalar;
 #[cfg(target_arch = "x86_64")]
@@ -7,6 +7,7 @@ mod scalar;
 mod x86;
 
 use super::Method;
+use super::row::{Rows, Scratch, Vertices, Waist};
 use crate::level::Level;
 
 /// Vertices in a block.
@@ -17,26 +18,59 @@ pub(super) const LANES: usize = 16;
 #[repr(align(64))]
 pub(super) struct Lanes(pub(super) [f32; LANES]);
 
-/// Displacements of the vertices of whole blocks (the last may be partly unused): `out[k] = f(v_k) - v_k`, px.
-/// Shapes: `table: [blocks][lanes per block]`, `d: [columns]`, `out: [vertices]`. Returns the least |m| (rigid), else 1.
-pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+/// The displacements of a block, px.
+pub(super) type Pairs = [[f32; 2]; LANES];
+
+/// Lanes in a block of this family.
+pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
+    match family {
+        Method::Affine => columns,
+        Method::Similarity => 2 * columns,
+        Method::Rigid => 3 * columns + 2,
+    }
+}
+
+/// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px.
+/// Shapes: `table: [blocks][lanes per block]`, `d: [columns]`, `out: [blocks]`. Returns the least |m| (rigid), else 1.
+pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     displace_at(Level::detect(), family, table, d, out)
 }
 
 /// The same at a level; one that the processor lacks is scalar.
-pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 | Level::Avx512 if level.is_here() => x86::displace(family, table, d, out),
+        Level::Avx512 if level.is_here() => x86::displace_avx512(family, table, d, out),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 if level.is_here() => x86::displace_avx2(family, table, d, out),
         _ => scalar::displace(family, table, d, out),
+    }
+}
+
+/// The rows of N vertices, for whole plans and single places.
+pub(super) fn rows<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    rows_at(Level::detect(), waist, v, scratch, rows);
+}
+
+/// The same at a level; one that the processor lacks is scalar.
+pub(super) fn rows_at<const N: usize>(level: Level, waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    match level {
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 if level.is_here() => x86::rows_avx512(waist, v, scratch, rows),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 if level.is_here() => x86::rows_avx2(waist, v, scratch, rows),
+        _ => waist.rows(v, scratch, rows),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::deform::Falloff;
+    use crate::deform::columns::{Mark, Segment, Sources};
+    use crate::geometry::Point;
 
-    /// Every level gives the bits of the reference, for every family and for vertex counts that do not fill their last block.
+    /// Every level gives the bits of the reference, for every family.
     #[test]
     fn levels_give_the_same_bits() {
         let mut state = 1u32;
@@ -45,17 +79,81 @@ mod tests {
             (state >> 8) as f32 / 8_388_608.0 - 1.0
         };
         for (family, per_column, extra) in [(Method::Affine, 1, 0), (Method::Similarity, 2, 0), (Method::Rigid, 3, 2)] {
-            for (columns, vertices) in [(1, 1), (7, 100), (3, 16), (11, 33)] {
-                let blocks = usize::div_ceil(vertices, LANES);
+            for (columns, blocks) in [(1, 1), (7, 7), (3, 2), (11, 3)] {
                 let table: Vec<Lanes> =
                     (0..blocks * (per_column * columns + extra)).map(|_| Lanes([0.0; LANES].map(|_: f32| next()))).collect();
                 let d: Vec<[f32; 2]> = (0..columns).map(|_| [next(), next()]).collect();
-                let mut reference = vec![[0.0; 2]; vertices];
+                let mut reference = Vec::new();
                 let least = displace_at(Level::Scalar, family, &table, &d, &mut reference);
                 for &level in Level::available() {
-                    let mut out = vec![[f32::NAN; 2]; vertices];
+                    let mut out = Vec::new();
                     assert_eq!(displace_at(level, family, &table, &d, &mut out).to_bits(), least.to_bits());
+                    assert_eq!(out.len(), blocks);
                     assert_eq!(out, reference, "{family:?} {level:?}");
+                }
+            }
+        }
+    }
+
+    /// The same for rows: points and segments, every kind of power, vertices on handles, next to them and far away, sixteen at once and single.
+    #[test]
+    fn levels_weigh_to_the_same_bits() {
+        let segment = |a: Point, b: Point, column| {
+            let length = a.distance(b);
+            Segment { a, b, length, tau: (b - a) * (1.0 / length), weight: 0.7, column }
+        };
+        let points: Vec<Mark> = [(100.0, 100.0), (400.25, 120.0), (260.0, 391.5)]
+            .into_iter()
+            .zip(0..)
+            .map(|((x, y), column)| Mark { p: Point::new(x, y), mass: 30.0, column })
+            .collect();
+        let segments = vec![
+            segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0), 3),
+            segment(Point::new(300.0, 210.0), Point::new(320.0, 480.0), 5),
+        ];
+        let mut v = Vertices::<LANES>::all(Point::new(0.0, 0.0));
+        for k in 0..LANES {
+            (v.x[k], v.y[k]) = (31.0 * k as f64 - 17.0, 77.0 * (k * k % 7) as f64 + 0.125);
+        }
+        (v.x[0], v.y[0]) = (100.0, 100.0);
+        (v.x[1], v.y[1]) = (400.25, 120.0 + 1e-6);
+        (v.x[2], v.y[2]) = (300.0, 210.0);
+        (v.x[3], v.y[3]) = (170.0, 205.0 + 1e-4);
+        (v.x[4], v.y[4]) = (1e5, -3e4);
+        for (points, segments, columns) in [(points.clone(), vec![], 3), (points, segments, 7)] {
+            let sources = Sources { points, segments };
+            for alpha in [0.5, 1.0, 1.3, 1.5, 2.0, 3.0, 7.9] {
+                for (method, exact) in [
+                    (Method::Affine, false),
+                    (Method::Similarity, false),
+                    (Method::Rigid, false),
+                    (Method::Affine, true),
+                    (Method::Rigid, true),
+                ] {
+                    let falloff = Falloff::new(alpha, true).unwrap();
+                    let waist = Waist { sources: &sources, extent: 400.0, falloff, method, exact };
+                    let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
+                        let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
+                        all.map(|lanes| lanes[k].to_bits()).collect()
+                    };
+                    let run = |level| {
+                        let mut rows = Rows::zeroed(columns);
+                        rows_at(level, &waist, &v, &mut Scratch::default(), &mut rows);
+                        rows
+                    };
+                    let reference = run(Level::Scalar);
+                    for &level in Level::available() {
+                        let rows = run(level);
+                        for k in 0..LANES {
+                            assert_eq!(bits(&rows, k), bits(&reference, k), "{level:?} {method:?} {alpha} {k}");
+                            let mut one = Rows::<1>::zeroed(columns);
+                            let at = Vertices::all(Point::new(v.x[k], v.y[k]));
+                            rows_at(level, &waist, &at, &mut Scratch::default(), &mut one);
+                            let single: Vec<u64> = one.h.iter().flatten().chain(&one.wn).chain(&one.e).map(|x| x[0].to_bits()).collect();
+                            assert_eq!(single, bits(&reference, k), "{level:?} {method:?} {alpha} {k}, alone");
+                            assert!(single.iter().all(|x| f64::from_bits(*x).is_finite()));
+                        }
+                    }
                 }
             }
         }
@@ -68,10 +166,10 @@ mod tests {
         block[0] = Lanes([-1.0; LANES]);
         block[2] = Lanes([1.0; LANES]);
         block[3] = Lanes([50.0; LANES]);
-        let mut out = vec![[0.0; 2]; LANES];
         for &level in Level::available() {
+            let mut out = Vec::new();
             assert_eq!(displace_at(level, Method::Rigid, &block, &[[1.0, 0.0]], &mut out), 0.0);
-            assert_eq!(out, vec![[1.0, 0.0]; LANES], "{level:?}");
+            assert_eq!(out, [[[1.0, 0.0]; LANES]], "{level:?}");
         }
     }
 }

@@ -1,41 +1,49 @@
 //! The reference: plain loops over the lanes of a block, which every compiler turns into vectors of the width it is allowed.
+//! Functions, not closures: a closure may stay a function of its own, which then has the reference's vectors in every level.
 
-use super::{LANES, Lanes, Method};
+use super::{LANES, Lanes, Method, Pairs, lanes_per_block};
 
 /// Below this |m| no rotation is better than another (f32).
 const UNDEFINED: f32 = 1e-5;
 
 /// See [`super::displace`].
-pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     displace_inline(family, table, d, out)
 }
 
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
-pub(super) fn displace_inline(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
-    // The unused lanes of a last block hold zeros: m = 1 there. A least per lane keeps the loops free of a horizontal step.
+pub(super) fn displace_inline(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+    // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops free of a horizontal step.
     let mut least = [1.0f32; LANES];
-    match family {
-        Method::Affine => blocks(table, d.len(), out, |block| affine(block, d)),
-        Method::Similarity => blocks(table, 2 * d.len(), out, |block| similarity(block, d)),
-        Method::Rigid => blocks(table, 3 * d.len() + 2, out, |block| rigid(block, d, &mut least)),
+    out.reserve(table.len() / lanes_per_block(family, d.len()));
+    for block in table.chunks_exact(lanes_per_block(family, d.len())) {
+        // Pushed, not stored into zeros: writing the zeros took 5 % of a small table's time.
+        out.push(pose(family, block, d, &mut least));
     }
-    least.into_iter().fold(1.0, f32::min)
+    let mut all = 1.0;
+    for n in least {
+        all = if n < all { n } else { all };
+    }
+    all
+}
+
+/// The displacements of a block.
+#[inline(always)]
+fn pose(family: Method, block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES]) -> Pairs {
+    let [x, y] = match family {
+        Method::Affine => affine(block, d),
+        Method::Similarity => similarity(block, d),
+        Method::Rigid => turn(block, &pull(block, d), least),
+    };
+    let mut pairs = [[0.0; 2]; LANES];
+    for k in 0..LANES {
+        pairs[k] = [x[k], y[k]];
+    }
+    pairs
 }
 
 type Pair = [[f32; LANES]; 2];
-
-#[inline(always)]
-fn blocks(table: &[Lanes], per_block: usize, out: &mut [[f32; 2]], mut pose: impl FnMut(&[Lanes]) -> Pair) {
-    for (block, out) in table.chunks_exact(per_block).zip(out.chunks_mut(LANES)) {
-        let [x, y] = pose(block);
-        let mut pairs = [[0.0; 2]; LANES];
-        for k in 0..LANES {
-            pairs[k] = [x[k], y[k]];
-        }
-        out.copy_from_slice(&pairs[..out.len()]);
-    }
-}
 
 #[inline(always)]
 fn affine(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
@@ -62,8 +70,9 @@ fn similarity(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
     [x, y]
 }
 
+/// `u = sum H_j d_j` and `sum wn_j d_j` of rigid.
 #[inline(always)]
-fn rigid(block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES]) -> Pair {
+fn pull(block: &[Lanes], d: &[[f32; 2]]) -> [[f32; LANES]; 4] {
     let (mut ux, mut uy, mut x, mut y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for (c, [dx, dy]) in block.chunks_exact(3).zip(d) {
         let (Lanes(re), Lanes(im), Lanes(wn)) = (&c[0], &c[1], &c[2]);
@@ -74,17 +83,26 @@ fn rigid(block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES]) -> Pair {
             y[k] += wn[k] * dy;
         }
     }
+    [ux, uy, x, y]
+}
+
+/// `e rho(u) + sum wn_j d_j`, and the least |1 + u|.
+#[inline(always)]
+fn turn(block: &[Lanes], [ux, uy, x, y]: &[[f32; LANES]; 4], least: &mut [f32; LANES]) -> Pair {
+    let (mut x, mut y) = (*x, *y);
     let (Lanes(ex), Lanes(ey)) = (&block[block.len() - 2], &block[block.len() - 1]);
     for k in 0..LANES {
-        // rho(u) of mathematics 2.3 without a branch: both forms are computed, one is chosen.
+        // rho(u) of mathematics 2.3 without a branch and with one division: where the turn is less than a right angle,
+        // `(mx - n) / n` cancels and is `-uy^2 / (n (n + mx))` instead.
         let mx = 1.0 + ux[k];
         let n = (mx * mx + uy[k] * uy[k]).sqrt();
-        let near = -(uy[k] * (uy[k] / (mx + n)));
-        let re = if mx > 0.0 { near } else { mx - n };
-        let scale = if n >= UNDEFINED { 1.0 / n } else { 0.0 };
-        let (rx, ry) = (re * scale, uy[k] * scale);
+        let ahead = mx > 0.0;
+        let more = if ahead { n + mx } else { 1.0 };
+        let over = if ahead { -(uy[k] * uy[k]) } else { mx - n };
+        let scale = 1.0 / (n * more);
+        let (rx, ry) = (over * scale, uy[k] * (more * scale));
         let turned = [ex[k] * rx - ey[k] * ry, ex[k] * ry + ey[k] * rx];
-        // Where no rotation fits, `near` may be 0/0: the lane is replaced, not multiplied.
+        // Where no rotation fits, `scale` may be infinite: the lane is replaced, not multiplied.
         x[k] += if n >= UNDEFINED { turned[0] } else { 0.0 };
         y[k] += if n >= UNDEFINED { turned[1] } else { 0.0 };
         least[k] = if n < least[k] { n } else { least[k] };

@@ -1,14 +1,43 @@
-//! The reference's loops compiled for AVX2.
+//! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a processor that has the level.
 
-use super::{Lanes, Method, scalar};
+use super::{Lanes, Method, Pairs, Rows, Scratch, Vertices, Waist, scalar};
 
-/// See [`super::displace`]. Must be called on a processor with AVX2.
-pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
+/// See [`super::displace`].
+pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+    #[target_feature(enable = "avx2")]
+    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+        scalar::displace_inline(family, table, d, out)
+    }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { displace_avx2(family, table, d, out) }
+    unsafe { body(family, table, d, out) }
 }
 
-#[target_feature(enable = "avx2")]
-fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut [[f32; 2]]) -> f32 {
-    scalar::displace_inline(family, table, d, out)
+/// See [`super::displace`].
+pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+    #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
+    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+        scalar::displace_inline(family, table, d, out)
+    }
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { body(family, table, d, out) }
+}
+
+/// See [`super::rows`].
+pub(super) fn rows_avx2<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    #[target_feature(enable = "avx2")]
+    fn body<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+        waist.rows(v, scratch, rows);
+    }
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { body(waist, v, scratch, rows) }
+}
+
+/// See [`super::rows`].
+pub(super) fn rows_avx512<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
+    fn body<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+        waist.rows(v, scratch, rows);
+    }
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { body(waist, v, scratch, rows) }
 }
