@@ -62,7 +62,7 @@ impl Warp {
     ) -> Result<Self, WarpError> {
         let target = target(image.extent(), output.width, limits)?;
         let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cells().count() as u64;
+        let cells = mesh.folded_cell_count();
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
@@ -74,7 +74,7 @@ impl Warp {
         let options = RenderOptions { target, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), &mesh, options);
         let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
-        let writer = PngWriter::new(shape, output.compression, image.icc.as_deref());
+        let writer = PngWriter::new(shape, output.compression, image.icc.as_ref());
         let report = Report {
             warnings,
             folds: cells,
