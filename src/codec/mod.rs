@@ -21,5 +21,5 @@ mod tests;
 pub use decode::{Decoded, decode};
 pub use error::CodecError;
 pub use limits::Limits;
-pub use png::{Compression, PngShape, PngWriter, Strip, StripChecksum};
+pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};

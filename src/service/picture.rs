@@ -1,19 +1,28 @@
-//! Drawing a prepared warp into an answer. A small picture is made whole; a larger one leaves strip by strip through an unbounded channel,
-//! so that compute never waits for a reader. One answer holds at most what its warp says it will write; the sum over all answers is not
-//! bounded here. Whoever drops the receiving end ends the work at the next strip.
+//! Drawing: one job poses and draws, on one compute thread and on as many more as no other picture wants, which are woken at the same time. A
+//! small picture is made whole; a larger one leaves strip by strip through an unbounded channel, so that compute never waits for a reader. One
+//! answer holds at most what its warp says it will write; the sum over all answers is not bounded here. Whoever drops the receiving end
+//! ends the work at the next strip.
 
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
 
 use super::App;
+use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
-use super::walk::Ready;
-use crate::warp::{Stage, Watch};
+use super::walk::Timing;
+use crate::deform::Handle;
+use crate::warp::{Folds, Image, Limits, OutputSpec, Plan, Report, Setup, Stage, Warp, WarpError, Watch, Writing};
 
+/// How long a helper waits for the first strip to begin. Posing takes less, or nobody was asked to help so early.
+const PATIENCE: Duration = Duration::from_millis(1);
+/// Looks at the clock are this many looks at the work apart.
+const LOOKS: u32 = 64;
 /// Pictures of at most this many bytes are made whole: their length and cost stand in the answer's head.
 const WHOLE: u64 = 256 << 10;
 
@@ -74,66 +83,213 @@ impl Clock {
     }
 }
 
+/// All that a picture is made of.
+#[derive(Debug)]
+pub(super) struct Sitting {
+    pub(super) image: Arc<Image>,
+    pub(super) setup: Arc<Setup>,
+    pub(super) plan: Arc<Plan>,
+    pub(super) q: Vec<Handle>,
+    pub(super) folds: Folds,
+    pub(super) output: OutputSpec,
+}
+
+impl Sitting {
+    fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<Warp, WarpError> {
+        let Self { image, setup, plan, q, folds, output } = self;
+        let pose = setup.pose(q)?;
+        Warp::new(image, setup, plan, &pose, *folds, output, limits, gone)
+    }
+}
+
+/// A picture of which the first piece is there.
+#[derive(Debug)]
+pub struct Drawn {
+    /// What to tell before the first pixel.
+    pub report: Report,
+    /// Cost before drawing.
+    pub timing: Timing,
+    /// The coefficients were built for this request, not found.
+    pub plan_built: bool,
+    /// The file.
+    pub picture: Picture,
+}
+
 /// Counts a picture when it is dropped: abandoned unless it was finished.
 struct Begun {
     app: App,
-    finished: bool,
+    finished: AtomicBool,
 }
 
 impl Begun {
     fn new(app: &App) -> Self {
         app.0.pictures.begun.fetch_add(1, Ordering::Relaxed);
-        Self { app: app.clone(), finished: false }
+        Self { app: app.clone(), finished: AtomicBool::new(false) }
     }
 
-    fn finish(mut self) {
-        self.finished = true;
+    fn finish(&self) {
+        if !self.finished.swap(true, Ordering::Relaxed) {
+            self.app.0.pictures.finished.fetch_add(1, Ordering::Relaxed);
+        }
     }
 }
 
 impl Drop for Begun {
     fn drop(&mut self) {
-        let pictures = &self.app.0.pictures;
-        if self.finished { &pictures.finished } else { &pictures.abandoned }.fetch_add(1, Ordering::Relaxed);
+        if !*self.finished.get_mut() {
+            self.app.0.pictures.abandoned.fetch_add(1, Ordering::Relaxed);
+        }
     }
 }
 
+/// A picture that several threads draw.
+struct Work {
+    writing: Writing<Box<Warp>, Sink>,
+    clock: Clock,
+    begun: Begun,
+    end: UnboundedSender<Piece>,
+}
+
+type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
+
+impl Work {
+    fn take_part(&self) {
+        if self.writing.work(&self.clock) {
+            self.begun.finish();
+            // A client that leaves after the last strip has missed nothing.
+            let _ = self.end.send(Piece::End(self.clock.cost()));
+        }
+    }
+}
+
+/// Where helpers wait for the work: the empty meeting is over when nobody will fill it any more.
+type Meeting = Arc<OnceLock<Option<Arc<Work>>>>;
+
+/// Waits for the work, a short while, and takes part in it.
+fn help(meeting: &Meeting) {
+    let began = Instant::now();
+    while began.elapsed() < PATIENCE {
+        for _ in 0..LOOKS {
+            if let Some(work) = meeting.get() {
+                return work.as_ref().map_or((), |work| work.take_part());
+            }
+            std::hint::spin_loop();
+        }
+        std::thread::yield_now();
+    }
+}
+
+/// What the job of a request is given beside the sitting.
+struct Easel {
+    app: App,
+    pool: Pool,
+    ticket: Ticket,
+    timing: Timing,
+    plan_built: bool,
+    drawer: Drawer,
+    helpers: usize,
+    meeting: Meeting,
+    answer: oneshot::Sender<Result<Drawn, Problem>>,
+}
+
 impl App {
-    /// Draws.
+    /// Poses and draws; returns when the first piece of the picture is there.
     ///
     /// # Errors
-    /// A computation that failed, where the picture is made whole.
-    pub async fn draw(&self, ready: Ready) -> Result<Picture, Problem> {
-        let Ready { warp, ticket, .. } = ready;
-        let begun = Begun::new(self);
-        if warp.max_bytes() <= WHOLE {
-            let work = move |cancel: &super::pool::Cancel| {
-                let clock = Clock::default();
-                let mut file = Vec::new();
-                let flow = warp.write(0, &clock, &mut |bytes| {
-                    file.extend_from_slice(&bytes);
-                    if cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-                });
-                if flow.is_continue() {
-                    begun.finish();
-                }
-                Picture::Whole { bytes: file.into(), cost: clock.cost() }
-            };
-            return Ok(self.0.pool.run(&ticket, work).await?);
-        }
-        let helpers = self.0.config.workers.saturating_sub(1);
-        let (pieces, strips) = unbounded_channel();
-        self.0.pool.start(&ticket, move || {
-            let clock = Clock::default();
-            let flow = warp.write(helpers, &clock, &mut |bytes| {
-                if pieces.send(Piece::Bytes(bytes.into())).is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-            });
-            if flow.is_continue() {
-                begun.finish();
-                // A client that leaves after the last strip has missed nothing.
-                let _ = pieces.send(Piece::End(clock.cost()));
+    /// Whatever is wrong with q, folds that are refused, or a computation that failed.
+    pub(super) async fn draw(&self, ticket: Ticket, sitting: Sitting, timing: Timing, plan_built: bool) -> Result<Drawn, Problem> {
+        let (answer, result) = oneshot::channel();
+        let (drawer, helpers) = self.0.pool.draws();
+        let meeting = Meeting::default();
+        let pool = self.0.pool.clone();
+        let easel = Easel {
+            app: self.clone(),
+            pool,
+            ticket: ticket.clone(),
+            timing,
+            plan_built,
+            drawer,
+            helpers,
+            meeting: Arc::clone(&meeting),
+            answer,
+        };
+        // Threads that pose together come to help by themselves.
+        let early = if sitting.setup.is_wide() { 0 } else { helpers };
+        self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting));
+        // Every way out of the job answers, but a panic.
+        result.await.map_err(|_| PoolError::Panicked)?
+    }
+}
+
+impl Easel {
+    fn draw(self, sitting: &Sitting) {
+        let meeting = Arc::clone(&self.meeting);
+        self.draw_at(sitting);
+        // Where nobody was needed, or nothing came about.
+        let _ = meeting.set(None);
+    }
+
+    fn draw_at(mut self, sitting: &Sitting) {
+        let began = Instant::now();
+        let limits = self.app.config().limits;
+        let gone = || self.answer.is_closed();
+        let pose = || sitting.warp(&limits, &gone);
+        let warp = match if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() } {
+            Ok(warp) => warp,
+            Err(error) => {
+                let _ = self.answer.send(Err(error.into()));
+                return;
             }
+        };
+        self.timing.deform = began.elapsed();
+        if warp.max_bytes() <= WHOLE { self.whole(&warp) } else { self.strips(warp, began) }
+    }
+
+    fn whole(self, warp: &Warp) {
+        let (begun, clock, mut file) = (Begun::new(&self.app), Clock::default(), Vec::new());
+        let flow = warp.write(0, &clock, &mut |bytes| {
+            if file.is_empty() {
+                file = bytes
+            } else {
+                file.extend_from_slice(&bytes)
+            }
+            if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
-        Ok(Picture::Strips(strips))
+        if flow.is_continue() {
+            begun.finish();
+        }
+        let picture = Picture::Whole { bytes: file.into(), cost: clock.cost() };
+        drop(self.drawer);
+        let Self { timing, plan_built, answer, .. } = self;
+        let _ = answer.send(Ok(Drawn { report: warp.report().clone(), timing, plan_built, picture }));
+    }
+
+    fn strips(self, warp: Warp, began: Instant) {
+        let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
+        let (pieces, strips) = unbounded_channel();
+        let drawn = Drawn { report: warp.report().clone(), timing, plan_built, picture: Picture::Strips(strips) };
+        let (end, mut first, mut drawer) = (pieces.clone(), Some((answer, drawn)), Some(drawer));
+        let sink: Sink = Box::new(move |bytes, last| {
+            if last {
+                // The client may come again before this thread has gone on.
+                drop(drawer.take());
+            }
+            let heard = pieces.send(Piece::Bytes(bytes.into())).is_ok();
+            // The head of the answer leaves with the first strip: one thing to wake for, not two.
+            let heard = heard && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
+            if heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        });
+        let work = Work { writing: Writing::new(Box::new(warp), sink), clock: Clock::default(), begun: Begun::new(&app), end };
+        let helpers = helpers.min(work.writing.strips() - 1);
+        let work = Arc::new(work);
+        let _ = meeting.set(Some(Arc::clone(&work)));
+        if helpers > 0 && began.elapsed() >= PATIENCE {
+            // Those who came early may have gone.
+            for _ in 0..helpers {
+                let meeting = Arc::clone(&meeting);
+                pool.start(&ticket, move || help(&meeting));
+            }
+        }
+        work.take_part();
     }
 }

@@ -1,5 +1,5 @@
-//! The walk of one request through the warp: file and handles to a prepared [`Warp`]. Everything that can fail because of the client
-//! fails here; afterwards only drawing is left. CPU work runs on the pool, under one ticket a request.
+//! The walk of one request through the warp: file and handles to all that a picture is made of. CPU work runs on the pool, under one ticket a
+//! request; a warm drag is handed over once, to be posed and drawn (`picture`).
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -7,7 +7,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 
-use super::pool::{Cancel, PoolError, Ticket};
+use super::picture::{Drawn, Sitting};
+use super::pool::{PoolError, Ticket};
 use super::problem::{Code, Problem};
 use super::session::SessionId;
 use super::store::{Record, Session};
@@ -16,10 +17,13 @@ use super::{App, Known};
 use crate::codec::CodecError;
 use crate::deform::Handle;
 use crate::geometry::Point;
-use crate::warp::{Digest, Folds, GridSpec, Image, OutputSpec, Plan, Setup, Warp, WarpError};
+use crate::warp::{Digest, GridSpec, Image, Plan, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
+
+/// Places that are mapped sooner than other threads wake.
+const PLACES_ALONE: usize = 256;
 
 /// Wall time of the steps before drawing.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,19 +36,6 @@ pub struct Timing {
     pub plan: Duration,
     /// Posing the grid.
     pub deform: Duration,
-}
-
-/// A warp that is ready to be drawn.
-#[derive(Debug)]
-pub struct Ready {
-    /// The warp.
-    pub warp: Warp,
-    /// Cost so far.
-    pub timing: Timing,
-    /// The coefficients were built for this request, not found.
-    pub plan_built: bool,
-    /// The right to draw it.
-    pub ticket: Ticket,
 }
 
 /// What a warp is made of, and what a session keeps.
@@ -62,14 +53,14 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with either, or no room.
-    pub async fn warp_once(&self, file: Bytes, json: Bytes) -> Result<(Ready, Material), Problem> {
+    pub async fn warp_once(&self, file: Bytes, json: Bytes) -> Result<(Drawn, Material), Problem> {
         let ticket = self.0.pool.admit().await?;
         let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, true).await?;
         let q = material.object.q.clone().unwrap_or_default();
         let (folds, output) = (material.object.folds, material.object.output);
         let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
-        let ready = self.pose(ticket, image, setup, plan, q, folds, output, timing, plan_built).await?;
-        Ok((ready, material))
+        let drawn = self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await?;
+        Ok((drawn, material))
     }
 
     /// A session from a file and a warp object; `q` is checked when it is there. Picture and plan are made before the answer.
@@ -151,7 +142,7 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, superseded, whatever is wrong with q, or no room.
-    pub async fn drag(&self, id: SessionId, drag: DragObject) -> Result<Ready, Problem> {
+    pub async fn drag(&self, id: SessionId, drag: DragObject) -> Result<Drawn, Problem> {
         let session = self.0.store.touch(id, drag.seq).await?;
         let superseded = |seq: u64| {
             self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
@@ -182,7 +173,8 @@ impl App {
             },
         };
         let output = drag.output.over(&record.output);
-        self.pose(ticket, image, setup, plan, drag.q, record.folds, output, timing, plan_built).await
+        let sitting = Sitting { image, setup, plan, q: drag.q, folds: record.folds, output };
+        self.draw(ticket, sitting, timing, plan_built).await
     }
 
     /// Maps places by f exactly.
@@ -213,6 +205,7 @@ impl App {
     }
 
     async fn map(&self, ticket: &Ticket, setup: Arc<Setup>, q: Vec<Handle>, places: Vec<Point>) -> Result<Vec<Point>, Problem> {
+        let pool = self.0.pool.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
             let pose = setup.pose(&q)?;
             let mut mapped = Vec::with_capacity(places.len());
@@ -220,7 +213,9 @@ impl App {
                 if cancel.is_cancelled() {
                     return Err(WarpError::GivenUp);
                 }
-                mapped.extend(setup.map(&pose, step).map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
+                let map = || setup.map(&pose, step);
+                let step = if step.len() > PLACES_ALONE { pool.spread(map) } else { map() };
+                mapped.extend(step.map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
             }
             Ok::<_, WarpError>(mapped)
         });
@@ -290,37 +285,11 @@ impl App {
     async fn plan(&self, ticket: &Ticket, setup: &Arc<Setup>, timing: &mut Timing) -> Result<(Arc<Plan>, bool), Problem> {
         let began = Instant::now();
         let (pool, ticket, theirs) = (self.0.pool.clone(), ticket.clone(), Arc::clone(setup));
-        let build = async move { pool.run(&ticket, move |_| theirs.plan()).await.map_err(Problem::from) };
+        let threads = pool.clone();
+        let build = async move { pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await.map_err(Problem::from) };
         let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;
         timing.plan = began.elapsed();
         Ok((fetched.value, fetched.built))
-    }
-
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "the whole state of a request between its two halves; a struct would be built and unpacked once"
-    )]
-    async fn pose(
-        &self,
-        ticket: Ticket,
-        image: Arc<Image>,
-        setup: Arc<Setup>,
-        plan: Arc<Plan>,
-        q: Vec<Handle>,
-        folds: Folds,
-        output: OutputSpec,
-        mut timing: Timing,
-        plan_built: bool,
-    ) -> Result<Ready, Problem> {
-        let began = Instant::now();
-        let limits = self.0.config.limits;
-        let pose = move |cancel: &Cancel| {
-            let pose = setup.pose(&q)?;
-            Warp::new(&image, &setup, &plan, &pose, folds, &output, &limits, &|| cancel.is_cancelled())
-        };
-        let warp = self.0.pool.run(&ticket, pose).await??;
-        timing.deform = began.elapsed();
-        Ok(Ready { warp, timing, plan_built, ticket })
     }
 }
 

@@ -1,13 +1,14 @@
 //! A prepared warp: the mesh is posed and reported on, the renderer and the PNG writer are ready, and only writing can still fail.
 
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::digest::Collector;
 use super::setup::at_most;
+use super::writing::{Watch, Writing};
 use super::{Digest, Folds, Image, Limits, OutputSpec, Plan, Setup, WarpError};
-use crate::codec::{Compression, PngShape, PngWriter, Strip};
+use crate::codec::{Compression, PngShape, PngWriter};
 use crate::deform::{Handle, Handles, Pose, Warning};
 use crate::geometry::Mesh;
 use crate::level::Level;
@@ -34,32 +35,11 @@ pub struct Report {
     pub target: (u32, u32),
 }
 
-/// A step of writing whose cost someone may want to know.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Mesh to pixels.
-    Render,
-    /// Pixels to PNG.
-    Encode,
-}
-
-/// Stands around each step of writing; whoever knows the time may measure there. `()` only does the work.
-pub trait Watch: Sync {
-    /// Calls `work` exactly once.
-    fn around(&self, stage: Stage, work: &mut dyn FnMut());
-}
-
-impl Watch for () {
-    fn around(&self, _stage: Stage, work: &mut dyn FnMut()) {
-        work();
-    }
-}
-
 /// A prepared warp.
 #[derive(Debug)]
 pub struct Warp {
-    renderer: Renderer,
-    writer: PngWriter,
+    pub(super) renderer: Renderer,
+    pub(super) writer: PngWriter,
     report: Report,
 }
 
@@ -82,7 +62,7 @@ impl Warp {
     ) -> Result<Self, WarpError> {
         let target = target(image.extent(), output.width, limits)?;
         let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cells().count() as u64;
+        let cells = mesh.folded_cell_count();
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
@@ -94,7 +74,7 @@ impl Warp {
         let options = RenderOptions { target, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), &mesh, options);
         let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
-        let writer = PngWriter::new(shape, output.compression, image.icc.as_deref());
+        let writer = PngWriter::new(shape, output.compression, image.icc.as_ref());
         let report = Report {
             warnings,
             folds: cells,
@@ -117,86 +97,25 @@ impl Warp {
         self.writer.max_bytes()
     }
 
-    /// Renders and encodes strip by strip and hands the bytes to `sink` in order. This thread works, and up to `helpers` tasks of the current
-    /// rayon pool beside it; the bytes are the same whatever their number. `sink` says `Break` when nobody listens any more: the work
-    /// ends at the next strip, and `Break` comes back.
+    /// Renders and encodes strip by strip and hands the bytes to `sink` in order: the head with the first strip, the tail with the last. This
+    /// thread works, and up to `helpers` tasks of the current rayon pool beside it; the bytes are the same whatever their number. `sink` says
+    /// `Break` when nobody listens any more: the work ends at the next strip, and `Break` comes back. Where this thread must not wait for
+    /// the others: [`Writing`].
     pub fn write(&self, helpers: usize, watch: &dyn Watch, sink: &mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send)) -> ControlFlow<()> {
-        sink(self.writer.head())?;
-        let strips = self.writer.strips();
-        let work = Strips {
-            warp: self,
-            watch,
-            next: AtomicUsize::new(0),
-            gone: AtomicBool::new(false),
-            queue: Mutex::new(Queue::new(strips, sink)),
+        let writing = Writing::new(self, |bytes, _| sink(bytes));
+        let ended = AtomicBool::new(false);
+        let work = || {
+            if writing.work(watch) {
+                ended.store(true, Ordering::Relaxed);
+            }
         };
         rayon::in_place_scope(|scope| {
-            for _ in 0..helpers.min(strips.saturating_sub(1)) {
-                scope.spawn(|_| work.take());
+            for _ in 0..helpers.min(writing.strips().saturating_sub(1)) {
+                scope.spawn(|_| work());
             }
-            work.take();
+            work();
         });
-        let Queue { sink, checksums, .. } = work.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
-        if checksums.len() < strips {
-            return ControlFlow::Break(());
-        }
-        sink(self.writer.tail(&checksums))
-    }
-}
-
-/// The strips of one picture, taken by any number of threads and handed over in order.
-struct Strips<'a> {
-    warp: &'a Warp,
-    watch: &'a dyn Watch,
-    next: AtomicUsize,
-    gone: AtomicBool,
-    queue: Mutex<Queue<'a>>,
-}
-
-/// Encoded strips that wait for an earlier one.
-struct Queue<'a> {
-    waiting: Vec<Option<Strip>>,
-    checksums: Vec<(u32, u64)>,
-    sink: &'a mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send),
-}
-
-impl Strips<'_> {
-    /// Takes strips until none is left or nobody listens.
-    fn take(&self) {
-        let Warp { renderer, writer, .. } = self.warp;
-        let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
-        let mut samples = Vec::new();
-        while !self.gone.load(Ordering::Relaxed) {
-            let index = self.next.fetch_add(1, Ordering::Relaxed);
-            if index >= writer.strips() {
-                return;
-            }
-            let rows = writer.rows(index);
-            samples.resize(rows.len() * row, 0);
-            self.watch.around(Stage::Render, &mut || renderer.band(rows.clone(), &mut samples));
-            let mut strip = None;
-            self.watch.around(Stage::Encode, &mut || strip = Some(writer.strip(index, &samples)));
-            let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-            queue.waiting[index] = strip;
-            if queue.flush().is_break() {
-                self.gone.store(true, Ordering::Relaxed);
-            }
-        }
-    }
-}
-
-impl<'a> Queue<'a> {
-    fn new(strips: usize, sink: &'a mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send)) -> Self {
-        Self { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink }
-    }
-
-    /// Hands over every strip whose turn it is.
-    fn flush(&mut self) -> ControlFlow<()> {
-        while let Some(strip) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
-            (self.sink)(strip.bytes)?;
-            self.checksums.push((strip.adler, strip.filtered_len));
-        }
-        ControlFlow::Continue(())
+        if ended.into_inner() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     }
 }
 

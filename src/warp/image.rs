@@ -3,16 +3,16 @@
 use std::sync::Arc;
 
 use super::{Digest, WarpError};
-use crate::codec::{self, Limits};
+use crate::codec::{self, Limits, Profile};
 use crate::pixmap::Extent;
 use crate::render::Source;
 
-/// A decoded, upright picture with the copies that samplers read, and its colour profile.
+/// A decoded, upright picture with the copies that samplers read, and its colour profile as every answer carries it.
 #[derive(Debug)]
 pub struct Image {
     digest: Digest,
     pub(super) source: Arc<Source>,
-    pub(super) icc: Option<Vec<u8>>,
+    pub(super) icc: Option<Profile>,
 }
 
 impl Image {
@@ -36,7 +36,7 @@ impl Image {
     /// See [`codec::CodecError`].
     pub fn decode_as(digest: Digest, file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
         let decoded = codec::decode(file, limits)?;
-        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc: decoded.icc })
+        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc: decoded.icc.as_deref().map(Profile::new) })
     }
 
     /// The digest of the file.
@@ -55,7 +55,7 @@ impl Image {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
-        let profile = self.icc.as_ref().map_or(0, Vec::len);
+        let profile = self.icc.as_ref().map_or(0, Profile::len);
         Source::bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + profile as u64
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! The walk: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
 //! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Warp::new`] (its existence proves that nothing of the
-//! client's can fail any more) -> [`Warp::write`] (strips of PNG, rendered and encoded in parallel, handed over in order).
+//! client's can fail any more) -> [`Warp::write`] or [`Writing`] (strips of PNG, rendered and
+//! encoded in parallel, handed over in order).
 
 mod digest;
 mod drawing;
@@ -10,11 +11,13 @@ mod error;
 mod image;
 mod setup;
 mod spec;
+mod writing;
 
 pub use self::digest::Digest;
-pub use self::drawing::{Report, Stage, Warp, Watch};
+pub use self::drawing::{Report, Warp};
 pub use self::error::WarpError;
 pub use self::image::Image;
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, OutputSpec, RestSpec, Units};
+pub use self::writing::{Stage, Watch, Writing};
 pub use crate::codec::Limits as ImageLimits;

@@ -3,6 +3,7 @@
 use futures_util::future::join_all;
 use serde_json::{Value, json};
 
+use crate::support::server::png;
 use crate::support::{Server, photo};
 
 fn warp(client: u32) -> Value {
@@ -17,20 +18,16 @@ async fn thirty_two_clients_get_the_right_picture_each() {
     let picture = |client: u32| pictures[client as usize % 4].as_slice();
     let mut alone = Vec::new();
     for client in 0..32 {
-        alone.push(server.upload("/warp", picture(client), &warp(client)).await.bytes().await.unwrap());
+        alone.push(png(server.upload("/warp", picture(client), &warp(client)).await).await);
     }
     server.app.forget_caches();
     let together = join_all((0..32).map(|client| {
         let server = &server;
         let image = picture(client);
-        async move {
-            let response = server.upload("/warp", image, &warp(client)).await;
-            (response.status(), response.bytes().await.unwrap())
-        }
+        async move { png(server.upload("/warp", image, &warp(client)).await).await }
     }))
     .await;
-    for (client, (status, bytes)) in together.iter().enumerate() {
-        assert_eq!(*status, 200, "client {client}");
+    for (client, bytes) in together.iter().enumerate() {
         assert_eq!(*bytes, alone[client], "client {client}");
     }
 }
@@ -44,13 +41,13 @@ async fn thirty_two_hands_drag_one_session() {
     let pose = |hand: u32| json!({"session": id, "q": [[20 + hand, 20], [100, 70]]});
     let together = join_all((0..32).map(|hand| {
         let (server, pose) = (&server, pose(hand));
-        async move { server.drag(&pose).await.bytes().await.unwrap() }
+        async move { png(server.drag(&pose).await).await }
     }))
     .await;
     let now = server.app.counters();
     assert_eq!(now.plans_built - decoded.plans_built, 1, "one build for many waiting requests");
     assert_eq!(now.images_decoded - decoded.images_decoded, 1);
     for (hand, bytes) in (0..).zip(&together) {
-        assert_eq!(server.drag(&pose(hand)).await.bytes().await.unwrap(), *bytes, "hand {hand}");
+        assert_eq!(png(server.drag(&pose(hand)).await).await, *bytes, "hand {hand}");
     }
 }

@@ -2,7 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::support::server::header;
+use crate::support::picture::decoded;
+use crate::support::server::{header, png};
 use crate::support::{Server, eventually, photo};
 
 fn rest() -> Value {
@@ -24,16 +25,14 @@ async fn a_hundred_poses_build_one_plan_and_each_equals_the_one_shot_answer() {
     let mut distinct = std::collections::HashSet::new();
     for n in 0..100 {
         let response = server.drag(&json!({"session": id, "q": posed(n)})).await;
-        assert_eq!(response.status(), 200);
         assert_eq!(header(&response, "warp-plan"), "hit");
         let etag = header(&response, "etag").to_owned();
-        let dragged = response.bytes().await.unwrap();
+        let dragged = png(response).await;
         let mut whole = rest();
         whole["q"] = posed(n);
         let one_shot = server.upload("/warp", &photo, &whole).await;
-        assert_eq!(one_shot.status(), 200);
         assert_eq!(header(&one_shot, "etag"), etag);
-        assert_eq!(one_shot.bytes().await.unwrap(), dragged, "pose {n}");
+        assert_eq!(png(one_shot).await, dragged, "pose {n}");
         distinct.insert(dragged);
     }
     assert_eq!(distinct.len(), 100, "every pose is a picture of its own");
@@ -52,10 +51,10 @@ async fn an_upload_that_asks_for_a_session_gives_one_with_its_picture() {
     assert_eq!(header(&response, "warp-plan"), "built");
     let id = header(&response, "warp-session").to_owned();
     assert_eq!(header(&response, "location"), format!("/sessions/{id}"));
-    let first = response.bytes().await.unwrap();
+    let first = png(response).await;
     let again = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(3)})).send().await.unwrap();
     assert_eq!(header(&again, "warp-plan"), "hit");
-    assert_eq!(again.bytes().await.unwrap(), first);
+    assert_eq!(png(again).await, first);
     // Refused warps make no session.
     let refused = server.upload("/warp?session=true", &photo, &json!({"p": [[1, 1]], "q": []})).await;
     assert_eq!(refused.status(), 422);
@@ -82,11 +81,11 @@ async fn what_the_caches_dropped_is_rebuilt_from_the_session() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
     let body = json!({"session": id, "q": posed(1)});
-    let warm = server.drag(&body).await.bytes().await.unwrap();
+    let warm = png(server.drag(&body).await).await;
     server.app.forget_caches();
     let cold = server.drag(&body).await;
     assert_eq!(header(&cold, "warp-plan"), "built");
-    assert_eq!(cold.bytes().await.unwrap(), warm);
+    assert_eq!(png(cold).await, warm);
     assert_eq!(server.app.counters().images_decoded, 2);
     assert_eq!(header(&server.drag(&body).await, "warp-plan"), "hit");
 }
@@ -98,8 +97,7 @@ async fn caches_too_small_for_anything_change_no_picture() {
     let (a, b) = (server.session(&photo(64, 48), &rest()).await, roomy.session(&photo(64, 48), &rest()).await);
     for n in 0..3 {
         let small = server.drag(&json!({"session": a, "q": posed(n)})).await;
-        assert_eq!(small.status(), 200);
-        assert_eq!(small.bytes().await.unwrap(), roomy.drag(&json!({"session": b, "q": posed(n)})).await.bytes().await.unwrap());
+        assert_eq!(png(small).await, png(roomy.drag(&json!({"session": b, "q": posed(n)})).await).await);
     }
     assert!(server.app.counters().plans_built > 1 && roomy.app.counters().plans_built == 1);
 }
@@ -110,12 +108,12 @@ async fn an_output_given_with_a_pose_replaces_only_what_it_names() {
     let mut whole = rest();
     whole["output"] = json!({"outside": "#ff0000ff", "filter": "nearest"});
     let id = server.session(&photo(64, 48), &whole).await;
-    let preview = server.drag(&json!({"session": id, "q": posed(2), "output": {"width": 32}})).await.bytes().await.unwrap();
-    let (width, height, _) = crate::support::picture::decoded(&preview);
-    assert_eq!((width, height), (32, 24));
+    let preview = png(server.drag(&json!({"session": id, "q": posed(2), "output": {"width": 32}})).await).await;
+    let preview_read = decoded(&preview);
+    assert_eq!((preview_read.width, preview_read.height), (32, 24));
     whole["output"]["width"] = json!(32);
     whole["q"] = posed(2);
-    assert_eq!(server.upload("/warp", &photo(64, 48), &whole).await.bytes().await.unwrap(), preview);
+    assert_eq!(png(server.upload("/warp", &photo(64, 48), &whole).await).await, preview);
 }
 
 #[tokio::test]
@@ -134,8 +132,8 @@ async fn the_first_bytes_of_a_large_picture_leave_before_its_last_strip_is_drawn
     while let Some(chunk) = response.chunk().await.unwrap() {
         file.extend_from_slice(&chunk);
     }
-    let (width, height, _) = crate::support::picture::decoded(&file);
-    assert_eq!((width, height), (3840, 2160));
+    let read = decoded(&file);
+    assert_eq!((read.width, read.height), (3840, 2160));
     eventually("the picture is counted", || server.app.counters().pictures_finished == 1).await;
 }
 

@@ -11,6 +11,8 @@ use mlswarp::pixmap::{Pixmap, Samples};
 use mlswarp::service::wire::WarpObject;
 use mlswarp::warp::{Image, Limits, OutputSpec, Setup, Warp};
 
+use crate::support::picture::decoded;
+
 /// Handle file, photograph.
 const EXAMPLES: [(&str, &str); 5] = [
     ("stretched-cat", "chelsea.png"),
@@ -51,6 +53,7 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
 }
 
 pub(crate) fn decode(png: &[u8]) -> Pixmap {
+    decoded(png);
     codec::decode(png, &ImageLimits::default()).unwrap().pixmap
 }
 

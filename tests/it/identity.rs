@@ -10,6 +10,7 @@ use mlswarp::pixmap::{Channels, Depth, Extent};
 use mlswarp::warp::{Folds, GridSpec, Image, OutputSpec, RestSpec, Setup, Warp};
 
 use crate::golden::limits;
+use crate::support::picture::decoded;
 
 /// A PNG of pseudo-random samples, written in one strip after another.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Vec<u8> {
@@ -63,6 +64,7 @@ fn identity_returns_the_decoded_pixels() {
                             ControlFlow::Continue(())
                         });
                         let (got, want) = (codec::decode(&png, &ImageLimits::default()), codec::decode(&file, &ImageLimits::default()));
+                        assert!(decoded(&png).samples == decoded(&file).samples);
                         assert!(got.unwrap().pixmap == want.unwrap().pixmap, "{width} x {height} {channels:?} {depth:?} {method:?}");
                         assert_eq!((warp.report().folds, warp.report().residual), (0, 0.0));
                         compared += 1;

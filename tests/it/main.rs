@@ -5,6 +5,7 @@
 mod bad_input;
 mod binary;
 mod clients;
+mod decoders;
 mod drag;
 mod golden;
 mod identity;

@@ -6,6 +6,7 @@ use std::process::Stdio;
 use serde_json::json;
 
 use crate::support::program::mlswarp;
+use crate::support::server::png;
 use crate::support::{Server, photo};
 
 fn directory(name: &str) -> std::path::PathBuf {
@@ -22,7 +23,7 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     std::fs::write(path("in.png"), &image).unwrap();
     std::fs::write(path("warp.json"), warp.to_string()).unwrap();
     let server = Server::start(&[]).await;
-    let answer = server.upload("/warp", &image, &warp).await.bytes().await.unwrap();
+    let answer = png(server.upload("/warp", &image, &warp).await).await;
 
     let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
     assert!(output.status.success(), "{output:?}");

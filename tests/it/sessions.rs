@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::support::server::{header, problem};
+use crate::support::server::{header, png, problem};
 use crate::support::{Server, photo};
 
 #[tokio::test]
@@ -91,7 +91,7 @@ async fn an_idle_session_expires_is_told_so_and_then_forgotten() {
     let body = json!({"session": id, "q": [[3, 2]]});
     for _ in 0..4 {
         tokio::time::sleep(Duration::from_millis(150)).await;
-        assert_eq!(server.drag(&body).await.status(), 200, "a session in use lives on");
+        png(server.drag(&body).await).await;
     }
     tokio::time::sleep(Duration::from_millis(500)).await;
     problem(server.drag(&body).await, 410, "session_expired").await;
@@ -107,14 +107,14 @@ async fn a_lower_seq_is_superseded_and_an_equal_one_is_a_retry() {
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let pose = |seq: u64| json!({"q": [[3, 2]], "seq": seq});
     let send = |seq: u64| server.post(&format!("/sessions/{id}/warp")).json(&pose(seq)).send();
-    assert_eq!(send(7).await.unwrap().status(), 200);
-    assert_eq!(send(7).await.unwrap().status(), 200);
+    png(send(7).await.unwrap()).await;
+    png(send(7).await.unwrap()).await;
     let begun = server.app.counters().pictures_begun;
     problem(send(6).await.unwrap(), 409, "superseded").await;
     assert_eq!(server.app.counters().pictures_begun, begun, "nothing was drawn");
-    assert_eq!(send(8).await.unwrap().status(), 200);
+    png(send(8).await.unwrap()).await;
     let unnumbered = server.drag(&json!({"session": id, "q": [[3, 2]]})).await;
-    assert_eq!(unnumbered.status(), 200);
+    png(unnumbered).await;
     let read: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
     assert_eq!(read["seq"], 8);
 }
@@ -127,7 +127,7 @@ async fn a_full_store_refuses_newcomers_and_serves_the_living() {
     assert!(refused.headers().get("retry-after").is_some());
     let document = problem(refused, 503, "overloaded").await;
     assert_eq!((&document["limit_name"], &document["limit"]), (&json!("sessions"), &json!(1)));
-    assert_eq!(server.drag(&json!({"session": id, "q": [[3, 2]]})).await.status(), 200);
+    png(server.drag(&json!({"session": id, "q": [[3, 2]]})).await).await;
 }
 
 #[tokio::test]

@@ -5,7 +5,7 @@ use std::io::Write;
 
 use crate::pixmap::{Channels, Depth};
 
-use super::PngShape;
+use super::{PngShape, Profile};
 
 /// The eight bytes every PNG begins with.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
@@ -51,7 +51,7 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
 }
 
 /// Signature, IHDR, and iCCP when there is a profile.
-pub(super) fn head(shape: PngShape, icc: Option<&[u8]>) -> Vec<u8> {
+pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
     let mut out = SIGNATURE.to_vec();
     let mut header = Vec::with_capacity(13);
     header.extend_from_slice(&shape.extent.width().to_be_bytes());
@@ -67,14 +67,20 @@ pub(super) fn head(shape: PngShape, icc: Option<&[u8]>) -> Vec<u8> {
     // Deflate, the five filters, no interlacing: each the only value in use.
     header.extend_from_slice(&[0, 0, 0]);
     write(&mut out, *b"IHDR", &header);
-    if let Some(profile) = icc {
-        let chunk = open(&mut out, *b"iCCP");
-        // A name, its end, and the method (deflate).
-        out.extend_from_slice(b"ICC profile\0\0");
-        let mut zlib = flate2::write::ZlibEncoder::new(&mut out, flate2::Compression::default());
-        zlib.write_all(profile).expect("a Vec takes every write");
-        zlib.finish().expect("a Vec takes every write");
-        chunk.close(&mut out);
+    if let Some(Profile(chunk)) = icc {
+        out.extend_from_slice(chunk);
     }
+    out
+}
+
+/// iCCP: a name and its end, the method (deflate), and the profile compressed.
+pub(super) fn profile(icc: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let chunk = open(&mut out, *b"iCCP");
+    out.extend_from_slice(b"ICC profile\0\0");
+    let mut zlib = flate2::write::ZlibEncoder::new(&mut out, flate2::Compression::default());
+    zlib.write_all(icc).expect("a Vec takes every write");
+    zlib.finish().expect("a Vec takes every write");
+    chunk.close(&mut out);
     out
 }

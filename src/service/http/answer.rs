@@ -13,10 +13,8 @@ use bytes::Bytes;
 use http_body::Frame;
 use tokio::sync::mpsc::UnboundedReceiver;
 
-use crate::service::App;
-use crate::service::picture::{Cost, Picture, Piece};
-use crate::service::problem::Problem;
-use crate::service::walk::{Ready, Timing};
+use crate::service::picture::{Cost, Drawn, Picture, Piece};
+use crate::service::walk::Timing;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
@@ -29,22 +27,21 @@ pub(super) fn takes_trailers(headers: &HeaderMap) -> bool {
     headers.get_all(TE).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|t| t.trim().eq_ignore_ascii_case("trailers"))
 }
 
-/// Draws the picture into an answer.
-pub(super) async fn picture(app: &App, ready: Ready, trailers: bool) -> Result<Response, Problem> {
-    let mut headers = HeaderMap::new();
-    let report = ready.warp.report();
+/// A picture as an answer.
+pub(super) fn picture(drawn: Drawn, trailers: bool) -> Response {
+    let Drawn { report, timing, plan_built, picture } = drawn;
+    let mut headers = HeaderMap::with_capacity(16);
     let text = |text: String| HeaderValue::from_str(&text).expect("numbers and codes are visible ASCII");
     headers.insert(CONTENT_TYPE, HeaderValue::from_static("image/png"));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(ETAG, text(format!("\"{}\"", report.etag)));
-    headers.insert(WARP_PLAN, HeaderValue::from_static(if ready.plan_built { "built" } else { "hit" }));
+    headers.insert(WARP_PLAN, HeaderValue::from_static(if plan_built { "built" } else { "hit" }));
     headers.insert(WARP_FOLDS, report.folds.into());
     headers.insert(WARP_RESIDUAL, text(format!("{:.4}", report.residual)));
     if !report.warnings.is_empty() {
         headers.insert(WARP_WARNING, text(report.warnings.iter().map(|w| w.code()).collect::<Vec<_>>().join(", ")));
     }
-    let timing = ready.timing;
-    let body = match app.draw(ready).await? {
+    let body = match picture {
         Picture::Whole { bytes, cost } => {
             headers.insert(SERVER_TIMING, text(timing_text(Some(timing), Some(cost))));
             Body::from(bytes)
@@ -57,7 +54,7 @@ pub(super) async fn picture(app: &App, ready: Ready, trailers: bool) -> Result<R
             Body::new(Strips { strips, trailers, ended: false })
         }
     };
-    Ok((headers, body).into_response())
+    (headers, body).into_response()
 }
 
 /// `name;dur=ms, ...`

@@ -26,9 +26,9 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         let upload = upload::read(&app, request).await?;
-        let (ready, material) = app.warp_once(upload.image, upload.warp).await?;
+        let (drawn, material) = app.warp_once(upload.image, upload.warp).await?;
         let session = if keeps { Some(app.keep(material).await?.0.record.id) } else { None };
-        let mut response = picture(&app, ready, trailers).await?;
+        let mut response = picture(drawn, trailers);
         if let Some(id) = session {
             name_session(&mut response, id);
         }
@@ -48,7 +48,7 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
     }
-    picture(&app, app.drag(id, drag).await?, trailers).await
+    Ok(picture(app.drag(id, drag).await?, trailers))
 }
 
 /// q alone.
@@ -59,7 +59,7 @@ pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, request
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse(&body, false)?;
-    picture(&app, app.drag(id, drag).await?, trailers).await
+    Ok(picture(app.drag(id, drag).await?, trailers))
 }
 
 /// Adds `Warp-Session` and `Location`.

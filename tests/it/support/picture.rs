@@ -13,12 +13,17 @@ pub(crate) fn photo(width: u32, height: u32) -> Vec<u8> {
     png(width, height, png::ColorType::Rgb, &samples)
 }
 
-/// A PNG file.
+/// A PNG file, 8 bits a sample.
 pub(crate) fn png(width: u32, height: u32, color: png::ColorType, samples: &[u8]) -> Vec<u8> {
+    png_of(width, height, color, png::BitDepth::Eight, samples)
+}
+
+/// A PNG file; samples of 16 bits are big-endian.
+pub(crate) fn png_of(width: u32, height: u32, color: png::ColorType, depth: png::BitDepth, samples: &[u8]) -> Vec<u8> {
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, width, height);
     encoder.set_color(color);
-    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_depth(depth);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header().unwrap();
     writer.write_image_data(samples).unwrap();
@@ -26,10 +31,56 @@ pub(crate) fn png(width: u32, height: u32, color: png::ColorType, samples: &[u8]
     file
 }
 
-/// Width, height and samples of a PNG file, read by a decoder that shares no code with ours.
-pub(crate) fn decoded(file: &[u8]) -> (usize, usize, Vec<u8>) {
-    let mut decoder = zune_png::PngDecoder::new(zune_png::zune_core::bytestream::ZCursor::new(file));
-    let samples = decoder.decode_raw().unwrap();
+/// What a PNG file of ours holds. Samples of 16 bits are big-endian.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Decoded {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) color: png::ColorType,
+    pub(crate) depth: png::BitDepth,
+    pub(crate) samples: Vec<u8>,
+}
+
+/// Reads a file that we wrote by two decoders that share no code, both with every checksum: each must take it, and they must agree.
+pub(crate) fn decoded(file: &[u8]) -> Decoded {
+    let first = by_png(file);
+    let second = by_zune(file);
+    assert_eq!((first.width, first.height, first.color, first.depth), (second.width, second.height, second.color, second.depth));
+    assert!(first.samples == second.samples, "two decoders see two pictures of {} x {}", first.width, first.height);
+    first
+}
+
+fn by_png(file: &[u8]) -> Decoded {
+    let mut options = png::DecodeOptions::default();
+    options.set_ignore_adler32(false);
+    options.set_ignore_crc(false);
+    let mut decoder = png::Decoder::new_with_options(std::io::Cursor::new(file), options);
+    decoder.set_transformations(png::Transformations::IDENTITY);
+    let mut reader = decoder.read_info().unwrap();
+    let mut samples = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut samples).unwrap();
+    reader.finish().unwrap();
+    samples.truncate(info.buffer_size());
+    Decoded { width: info.width as usize, height: info.height as usize, color: info.color_type, depth: info.bit_depth, samples }
+}
+
+fn by_zune(file: &[u8]) -> Decoded {
+    use zune_png::zune_core::bytestream::ZCursor;
+    use zune_png::zune_core::colorspace::ColorSpace;
+    use zune_png::zune_core::options::DecoderOptions;
+    use zune_png::zune_core::result::DecodingResult;
+    let options = DecoderOptions::default().set_strict_mode(true).png_set_confirm_crc(true).inflate_set_confirm_adler(true);
+    let mut decoder = zune_png::PngDecoder::new_with_options(ZCursor::new(file), options);
+    let (depth, samples) = match decoder.decode().unwrap() {
+        DecodingResult::U8(samples) => (png::BitDepth::Eight, samples),
+        DecodingResult::U16(samples) => (png::BitDepth::Sixteen, samples.into_iter().flat_map(u16::to_be_bytes).collect()),
+        _ => panic!("a depth that we do not write"),
+    };
+    let color = match decoder.colorspace().unwrap() {
+        ColorSpace::RGB => png::ColorType::Rgb,
+        ColorSpace::RGBA => png::ColorType::Rgba,
+        other => panic!("colours that we do not write: {other:?}"),
+    };
     let (width, height) = decoder.dimensions().unwrap();
-    (width, height, samples)
+    Decoded { width, height, color, depth, samples }
 }

@@ -11,6 +11,8 @@ use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
+use super::picture::decoded;
+
 /// Options as on the command line.
 pub(crate) fn config(options: &[&str]) -> Config {
     Cli::try_parse_from([&["mlswarp", "--listen", "127.0.0.1:0"], options].concat()).unwrap().options.resolve().unwrap()
@@ -67,7 +69,7 @@ impl Server {
     /// A request that must succeed, whatever happened before.
     pub(crate) async fn is_well(&self) {
         let response = self.upload("/warp", &super::photo(16, 12), &json!({"p": [[2, 2]], "q": [[3, 2]]})).await;
-        assert_eq!(response.status(), 200, "{:?}", response.text().await);
+        png(response).await;
         assert_eq!(self.get("/readyz").send().await.unwrap().status(), 200);
     }
 }
@@ -75,6 +77,15 @@ impl Server {
 /// The two parts.
 pub(crate) fn form(image: &[u8], warp: impl Into<String>) -> Form {
     Form::new().part("image", Part::bytes(image.to_vec()).file_name("picture")).text("warp", warp.into())
+}
+
+/// The file of an answer that must be a picture, read by both decoders.
+pub(crate) async fn png(response: Response) -> Vec<u8> {
+    assert_eq!(response.status(), 200, "{:?}", response.text().await);
+    assert_eq!(header(&response, "content-type"), "image/png");
+    let file = response.bytes().await.unwrap().to_vec();
+    decoded(&file);
+    file
 }
 
 /// A header as text.

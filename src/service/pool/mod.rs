@@ -1,17 +1,31 @@
-//! Admission and the one compute pool. A request takes a place (running or waiting; none left: refused at once), waits its turn in
-//! order of arrival, and then runs closures on rayon threads. No async thread ever computes, no compute thread ever waits for a client.
+//! Admission and the compute threads. A request takes a place (running or waiting; none left: refused at once), waits its turn in
+//! order of arrival, and then runs closures on the crew's threads. No async thread ever computes, no compute thread ever waits for a client.
+//!
+//! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
+//! a picture are taken by helpers, as many as no other picture wants (`crowd`).
 //!
 //! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
 //! request's future was dropped before.
 
+mod crew;
+mod crowd;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, TryLockError};
 use std::time::{Duration, Instant};
 
-pub use rayon::ThreadPoolBuildError as NoThreads;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+
+use crew::Crew;
+use crowd::Crowd;
+pub use crowd::Drawer;
+
+/// The operating system gives no threads.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct NoThreads(String);
 
 /// Why nothing was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,7 +41,11 @@ pub enum PoolError {
 /// Compute threads behind a bounded queue. Cloning shares them.
 #[derive(Clone, Debug)]
 pub struct Pool {
-    threads: Arc<ThreadPool>,
+    crew: Arc<Crew>,
+    /// For what is split, while the thread that split it sleeps; one thing at a time.
+    wide: Arc<Mutex<ThreadPool>>,
+    crowd: Crowd,
+    workers: usize,
     /// One permit a request that runs or waits.
     places: Arc<Semaphore>,
     /// One permit a request that runs.
@@ -100,14 +118,18 @@ impl Pool {
     /// # Errors
     /// The operating system gives no threads.
     pub fn new(workers: usize, queue: usize) -> Result<Self, NoThreads> {
-        let threads = ThreadPoolBuilder::new()
+        let wide = ThreadPoolBuilder::new()
             .num_threads(workers)
-            .thread_name(|i| format!("compute-{i}"))
+            .thread_name(|i| format!("split-{i}"))
             // Without a handler a panic that reaches a rayon thread aborts the process.
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
-            .build()?;
+            .build()
+            .map_err(|e| NoThreads(e.to_string()))?;
         Ok(Self {
-            threads: Arc::new(threads),
+            crew: Arc::new(Crew::start(workers).map_err(|e| NoThreads(e.to_string()))?),
+            wide: Arc::new(Mutex::new(wide)),
+            crowd: Crowd::default(),
+            workers,
             places: Arc::new(Semaphore::new(workers.saturating_add(queue).min(Semaphore::MAX_PERMITS))),
             turns: Arc::new(Semaphore::new(workers)),
             running: Arc::new(AtomicUsize::new(0)),
@@ -158,16 +180,50 @@ impl Pool {
 
     /// Starts `work` on a compute thread and does not wait. A panic ends `work` alone, and drops what it holds.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
+        self.crew.hand_over([self.job(ticket, work)]);
+    }
+
+    /// The same with `helpers` more threads that are woken at the same time, each of which calls `help`.
+    pub fn start_with(
+        &self,
+        ticket: &Ticket,
+        work: impl FnOnce() + Send + 'static,
+        helpers: usize,
+        help: impl Fn() + Clone + Send + 'static,
+    ) {
+        let help = (0..helpers).map(|_| self.job(ticket, help.clone()));
+        self.crew.hand_over(std::iter::once(self.job(ticket, work)).chain(help));
+    }
+
+    fn job(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce() + Send> {
         let ticket = ticket.clone();
         let running = Running::begin(&self.running);
-        self.threads.spawn(move || {
+        Box::new(move || {
             // What a panic leaves half-done is owned by `work` and dropped with it.
             if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
                 tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
             }
             // In this order: nothing that has ended still holds a place.
             drop((ticket, running));
-        });
+        })
+    }
+
+    /// Runs `work` on as many threads as it splits into, while this compute thread sleeps; on this thread alone when they are taken (a thread
+    /// that waits for a part of one thing would take up all of another). A panic comes through.
+    pub fn spread<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match self.wide.try_lock() {
+            Ok(wide) => wide.install(work),
+            // Nothing of the pool is broken by a panic that went through it.
+            Err(TryLockError::Poisoned(wide)) => wide.into_inner().install(work),
+            Err(TryLockError::WouldBlock) => work(),
+        }
+    }
+
+    /// Joins those who draw; the number is how many threads beside its own the picture may take.
+    #[must_use]
+    pub fn draws(&self) -> (Drawer, usize) {
+        let (drawer, most) = self.crowd.join();
+        (drawer, (self.workers / most).saturating_sub(1))
     }
 }
 

@@ -1,0 +1,179 @@
+//! The threads that compute, behind one queue. A job is taken by one thread and never by one that has begun another: a request waits for
+//! nobody else's picture. An idle thread looks for work a little longer before it sleeps, because waking a sleeping one takes a tenth of a
+//! millisecond, a tenth of a small picture.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+/// How long an idle thread looks for work before it sleeps: a client on the same machine is back with its next pose in half of this. Sixty
+/// poses a second cost every thread about a hundredth of its processor.
+const AWAKE: Duration = Duration::from_micros(200);
+
+type Job = Box<dyn FnOnce() + Send>;
+
+/// Threads that end when this is dropped, each after its job.
+#[derive(Debug)]
+pub(super) struct Crew(Arc<Shared>);
+
+#[derive(Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    work: Condvar,
+    /// Jobs that wait: what an idle thread looks at without the lock.
+    waiting: AtomicUsize,
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Shared").field("waiting", &self.waiting).finish_non_exhaustive()
+    }
+}
+
+#[derive(Default)]
+struct Queue {
+    jobs: VecDeque<Job>,
+    asleep: usize,
+    over: bool,
+}
+
+impl Crew {
+    /// Starts `threads` threads.
+    ///
+    /// # Errors
+    /// The operating system gives no more.
+    pub(super) fn start(threads: usize) -> Result<Self, std::io::Error> {
+        let crew = Self(Arc::default());
+        for index in 0..threads {
+            let shared = Arc::clone(&crew.0);
+            std::thread::Builder::new().name(format!("compute-{index}")).spawn(move || shared.run())?;
+        }
+        Ok(crew)
+    }
+
+    /// Hands over jobs at once, to as many threads. A job that panics ends its thread: jobs catch.
+    pub(super) fn hand_over(&self, jobs: impl IntoIterator<Item = Job>) {
+        let mut queue = self.0.lock();
+        let before = queue.jobs.len();
+        queue.jobs.extend(jobs);
+        let wake = queue.asleep.min(queue.jobs.len() - before);
+        self.0.waiting.store(queue.jobs.len(), Ordering::Release);
+        drop(queue);
+        for _ in 0..wake {
+            self.0.work.notify_one();
+        }
+    }
+}
+
+impl Drop for Crew {
+    fn drop(&mut self) {
+        self.0.lock().over = true;
+        self.0.work.notify_all();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        // Nothing panics under the lock.
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn run(&self) {
+        // A pool of this thread alone: what a small job would split stays here instead of waiting for others.
+        let _alone: Option<ThreadPool> = ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().ok();
+        while let Some(job) = self.next() {
+            job();
+        }
+    }
+
+    /// The next job; none when the crew is dismissed.
+    fn next(&self) -> Option<Job> {
+        let mut idle = None;
+        loop {
+            if self.waiting.load(Ordering::Acquire) > 0 {
+                let mut queue = self.lock();
+                if let Some(job) = self.take(&mut queue) {
+                    return Some(job);
+                }
+            }
+            if idle.get_or_insert_with(Instant::now).elapsed() >= AWAKE {
+                return self.sleep();
+            }
+            // Whoever else wants this processor gets it.
+            std::thread::yield_now();
+        }
+    }
+
+    fn sleep(&self) -> Option<Job> {
+        let mut queue = self.lock();
+        loop {
+            if let Some(job) = self.take(&mut queue) {
+                return Some(job);
+            }
+            if queue.over {
+                return None;
+            }
+            queue.asleep += 1;
+            queue = self.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            queue.asleep -= 1;
+        }
+    }
+
+    fn take(&self, queue: &mut Queue) -> Option<Job> {
+        let job = queue.jobs.pop_front();
+        self.waiting.store(queue.jobs.len(), Ordering::Release);
+        job
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Barrier;
+    use std::sync::mpsc::channel;
+
+    #[test]
+    fn jobs_handed_over_together_run_together() {
+        let crew = Crew::start(3).unwrap();
+        for _ in 0..50 {
+            let meet = Arc::new(Barrier::new(4));
+            crew.hand_over((0..3).map(|_| {
+                let meet = Arc::clone(&meet);
+                Box::new(move || {
+                    meet.wait();
+                }) as Job
+            }));
+            meet.wait();
+        }
+    }
+
+    #[test]
+    fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
+        let crew = Crew::start(1).unwrap();
+        let (done, order) = channel();
+        for k in 0..20 {
+            let done = done.clone();
+            crew.hand_over([Box::new(move || done.send(k).unwrap()) as Job]);
+            if k % 5 == 0 {
+                std::thread::sleep(2 * AWAKE);
+            }
+        }
+        drop(done);
+        assert_eq!(order.iter().collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_dismissed_crew_does_what_it_was_given_and_ends() {
+        let (done, all) = channel();
+        let crew = Crew::start(2).unwrap();
+        crew.hand_over((0..10).map(|_| {
+            let done = done.clone();
+            Box::new(move || done.send(()).unwrap()) as Job
+        }));
+        drop((crew, done));
+        assert_eq!(all.iter().count(), 10);
+    }
+}

@@ -1,0 +1,119 @@
+//! Writing a prepared warp: its strips are taken by any number of threads, rendered, encoded, and handed over in order. No thread waits for
+//! another: who finishes the strip whose turn it is hands it over, with all that waited for it.
+
+use std::cell::Cell;
+use std::ops::{ControlFlow, Deref};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use super::Warp;
+use crate::codec::{PngWriter, StripChecksum};
+
+/// A thread keeps its buffer of samples for the next strip up to this size, bytes: rows of ordinary strips take half of it.
+const KEPT: usize = 2 << 20;
+
+/// A step of writing whose cost someone may want to know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Mesh to pixels.
+    Render,
+    /// Pixels to PNG.
+    Encode,
+}
+
+/// Stands around each step of writing; whoever knows the time may measure there. `()` only does the work.
+pub trait Watch: Sync {
+    /// Calls `work` exactly once.
+    fn around(&self, stage: Stage, work: &mut dyn FnMut());
+}
+
+impl Watch for () {
+    fn around(&self, _stage: Stage, work: &mut dyn FnMut()) {
+        work();
+    }
+}
+
+/// A picture that is being written. The sink gets the file in as many pieces as there are strips, in order, and is told which is the last
+/// one; when it says `Break`, the work ends at the next strip.
+#[derive(Debug)]
+pub struct Writing<W, S> {
+    warp: W,
+    next: AtomicUsize,
+    gone: AtomicBool,
+    queue: Mutex<Queue<S>>,
+}
+
+/// Encoded strips that wait for an earlier one.
+#[derive(Debug)]
+struct Queue<S> {
+    waiting: Vec<Option<(Vec<u8>, StripChecksum)>>,
+    checksums: Vec<StripChecksum>,
+    sink: S,
+}
+
+impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writing<W, S> {
+    /// Nothing is drawn yet.
+    pub fn new(warp: W, sink: S) -> Self {
+        let strips = warp.writer.strips();
+        let queue = Queue { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink };
+        Self { warp, next: AtomicUsize::new(0), gone: AtomicBool::new(false), queue: Mutex::new(queue) }
+    }
+
+    /// The pieces of work that there are.
+    pub fn strips(&self) -> usize {
+        self.warp.writer.strips()
+    }
+
+    /// Takes strips until none is left or nobody listens. True for the one call that handed over the last piece.
+    pub fn work(&self, watch: &dyn Watch) -> bool {
+        let Warp { renderer, writer, .. } = &*self.warp;
+        let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
+        let mut samples = SAMPLES.take();
+        let mut ended = false;
+        while !self.gone.load(Ordering::Relaxed) {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            if index >= writer.strips() {
+                break;
+            }
+            let rows = writer.rows(index);
+            samples.resize(rows.len() * row, 0);
+            watch.around(Stage::Render, &mut || renderer.band(rows.clone(), &mut samples));
+            let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
+            let mut checksum = (0, 0);
+            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes));
+            let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            queue.waiting[index] = Some((bytes, checksum));
+            match queue.flush(writer) {
+                ControlFlow::Continue(last) => ended = last,
+                ControlFlow::Break(()) => self.gone.store(true, Ordering::Relaxed),
+            }
+        }
+        if samples.capacity() <= KEPT {
+            SAMPLES.set(samples);
+        }
+        ended
+    }
+}
+
+impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
+    /// Hands over every strip whose turn it is; says whether the last one was among them.
+    fn flush(&mut self, writer: &PngWriter) -> ControlFlow<(), bool> {
+        while let Some((mut bytes, checksum)) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
+            self.checksums.push(checksum);
+            let last = self.checksums.len() == self.waiting.len();
+            if last {
+                bytes.extend_from_slice(&writer.tail(&self.checksums));
+            }
+            (self.sink)(bytes, last)?;
+            if last {
+                return ControlFlow::Continue(true);
+            }
+        }
+        ControlFlow::Continue(false)
+    }
+}
+
+thread_local! {
+    /// The samples of a strip outlive it: half a megabyte is not faulted in anew for each.
+    static SAMPLES: Cell<Vec<u8>> = const { Cell::new(Vec::new()) };
+}

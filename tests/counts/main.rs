@@ -1,0 +1,147 @@
+//! One stage of a warp, run once where callgrind counts its instructions: `counts STAGE`. Everything that the stage needs is prepared and the
+//! stage is run once before, uncounted, so that tables made at first use and the dynamic linker are not in the figure. Without a stage it
+//! prints their names and the level in use (`MLSWARP_LEVEL` lowers it). `tests/counts/run` starts it and compares.
+
+#![allow(
+    missing_docs,
+    unreachable_pub,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    clippy::should_implement_trait,
+    reason = "a program that is started by a script"
+)]
+
+#[path = "../bench/sets.rs"]
+mod sets;
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter};
+use mlswarp::deform::{Method, Plan};
+use mlswarp::geometry::{Grid, Mesh};
+use mlswarp::level::Level;
+use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
+use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
+
+const SIDE: u32 = 500;
+const VERTICES: u32 = 100;
+const STAGES: [(&str, fn()); 5] = [("deform", deform), ("plan", plan), ("plan-lines", plan_lines), ("render", render), ("png", png)];
+
+fn main() {
+    let wanted = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    let Some(wanted) = wanted else {
+        println!("level {}", Level::detect().name());
+        STAGES.iter().for_each(|(name, _)| println!("{name}"));
+        return;
+    };
+    let stage = STAGES.iter().find(|(name, _)| *name == wanted).unwrap_or_else(|| panic!("no such stage: {wanted}")).1;
+    // One thread: what a stage splits is counted whole, and no second thread waits in a loop.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
+    pool.install(stage);
+}
+
+fn measure(mut work: impl FnMut()) {
+    work();
+    counted_stage(&mut work);
+}
+
+/// Callgrind collects between entering and leaving this function; it is known by its name.
+#[inline(never)]
+fn counted_stage(work: &mut dyn FnMut()) {
+    work();
+    // Something after the call: a jump to `work` would never come back here.
+    black_box(());
+}
+
+fn grid() -> Grid {
+    Grid::with_counts(sets::SIDE, sets::SIDE, VERTICES, VERTICES)
+}
+
+/// 10,000 vertices posed by 7 points.
+fn deform() {
+    let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
+    let plan = Plan::of_grid(&field, &grid);
+    measure(|| {
+        black_box(plan.pose(&grid, black_box(&pose)));
+    });
+}
+
+/// The table of 10,000 vertices and 7 points.
+fn plan() {
+    let (grid, (field, _)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
+    measure(|| {
+        black_box(Plan::of_grid(black_box(&field), &grid));
+    });
+}
+
+/// The same of 7 segments, alpha 2.
+fn plan_lines() {
+    let (grid, (field, _)) = (grid(), sets::line_field(7, Method::Rigid, 2.0));
+    measure(|| {
+        black_box(Plan::of_grid(black_box(&field), &grid));
+    });
+}
+
+/// Mesh to pixels, 500 x 500 RGBA.
+fn render() {
+    let (source, mesh) = (source(), mesh());
+    let mut samples = Vec::new();
+    measure(|| {
+        draw(&source, black_box(&mesh), &mut samples);
+    });
+}
+
+/// The pixels of `render` to a file.
+fn png() {
+    let mut samples = Vec::new();
+    let channels = draw(&source(), &mesh(), &mut samples);
+    let shape = PngShape { extent: extent(), channels, depth: Depth::Eight };
+    let row = SIDE as usize * channels.count();
+    let mut file = Vec::with_capacity(2 * samples.len());
+    measure(|| {
+        file.clear();
+        let writer = PngWriter::new(shape, Compression::Fast, None);
+        file.extend_from_slice(&writer.head());
+        let strip = |index: usize| {
+            let rows = writer.rows(index);
+            writer.strip_into(index, &samples[rows.start as usize * row..rows.end as usize * row], &mut file)
+        };
+        let checksums: Vec<_> = (0..writer.strips()).map(strip).collect();
+        file.extend_from_slice(&writer.tail(&checksums));
+    });
+}
+
+fn extent() -> Extent {
+    Extent::new(SIDE, SIDE).expect("not empty")
+}
+
+/// The astronaut, cropped, as RGBA.
+fn source() -> Arc<Source> {
+    let file = include_bytes!("../images/astronaut.png");
+    let photograph = codec::decode(file, &Limits::default()).expect("a whole file").pixmap;
+    let Samples::Eight(samples) = photograph.samples() else { panic!("the photograph has 8 bits") };
+    let (channels, width) = (photograph.channels().count(), photograph.extent().width() as usize);
+    let row = |y: usize| &samples[y * width * channels..][..SIDE as usize * channels];
+    let rgba = (0..SIDE as usize).flat_map(|y| row(y).chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2], 255]));
+    Arc::new(Source::new(Pixmap::new(extent(), Channels::Rgba, Samples::Eight(rgba.collect()))))
+}
+
+fn mesh() -> Mesh {
+    let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
+    Plan::of_grid(&field, &grid).pose(&grid, &pose).0
+}
+
+/// All rows in bands of 64.
+fn draw(source: &Arc<Source>, mesh: &Mesh, samples: &mut Vec<u8>) -> Channels {
+    let options = RenderOptions { target: extent(), filter: Filter::Bilinear, outside: Outside::Transparent };
+    let renderer = Renderer::new(Arc::clone(source), mesh, options);
+    let row = SIDE as usize * renderer.channels().count();
+    samples.resize(SIDE as usize * row, 0);
+    for first in (0..SIDE).step_by(64) {
+        let rows = first..SIDE.min(first + 64);
+        let out = &mut samples[rows.start as usize * row..rows.end as usize * row];
+        renderer.band(rows, out);
+    }
+    renderer.channels()
+}
