@@ -1,8 +1,6 @@
 //! Graded Gauss-Legendre quadrature along a segment, for any alpha: no cancellation, no special cases (mathematics 3.2).
 //! Units: lengths of the segment.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
-
 use super::falloff::Falloff;
 
 /// Nodes that are weighed at once.
