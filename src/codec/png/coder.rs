@@ -40,12 +40,21 @@ pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage:
     out.extend_from_slice(&stage[..at]);
 }
 
+/// What was taken of some bytes at once.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Many {
+    /// Bytes that were taken: whole eights, none of them all zero.
+    pub(super) taken: usize,
+    /// Eights behind them that are not all zero either, and are to be taken one by one.
+    pub(super) then: usize,
+}
+
 /// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
 pub(super) trait Sink {
-    /// Takes as many whole eights from the front as it likes, up to the first that is all zero; returns how many bytes these are.
+    /// Takes as many whole eights from the front as it likes, up to the first that is all zero.
     #[inline(always)]
-    fn many(&mut self, _bytes: &[u8]) -> usize {
-        0
+    fn many(&mut self, _bytes: &[u8]) -> Many {
+        Many::default()
     }
     fn eight(&mut self, bytes: u64);
     /// `count >= 8`.
@@ -57,7 +66,13 @@ pub(super) trait Sink {
 pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     let mut rest = bytes;
     loop {
-        rest = &rest[sink.many(rest)..];
+        let many = sink.many(rest);
+        rest = &rest[many.taken..];
+        for _ in 0..many.then {
+            let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
+            sink.eight(u64::from_le_bytes(*eight));
+            rest = after;
+        }
         let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
         let eight = u64::from_le_bytes(*eight);
         rest = after;
@@ -211,8 +226,8 @@ pub(super) trait Lookup {
 
     /// [`Sink::many`], coded.
     #[inline(always)]
-    fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> usize {
-        0
+    fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> Many {
+        Many::default()
     }
 }
 
@@ -344,7 +359,7 @@ impl<L: Lookup> Coder<'_, L> {
 
 impl<L: Lookup> Sink for Coder<'_, L> {
     #[inline(always)]
-    fn many(&mut self, bytes: &[u8]) -> usize {
+    fn many(&mut self, bytes: &[u8]) -> Many {
         self.tables.pairs.many(bytes, &mut self.bits)
     }
 

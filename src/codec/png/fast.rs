@@ -35,37 +35,39 @@ pub(super) fn encode(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>
     })
 }
 
-/// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
-#[inline(always)]
-pub(super) fn body(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
-    strip(rows, last, most, out, |single, code| {
-        if rows.filtered_len() < PAIRS_FROM {
-            return code.rows(single);
+/// How a level looks bytes up.
+pub(super) trait Way {
+    /// Codes all rows with the codes of single bytes; a method and not a closure, so that it is compiled for the level of its caller.
+    fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32>;
+}
+
+/// Two bytes at a time, or one in strips that are too short for such a table.
+pub(super) struct Portable;
+
+impl Way for Portable {
+    #[inline(always)]
+    fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
+        if coder.rows.filtered_len() < PAIRS_FROM {
+            return coder.code(single);
         }
         let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
         fill_pairs(single, &mut pairs);
-        let adler = code.rows(&Pairs(&pairs));
+        let adler = coder.code(&Pairs(&pairs));
         PAIRS.set(Some(pairs));
         adler
-    })
+    }
 }
 
-/// A strip, its rows coded by `code_with`, which chooses how bytes are looked up.
+/// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
 #[inline(always)]
-pub(super) fn strip(
-    rows: Rows<'_>,
-    last: bool,
-    most: usize,
-    out: &mut Vec<u8>,
-    code_with: impl FnOnce(&Single, RowCoder<'_>) -> Option<u32>,
-) -> Option<u32> {
+pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     let mut piece = [0; PIECE];
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
     let (single, runs) = (Single::new(&codes), Runs::new(&codes));
     let coder = RowCoder { rows, single: &single, runs: &runs, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
-    let adler = code_with(&single, coder)?;
+    let adler = W::code(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
     (out.len() <= most).then_some(adler)
@@ -149,47 +151,36 @@ pub(super) struct RowCoder<'a> {
 impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
-    pub(super) fn rows(self, lookup: &impl Lookup) -> Option<u32> {
+    pub(super) fn code(self, lookup: &impl Lookup) -> Option<u32> {
         let Self { rows, single, runs, piece, bits, most, out } = self;
-        code_rows(rows, &Tables { pairs: lookup, single, runs }, piece, bits, most, out)
-    }
-}
-
-#[inline(always)]
-fn code_rows<L: Lookup>(
-    rows: Rows<'_>,
-    tables: &Tables<'_, L>,
-    piece: &mut [u8; PIECE],
-    bits: &mut BitWriter,
-    most: usize,
-    out: &mut Vec<u8>,
-) -> Option<u32> {
-    let mut stage = STAGE_EMPTY;
-    let mut adler = simd_adler32::Adler32::new();
-    let mut filled = 0;
-    for index in 0..rows.count() {
-        piece[filled] = if index == 0 { SUB } else { PAETH };
-        filled += 1;
-        let mut from = 0;
-        loop {
-            let n = (PIECE - filled).min(rows.row_bytes() - from);
-            filter(rows, index, from, &mut piece[filled..filled + n]);
-            from += n;
-            filled += n;
-            if filled == PIECE {
-                adler.write(piece);
-                code_piece(piece, tables, &mut stage, bits, out);
-                filled = 0;
-                if out.len() > most {
-                    return None;
+        let tables = &Tables { pairs: lookup, single, runs };
+        let mut stage = STAGE_EMPTY;
+        let mut adler = simd_adler32::Adler32::new();
+        let mut filled = 0;
+        for index in 0..rows.count() {
+            piece[filled] = if index == 0 { SUB } else { PAETH };
+            filled += 1;
+            let mut from = 0;
+            loop {
+                let n = (PIECE - filled).min(rows.row_bytes() - from);
+                filter(rows, index, from, &mut piece[filled..filled + n]);
+                from += n;
+                filled += n;
+                if filled == PIECE {
+                    adler.write(piece);
+                    code_piece(piece, tables, &mut stage, bits, out);
+                    filled = 0;
+                    if out.len() > most {
+                        return None;
+                    }
+                }
+                if from == rows.row_bytes() {
+                    break;
                 }
             }
-            if from == rows.row_bytes() {
-                break;
-            }
         }
+        adler.write(&piece[..filled]);
+        code_piece(&piece[..filled], tables, &mut stage, bits, out);
+        (out.len() <= most).then(|| adler.finish())
     }
-    adler.write(&piece[..filled]);
-    code_piece(&piece[..filled], tables, &mut stage, bits, out);
-    (out.len() <= most).then(|| adler.finish())
 }

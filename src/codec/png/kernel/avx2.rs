@@ -11,5 +11,5 @@ pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
 fn fast_avx2(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
-    fast::body(rows, last, most, out)
+    fast::body::<fast::Portable>(rows, last, most, out)
 }

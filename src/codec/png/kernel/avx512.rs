@@ -3,7 +3,7 @@
 
 use std::arch::x86_64::*;
 
-use super::super::coder::{Lookup, Single, Staged, code, length};
+use super::super::coder::{Lookup, Many, Single, Staged, code, length};
 use super::super::fast;
 use super::super::rows::Rows;
 
@@ -15,7 +15,17 @@ pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
 fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
-    fast::strip(rows, last, most, out, |single, code| code.rows(&Wide::new(single)))
+    fast::body::<Registers>(rows, last, most, out)
+}
+
+/// Looked up in registers.
+struct Registers;
+
+impl fast::Way for Registers {
+    #[inline(always)]
+    fn code(single: &Single, coder: fast::RowCoder<'_>) -> Option<u32> {
+        coder.code(&Wide::new(single))
+    }
 }
 
 /// Bits of a code in a 16-bit lane; its length stands above.
@@ -51,18 +61,18 @@ impl Lookup for Wide<'_> {
     }
 
     #[inline(always)]
-    fn many(&self, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
+    fn many(&self, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
         if bytes.len() < 64 {
-            return 0;
+            return Many::default();
         }
         // SAFETY: a `Wide` is made and used inside `fast_avx512` only.
         unsafe { sixty_fours(self, bytes, bits) }
     }
 }
 
-/// Codes 64 bytes a time up to a group of eight that is all zero; how many bytes that were.
+/// Codes 64 bytes a time up to those that hold an eight that is all zero.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
-fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
+fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
     let load = |bytes: &[u8; 64]| {
         // SAFETY: 64 bytes are loaded from 64 bytes.
         unsafe { _mm512_loadu_si512(bytes.as_ptr().cast()) }
@@ -73,13 +83,15 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
     };
     let (low, high) = (quarters(&tables.low), quarters(&tables.high));
     // In registers: behind the reference each code would wait for the last one's way through memory.
-    let (mut own, mut done) = (bits.lend(), 0);
+    let (mut own, mut many) = (bits.lend(), Many::default());
     for block in bytes.as_chunks::<64>().0 {
         let block = load(block);
-        if _mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512()) != 0 {
+        let zeros = _mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512());
+        if zeros != 0 {
+            many.then = zeros.trailing_zeros() as usize;
             break;
         }
-        done += 64;
+        many.taken += 64;
         let upper = _mm512_movepi8_mask(block);
         let look_up = |[a, b, c, d]: [__m512i; 4]| {
             _mm512_mask_blend_epi8(upper, _mm512_permutex2var_epi8(a, block, b), _mm512_permutex2var_epi8(c, block, d))
@@ -108,7 +120,7 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
     }
     let ended = own.ended();
     bits.go_on(ended);
-    done
+    many
 }
 
 #[inline(always)]

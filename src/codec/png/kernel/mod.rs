@@ -20,6 +20,6 @@ pub(super) fn fast(level: Level, rows: Rows<'_>, last: bool, most: usize, out: &
         Level::Avx2 if level.is_here() => avx2::fast(rows, last, most, out),
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 if level.is_here() => avx512::fast(rows, last, most, out),
-        _ => fast::body(rows, last, most, out),
+        _ => fast::body::<fast::Portable>(rows, last, most, out),
     }
 }
