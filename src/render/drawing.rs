@@ -1,5 +1,6 @@
 //! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, where the row crosses every column and meets
-//! upright cells only (those that crossings do not show well enough, `kernel::soundness`, are drawn over them), and cell by cell elsewhere.
+//! upright cells only (those that crossings do not show well enough, `kernel::soundness`, are drawn over them, and the cells beside them in their
+//! column, which a chord across both would miss as well), and cell by cell elsewhere.
 //! Which way is taken depends on the mesh and the row alone: any banding gives the same bytes. O(cells touched + pixels).
 
 use std::ops::Range;
@@ -33,7 +34,7 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// The cells that are not sound, a bit each, `[rows - 1][blocks]`.
+    /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
     bent: Vec<u8>,
     /// How each row is drawn.
     ways: Vec<Way>,
@@ -46,8 +47,8 @@ pub(super) struct Drawing {
 enum Way {
     /// It crosses every column and meets sound cells only: by column crossings.
     Plain,
-    /// It crosses every column and meets upright cells only: the same, then those that are not sound over it. Upright cells lie in order, so
-    /// that none of them hides another.
+    /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
+    /// so that none of them hides another.
     Mended,
     /// Cell by cell.
     Cells,
@@ -110,11 +111,19 @@ impl Drawing {
             }
             self.kernel.soundness(&row, &above, &below, &mut soundness);
             if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
-                let bent = &mut self.bent[j * lattice.blocks()..];
                 for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
-                    bent[i / BLOCK] |= 1 << (i % BLOCK);
+                    // The chord of a row from column to column belongs to all cells that the row meets between them.
+                    let (reach, bit) = (lattice.cell_reach(i, j), 1 << (i % BLOCK));
+                    let shares = |k: &usize| {
+                        let other = lattice.cell_reach(i, *k);
+                        other.top < reach.bottom && reach.top < other.bottom
+                    };
+                    let above = (0..j).rev().take_while(shares);
+                    for k in above.chain((j..lattice.rows - 1).take_while(shares)) {
+                        self.bent[k * lattice.blocks() + i / BLOCK] |= bit;
+                    }
                     let way = if soundness == UPRIGHT { Way::Mended } else { Way::Cells };
-                    let rows = lattice.cell_reach(i, j).rows(&(0..height));
+                    let rows = reach.rows(&(0..height));
                     for known in &mut self.ways[rows.start as usize..rows.end as usize] {
                         *known = way.max(*known);
                     }

@@ -5,7 +5,7 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "lattice places are clamped to +-LIMIT before they are narrowed")]
 
-use super::kernel::Kernel;
+use super::kernel::{Kernel, LONGEST_SIDE};
 use super::{Filter, RenderOptions};
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;
@@ -16,6 +16,8 @@ pub(super) const ONE: i32 = 256;
 pub(super) const HALF: i32 = ONE / 2;
 /// The farthest lattice place: 2^21 px; vertices beyond are drawn there. Products of two differences stay below 2^62.
 pub(super) const LIMIT: i32 = 1 << 29;
+/// What cells that are drawn in f32 show at most, px of the sampled picture along either axis.
+const WIDEST: f32 = 1024.0;
 /// Columns that are handled together.
 pub(super) const BLOCK: usize = 8;
 
@@ -89,6 +91,8 @@ pub(super) struct Lattice {
     pub(super) v: Vec<f32>,
     /// The sampler's coordinates grow by this for a px of the sampled picture.
     pub(super) unit: f32,
+    /// Cells with longer sides are drawn in double precision, lattice steps.
+    pub(super) longest_side: i32,
     /// Reach of each row of cells.
     pub(super) row_reach: Vec<Reach>,
     /// Reach of each block of cells, `[rows - 1][pitch / BLOCK]`.
@@ -144,7 +148,10 @@ impl Lattice {
             Filter::Nearest => 1.0,
             Filter::Bilinear => 128.0,
         };
-        Self { columns, rows, pitch, x, y, u, v, unit, row_reach, block_reach }
+        // Cells that show very much of the source ask for more digits than f32 has: none of them is drawn in it.
+        let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
+        let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
+        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_reach, block_reach }
     }
 
     /// A vertex.

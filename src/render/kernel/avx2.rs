@@ -316,9 +316,9 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     }
 
     if !OPAQUE {
-        let common = _mm256_and_si256(_mm256_and_si256(rows[0], rows[1]), _mm256_and_si256(rows[2], rows[3]));
-        // Alpha 255 is stored as 0x7f: its sign is clear and 0x7f000000 is reached.
-        let full = _mm256_cmpgt_epi32(common, _mm256_set1_epi32(0x7eff_ffff));
+        // Alpha 255 is stored as 127, the largest: the least of all is that only if each is.
+        let least = _mm256_min_epi8(_mm256_min_epi8(rows[0], rows[1]), _mm256_min_epi8(rows[2], rows[3]));
+        let full = _mm256_cmpgt_epi32(least, _mm256_set1_epi32(0x7eff_ffff));
         if _mm256_movemask_epi8(full) != -1 {
             let mut pixels = [[0_u8; 4]; LANES];
             for ((pixel, index), fractions) in pixels.iter_mut().zip(index).zip(places.fractions) {

@@ -2,7 +2,7 @@
 //! source that each shows, by the closed inverse of the bilinear patch (`patch` says why it is this root). One loop over eight pixels of a row,
 //! without branches, that every compiler turns into vectors; f32 in a fixed order, so each level gives the same bits. O(rows * blocks of pixels).
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "targets that are drawn here have sides of at most 2^15")]
+#![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "rows and columns that vertices reach lie below 2^21")]
 #![expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
@@ -208,7 +208,7 @@ impl Near {
 pub(in crate::render) struct Glance {
     /// The rows of the canvas that each cell meets and that are open, a bit each.
     pub(in crate::render) rows: [u32; BLOCK],
-    /// The sign of the area where a cell is strictly convex and its sides are not longer than [`LONGEST_SIDE`], else 0.
+    /// The sign of the area where a cell is strictly convex and its sides are not too long for lanes, else 0.
     pub(in crate::render) convex: [i32; BLOCK],
     /// What pieces are made of where cells are convex: [`Near`], if it holds, the pixels that they reach, and their edges.
     near: [[f32; BLOCK]; 8],
@@ -227,7 +227,7 @@ pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>,
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
-    // Of the centres of the canvas's first row and of the first column behind it; targets are not larger than 2^15 where this is used.
+    // Of the centres of the canvas's first row and of the first column behind it.
     let (first, right_end) = (canvas.first as i32 * ONE + HALF, canvas.width as i32 * ONE);
     for k in 0..BLOCK {
         let (left, right_side) = (ax[k].min(bx[k]).min(cx[k].min(dx[k])), ax[k].max(bx[k]).max(cx[k].max(dx[k])));
@@ -237,7 +237,7 @@ pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>,
         let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
         let rows = below(row(top)) & !below(row(bottom)) & canvas.open;
         seen.rows[k] = if (right_side > 0) & (left < right_end) { rows } else { 0 };
-        let small = (right_side - left).max(bottom - top) <= LONGEST_SIDE;
+        let small = (right_side - left).max(bottom - top) <= lattice.longest_side;
         // Of no meaning where the cell is not small.
         let turn = |ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32| {
             let (px, py, qx, qy) = (bx.wrapping_sub(ax), by.wrapping_sub(ay), cx.wrapping_sub(bx), cy.wrapping_sub(by));
@@ -315,7 +315,7 @@ pub(super) fn reach(piece: &Piece, width: usize) -> (usize, usize) {
     (clip(piece.pixels[0]), clip(piece.pixels[1]))
 }
 
-/// Lattice x of the centres of a column of pixels, of a target that crossings could draw.
+/// Lattice x of the centres of a column of pixels that vertices can reach.
 #[inline(always)]
 pub(super) fn column(pixel: usize) -> i32 {
     (pixel as i32).wrapping_mul(ONE).wrapping_add(HALF)

@@ -232,3 +232,22 @@ fn any_banding_gives_the_same_bytes() {
         }
     }
 }
+
+/// Alpha 127 and 255 differ in the sign of what is stored, and in nothing else.
+#[test]
+fn half_transparent_texels_beside_opaque_ones_are_weighed_on_every_level() {
+    let mut random = Noise(5);
+    for _ in 0..40 {
+        let samples = (0..60 * 40).flat_map(|_| {
+            let colour = random.next();
+            [colour as u8, (colour >> 8) as u8, (colour >> 16) as u8, if random.next() >> 31 == 0 { 127 } else { 255 }]
+        });
+        let source = Arc::new(Source::new(Pixmap::new(extent(60, 40), Channels::Rgba, Samples::Eight(samples.collect()))));
+        // One column of texels, drawn broad: groups in which each pixel sees both.
+        let mesh = posed(Grid::with_counts(60.0, 40.0, 2, 2), |p| Point::new(p.x * 40.0 - 600.0, p.y));
+        let reference = draw_on(Level::Scalar, &source, &mesh, options(extent(60, 40))).1;
+        for &level in Level::available() {
+            assert!(draw_on(level, &source, &mesh, options(extent(60, 40))).1 == reference, "{level:?}");
+        }
+    }
+}
