@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::edge::{self, Crossing};
 use super::kernel::{BARE, Canvas, Glance, Kernel, Piece};
-use super::lattice::{BLOCK, Corner, Lattice, ONE, column_centre, first_row, row_centre};
+use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
 
