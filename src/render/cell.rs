@@ -12,6 +12,9 @@ use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centr
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
 
+/// Blocks of cells between two looks at what is still bare.
+const BLOCKS_PER_LOOK: usize = 16;
+
 /// Draws what a row of cells covers of the rows that are open, from its last cell to its first; of each block of cells those whose bits are set.
 pub(super) fn draw_row(
     kernel: Kernel,
@@ -22,7 +25,10 @@ pub(super) fn draw_row(
     canvas: &mut Canvas<'_>,
 ) {
     let mut seen = Glance::default();
-    for b in (0..lattice.blocks()).rev() {
+    for (n, b) in (0..lattice.blocks()).rev().enumerate() {
+        if n % BLOCKS_PER_LOOK == 0 {
+            canvas.shrink();
+        }
         let mut cells = blocks(b);
         if cells == 0 || !lattice.block_touches(j, b, rows) {
             continue;
@@ -146,15 +152,16 @@ impl Along {
 fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
     let index = (row - canvas.first) as usize;
     let start = index * canvas.pitch;
+    let pixels = if canvas.over { pixels } else { pixels.start.max(canvas.bare[index].start)..pixels.end.min(canvas.bare[index].end) };
+    if pixels.is_empty() {
+        return;
+    }
     let (u, v) = (&mut canvas.u[start..][pixels.clone()], &mut canvas.v[start..][pixels.clone()]);
-    let mut painted = 0;
     for (pixel, (u, v)) in pixels.zip(u.iter_mut().zip(v)) {
         if canvas.over || *u == BARE {
             let at = place(pixel);
             #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
             ((*u, *v) = (at.0 as f32, at.1 as f32));
-            painted += 1;
         }
     }
-    canvas.count(index, painted);
 }

@@ -68,8 +68,8 @@ struct Scratch {
     cells: Vec<usize>,
     /// What each row of the strip covers that is drawn by crossings.
     covered: Vec<Range<usize>>,
-    /// Pixels of each row that nothing is painted on.
-    bare: Vec<usize>,
+    /// Where each row has pixels that nothing is painted on.
+    bare: Vec<Range<usize>>,
 }
 
 impl Drawing {
@@ -195,7 +195,7 @@ impl Drawing {
             } else if *way == Way::Mended {
                 self.spans(row, index, (index + 1) * pitch, scratch);
             }
-            scratch.bare.push(width as usize);
+            scratch.bare.push(0..width as usize);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
         }
         let rows_of = |way: Way| ways.iter().rev().fold(0, |rows, &w| rows << 1 | u32::from(w == way));
@@ -315,6 +315,12 @@ impl Drawing {
             let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
             sampler::sample(self.kernel, source, self.options.filter, u, v, channels, &mut out[run.start * pixel..run.end * pixel]);
         }
+    }
+
+    /// Whether a row is drawn by column crossings, mended or not.
+    #[cfg(test)]
+    pub(super) fn crosses(&self, row: u32) -> bool {
+        self.ways[row as usize] != Way::Cells
     }
 
     /// Whether a row is drawn by column crossings alone.

@@ -86,6 +86,8 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
+            // What is painted already is passed by: many cells may lie over one another.
+            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
             let outside = _mm256_or_si256(_mm256_or_si256(inside[0], inside[1]), _mm256_or_si256(inside[2], inside[3]));
             let start = row * canvas.pitch + at;
             // SAFETY: `at < width`, and there is room for a block behind the width.
@@ -96,8 +98,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
             if !OVER {
                 kept = _mm256_or_ps(kept, _mm256_cmp_ps::<_CMP_NEQ_UQ>(u_old, _mm256_set1_ps(BARE)));
             }
-            let painted = !_mm256_movemask_ps(kept).cast_unsigned() & 0xff;
-            if left & 1 == 1 {
+            if wanted {
                 #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
                 let y = y as f32 * STEP;
                 let (s, t) = match &piece.map {
@@ -111,7 +112,6 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
                     _mm256_storeu_ps(u, _mm256_blendv_ps(u_new, u_old, kept));
                     _mm256_storeu_ps(v, _mm256_blendv_ps(v_new, v_old, kept));
                 }
-                canvas.count(row, painted.count_ones() as usize);
             }
             for (inside, down) in inside.iter_mut().zip(down) {
                 *inside = _mm256_add_epi32(*inside, down);

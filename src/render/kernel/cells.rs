@@ -6,6 +6,8 @@
 #![expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
+use std::ops::Range;
+
 use super::scalar::STEP;
 use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, row_centre};
 
@@ -29,19 +31,31 @@ pub(in crate::render) struct Canvas<'a> {
     pub(in crate::render) v: &'a mut [f32],
     /// Whether cells come in order and are painted over what is there; else from the last one back, on bare pixels only.
     pub(in crate::render) over: bool,
-    /// Bare pixels of each row; of no meaning where cells are painted over.
-    pub(in crate::render) bare: &'a mut [usize],
+    /// In each row, from the first bare pixel to behind the last: what lies outside is not looked at again.
+    pub(in crate::render) bare: &'a mut [Range<usize>],
     /// Rows that may still be painted, a bit each: those with bare pixels.
     pub(in crate::render) open: u32,
 }
 
 impl Canvas<'_> {
-    /// So many bare pixels of a row were painted.
-    #[inline(always)]
-    pub(in crate::render) fn count(&mut self, row: usize, painted: usize) {
-        if !self.over {
-            self.bare[row] -= painted;
-            self.open &= !(u32::from(self.bare[row] == 0) << row);
+    /// Notes what has been painted since. O(1) for a pixel, all calls together, and for a row a call.
+    #[inline]
+    pub(in crate::render) fn shrink(&mut self) {
+        if self.over {
+            return;
+        }
+        let mut left = self.open;
+        while left != 0 {
+            let row = left.trailing_zeros() as usize;
+            left &= left - 1;
+            let (bare, u) = (&mut self.bare[row], &self.u[row * self.pitch..]);
+            while !bare.is_empty() && u[bare.start] != BARE {
+                bare.start += 1;
+            }
+            while !bare.is_empty() && u[bare.end - 1] != BARE {
+                bare.end -= 1;
+            }
+            self.open &= !(u32::from(bare.is_empty()) << row);
         }
     }
 }
@@ -293,18 +307,16 @@ pub(super) fn fill(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
         let y = line(canvas.first + row).wrapping_sub(piece.y);
         let mut inside = piece.edges.map(|[gx, gy, g]| gx.wrapping_mul(x0).wrapping_add(gy.wrapping_mul(y)).wrapping_add(g));
         let pixels = row as usize * canvas.pitch + from..row as usize * canvas.pitch + to.max(from);
-        let (mut x, y, mut painted) = (x0 as f32 * STEP, y as f32 * STEP, 0);
+        let (mut x, y) = (x0 as f32 * STEP, y as f32 * STEP);
         for (u, v) in canvas.u[pixels.clone()].iter_mut().zip(&mut canvas.v[pixels]) {
             if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (canvas.over || *u == BARE) {
                 (*u, *v) = piece.place(x, y);
-                painted += 1;
             }
             for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {
                 *inside = inside.wrapping_add(gx.wrapping_mul(ONE));
             }
             x += 1.0;
         }
-        canvas.count(row as usize, painted);
     }
 }
 
