@@ -162,9 +162,9 @@ mod tests {
         fn crossing_never_overflows(ax: bool, ay: bool, bx in -super::super::lattice::LIMIT..super::super::lattice::LIMIT, by in -super::super::lattice::LIMIT..super::super::lattice::LIMIT, row in 0..100_000_u32) {
             let far = |negative| if negative { -super::super::lattice::LIMIT } else { super::super::lattice::LIMIT };
             if let Some(edge) = Edge::new(corner(far(ax), far(ay)), corner(bx, by))
-                && let Some(crossing) = edge.crossing(super::super::lattice::row_centre(row))
+                && let Some(crossing) = edge.crossing(row_centre(row))
             {
-                prop_assert_eq!(crossing.pixel, edge.pixel_exactly(super::super::lattice::row_centre(row)));
+                prop_assert_eq!(crossing.pixel, edge.pixel_exactly(row_centre(row)));
             }
         }
     }

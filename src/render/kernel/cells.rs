@@ -49,13 +49,13 @@ impl Canvas<'_> {
             let row = left.trailing_zeros() as usize;
             left &= left - 1;
             let (bare, u) = (&mut self.bare[row], &self.u[row * self.pitch..]);
-            while !bare.is_empty() && u[bare.start] != BARE {
+            while bare.start < bare.end && u[bare.start] != BARE {
                 bare.start += 1;
             }
-            while !bare.is_empty() && u[bare.end - 1] != BARE {
+            while bare.start < bare.end && u[bare.end - 1] != BARE {
                 bare.end -= 1;
             }
-            self.open &= !(u32::from(bare.is_empty()) << row);
+            self.open &= !(u32::from(bare.start >= bare.end) << row);
         }
     }
 }
