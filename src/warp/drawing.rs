@@ -11,7 +11,6 @@ use super::{Digest, Folds, Image, Limits, OutputSpec, Plan, Setup, WarpError};
 use crate::codec::{Compression, PngShape, PngWriter};
 use crate::deform::{Handle, Handles, Pose, Warning};
 use crate::geometry::Mesh;
-use crate::level::Level;
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside, RenderOptions, Renderer};
 
@@ -173,7 +172,6 @@ fn etag(image: &Image, setup: &Setup, pose: &Pose, output: &OutputSpec, target: 
     };
     let mut digest = Collector::new("mlswarp answer 1")
         .bytes(env!("CARGO_PKG_VERSION").as_bytes())
-        .bytes(Level::detect().name().as_bytes())
         .bytes(&image.digest().0)
         .bytes(&setup.plan_key().0)
         // Rows that are weighed anew are summed in f64.

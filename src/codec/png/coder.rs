@@ -40,21 +40,12 @@ pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage:
     out.extend_from_slice(&stage[..at]);
 }
 
-/// What was taken of some bytes at once.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Many {
-    /// Bytes that were taken: whole eights, none of them all zero.
-    pub(super) taken: usize,
-    /// Eights behind them that are not all zero either, and are to be taken one by one.
-    pub(super) then: usize,
-}
-
 /// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
 pub(super) trait Sink {
-    /// Takes as many whole eights from the front as it likes, up to the first that is all zero.
+    /// Takes as many whole eights from the front as it likes, up to the first that is all zero; returns how many bytes these are.
     #[inline(always)]
-    fn many(&mut self, _bytes: &[u8]) -> Many {
-        Many::default()
+    fn many(&mut self, _bytes: &[u8]) -> usize {
+        0
     }
     fn eight(&mut self, bytes: u64);
     /// `count >= 8`.
@@ -66,13 +57,7 @@ pub(super) trait Sink {
 pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     let mut rest = bytes;
     loop {
-        let many = sink.many(rest);
-        rest = &rest[many.taken..];
-        for _ in 0..many.then {
-            let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
-            sink.eight(u64::from_le_bytes(*eight));
-            rest = after;
-        }
+        rest = &rest[sink.many(rest)..];
         let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
         let eight = u64::from_le_bytes(*eight);
         rest = after;
@@ -226,8 +211,8 @@ pub(super) trait Lookup {
 
     /// [`Sink::many`], coded.
     #[inline(always)]
-    fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> Many {
-        Many::default()
+    fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> usize {
+        0
     }
 }
 
@@ -359,7 +344,7 @@ impl<L: Lookup> Coder<'_, L> {
 
 impl<L: Lookup> Sink for Coder<'_, L> {
     #[inline(always)]
-    fn many(&mut self, bytes: &[u8]) -> Many {
+    fn many(&mut self, bytes: &[u8]) -> usize {
         self.tables.pairs.many(bytes, &mut self.bits)
     }
 

@@ -3,7 +3,7 @@
 
 use std::arch::x86_64::*;
 
-use super::super::coder::{Lookup, Many, Single, Staged, code, length};
+use super::super::coder::{Lookup, Single, Staged, code, length};
 use super::super::fast;
 use super::super::rows::Rows;
 
@@ -61,18 +61,15 @@ impl Lookup for Wide<'_> {
     }
 
     #[inline(always)]
-    fn many(&self, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
-        if bytes.len() < 64 {
-            return Many::default();
-        }
+    fn many(&self, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
         // SAFETY: a `Wide` is made and used inside `fast_avx512` only.
         unsafe { sixty_fours(self, bytes, bits) }
     }
 }
 
-/// Codes 64 bytes a time up to those that hold an eight that is all zero.
+/// Codes eights, 64 bytes a time, up to the first that is all zero or the end; how many bytes that were.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
-fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
+fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
     let load = |bytes: &[u8; 64]| {
         // SAFETY: 64 bytes are loaded from 64 bytes.
         unsafe { _mm512_loadu_si512(bytes.as_ptr().cast()) }
@@ -83,15 +80,14 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
     };
     let (low, high) = (quarters(&tables.low), quarters(&tables.high));
     // In registers: behind the reference each code would wait for the last one's way through memory.
-    let (mut own, mut many) = (bits.lend(), Many::default());
-    for block in bytes.as_chunks::<64>().0 {
-        let block = load(block);
-        let zeros = _mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512());
-        if zeros != 0 {
-            many.then = zeros.trailing_zeros() as usize;
-            break;
-        }
-        many.taken += 64;
+    let (mut own, mut done) = (bits.lend(), 0);
+    let (blocks, rest) = bytes.as_chunks::<64>();
+    // What is left over is one more block, with zeros behind it.
+    let whole = (1 << (rest.len() & !7)) - 1;
+    // SAFETY: only bytes that are there are loaded.
+    let last = unsafe { _mm512_maskz_loadu_epi8(whole, rest.as_ptr().cast()) };
+    for block in blocks.iter().map(load).chain(std::iter::once(last)) {
+        let zeros = u32::from(_mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512()));
         let upper = _mm512_movepi8_mask(block);
         let look_up = |[a, b, c, d]: [__m512i; 4]| {
             _mm512_mask_blend_epi8(upper, _mm512_permutex2var_epi8(a, block, b), _mm512_permutex2var_epi8(c, block, d))
@@ -105,22 +101,29 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> Many {
         let fore_length = _mm512_unpacklo_epi64(first_length, second_length);
         let rear_length = _mm512_unpackhi_epi64(first_length, second_length);
         let lengths = _mm512_add_epi64(fore_length, rear_length);
-        if _mm512_cmpgt_epi64_mask(lengths, _mm512_set1_epi64(MOST)) == 0 {
+        if zeros == 0 && _mm512_cmpgt_epi64_mask(lengths, _mm512_set1_epi64(MOST)) == 0 {
+            done += 64;
             let codes = lanes(_mm512_or_si512(fore, _mm512_sllv_epi64(rear, fore_length)));
             for (code, length) in codes.into_iter().zip(lanes(lengths)) {
                 put(&mut own, code, length);
             }
         } else {
+            // Eights before the first that is all zero, or not there.
+            let eights = (zeros | 1 << 8).trailing_zeros() as usize;
+            done += 8 * eights;
             let (fore, rear) = (lanes(fore).into_iter().zip(lanes(fore_length)), lanes(rear).into_iter().zip(lanes(rear_length)));
-            for ((fore, fore_length), (rear, rear_length)) in fore.zip(rear) {
+            for ((fore, fore_length), (rear, rear_length)) in fore.zip(rear).take(eights) {
                 put(&mut own, fore, fore_length);
                 put(&mut own, rear, rear_length);
             }
         }
+        if zeros != 0 {
+            break;
+        }
     }
     let ended = own.ended();
     bits.go_on(ended);
-    many
+    done
 }
 
 #[inline(always)]
