@@ -16,7 +16,7 @@ use crate::geometry::{Grid, Mesh, Point, Vec2};
 /// Blocks that one task builds: a hundred rows or so, enough to forget the hand-over.
 const BLOCKS_PER_TASK: usize = 8;
 /// Tables up to this are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
-const SERIAL_BYTES: usize = 2 << 20;
+const SERIAL_BYTES: u64 = 2 << 20;
 
 /// The A_j table of a set of vertices.
 #[derive(Debug)]
@@ -40,6 +40,12 @@ impl Plan {
     pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
         let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
+    }
+
+    /// Whether a table of so many bytes is posed on one thread, whatever the current rayon pool has.
+    #[must_use]
+    pub const fn is_posed_on_one_thread(bytes: u64) -> bool {
+        bytes <= SERIAL_BYTES
     }
 
     /// Memory of this table, bytes.
@@ -90,7 +96,7 @@ impl Plan {
         let blocks = self.vertices.div_ceil(LANES);
         let mut out = Vec::with_capacity(blocks);
         let threads = rayon::current_num_threads();
-        if threads == 1 || size_of_val(self.table.as_slice()) <= SERIAL_BYTES {
+        if threads == 1 || Self::is_posed_on_one_thread(self.bytes()) {
             quality.least_rotation = kernel::displace(self.family, &self.table, &d, &mut out);
         } else {
             let parts: Vec<_> = self

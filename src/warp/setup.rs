@@ -18,8 +18,6 @@ const MESH_BYTES_PER_VERTEX: u64 = 8;
 /// Grid lines a px at most, along each axis (finer cells show nothing that a pixel could), and how many a small picture may have all the same.
 const LINES_PER_PX: f64 = 4.0;
 const LINES_ALWAYS: f64 = 4096.0;
-/// Tables up to this are posed by one thread, bytes: reading one takes less time than waking a second thread.
-const NARROW: u64 = 2 << 20;
 /// Places that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
@@ -89,7 +87,7 @@ impl Setup {
     /// Whether posing takes so long that it is split over the current rayon pool.
     #[must_use]
     pub fn is_wide(&self) -> bool {
-        self.plan_bytes.is_none_or(|bytes| bytes > NARROW)
+        self.plan_bytes.is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
     }
 
     /// Fills the table of A_j in parallel on the current rayon pool. CPU work.

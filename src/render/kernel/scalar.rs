@@ -1,7 +1,7 @@
 //! The reference kernels, and the definition of every result. Snapping: f64 to 1/256 px, to nearest. Column crossings: f32. Bilinear samples:
 //! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (the same for v), the value is `(sum of w t + 8256) >> 14` over the
 //! four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 is rounding in two steps of 7 bits, which 16-bit lanes can do); with alpha `round(sum of w a t / sum of w a)`, so colours under alpha 0 never
-//! show. The functions are inlined so that `x86` can compile them again for wider registers.
+//! show. The functions are inlined so that `avx2` can compile them again for wider registers.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to their range before they are narrowed")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]

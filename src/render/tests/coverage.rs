@@ -273,3 +273,44 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
     assert!(worst < 1.0 / 16.0, "{worst} px");
     assert!(mended > 1000, "{mended} rows");
 }
+
+/// Single cells like wedges: along a row t is far from linear, however the row is divided.
+#[test]
+fn cells_with_long_sides_are_drawn_as_their_patches() {
+    let (mut worst, mut compared) = (0.0_f64, 0);
+    let target = extent(230, 90);
+    for seed in 0..60 {
+        let mut noise = Noise(seed);
+        // On the lattice: a thin end would magnify what snapping moves.
+        let mut off = || (3072.0 * noise.signed()).round() / 256.0;
+        let mut near = |x: f64, y: f64| Point::new(x + off(), y + off());
+        // One end is high, the other low, and both lie off the middle.
+        let corners = [near(8.0, 42.0), near(222.0, 20.0), near(222.0, 70.0 + 0.25 * seed as f64), near(8.0, 56.0)];
+        let mesh = posed(Grid::with_counts(230.0, 90.0, 2, 2), |p| {
+            let corner = match (p.x > 0.0, p.y > 0.0) {
+                (false, false) => 0,
+                (true, false) => 1,
+                (true, true) => 2,
+                (false, true) => 3,
+            };
+            corners[corner]
+        });
+        if mesh.folded_cells().count() > 0 {
+            continue;
+        }
+        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let reference = reference::places(&mesh, target);
+        for row in 0..target.height() {
+            let (u, v, runs) = drawing.row(row);
+            for x in runs.into_iter().flatten() {
+                let drawn = Point::new((f64::from(u[x]) + 63.5) / 128.0, (f64::from(v[x]) + 63.5) / 128.0);
+                if let Some(place) = reference[row as usize * 230 + x] {
+                    worst = worst.max(drawn.distance(place));
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert!(worst < 1.0 / 16.0, "{worst} px");
+    assert!(compared > 200_000, "{compared}");
+}
