@@ -1,0 +1,5 @@
+//! The drag.
+
+pub mod bucket;
+pub mod desk;
+pub mod pace;
