@@ -93,17 +93,7 @@ impl Pace {
     }
 
     fn of(widths: Vec<u32>) -> Self {
-        Self {
-            widths,
-            at: 0,
-            make: 0.0,
-            ack: 0.0,
-            frames: 0,
-            since: None,
-            trial: None,
-            narrower: Pause::NONE,
-            wider: Pause::NONE,
-        }
+        Self { widths, at: 0, make: 0.0, ack: 0.0, frames: 0, since: None, trial: None, narrower: Pause::NONE, wider: Pause::NONE }
     }
 
     /// The width of the next preview.

@@ -10,6 +10,7 @@ mod number;
 mod output;
 mod rest;
 mod session;
+mod socket;
 mod word;
 mod write;
 
@@ -30,6 +31,7 @@ pub use mesh::{MeshObject, MeshShape};
 use number::{count, whole};
 pub use output::OutputPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
+pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use write::Wire;
 
 const HANDLES: &str = "an array of handles";
