@@ -18,4 +18,6 @@ mod oracle;
 mod overload;
 mod problems;
 mod sessions;
+mod socket;
+mod socket_abuse;
 mod support;
