@@ -52,7 +52,7 @@ async fn accept_is_negotiated() {
     for accept in ["image/png", "image/*", "*/*", "text/html, image/*;q=0.5"] {
         png(send(accept).await.unwrap()).await;
     }
-    problem(send("image/jpeg").await.unwrap(), 406, "not_acceptable").await;
+    problem(send("image/avif").await.unwrap(), 406, "not_acceptable").await;
     server.is_well().await;
 }
 
