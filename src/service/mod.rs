@@ -4,6 +4,7 @@
 pub mod cache;
 pub mod config;
 pub mod drag;
+pub mod formats;
 pub mod health;
 pub mod http;
 pub mod offline;

@@ -51,6 +51,45 @@ async fn frames_are_the_pictures_of_requests() {
 }
 
 #[tokio::test]
+async fn frames_are_of_the_format_that_the_socket_asks_for_or_of_the_sessions() {
+    let server = Server::start(&[]).await;
+    let mut warp = rest();
+    warp["output"] = json!({"format": "webp"});
+    let id = server.session(&photo(128, 96), &warp).await;
+    for (query, format) in [("?frames=png", "png"), ("?frames=jpeg", "jpeg"), ("?frames=webp", "webp"), ("", "webp")] {
+        let mut hand = Hand::open(server.address, &id, query).await;
+        hand.pose(0, &posed(1)).await;
+        let request = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(1), "output": {"format": format}}));
+        let response = request.send().await.unwrap();
+        assert_eq!(header(&response, "content-type"), format!("image/{format}"));
+        assert!(hand.frame().await.1 == response.bytes().await.unwrap(), "{query}");
+    }
+}
+
+#[tokio::test]
+async fn handles_that_are_replaced_during_a_drag_are_told_before_their_first_frame() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
+    hand.pose(1, &posed(1)).await;
+    hand.ack_of_next_frame(1).await;
+    let body = json!({"p": [[20, 20], [100, 70]], "grid": {"columns": 7, "rows": 5}});
+    let put = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send().await.unwrap();
+    assert_eq!(put.status(), 200);
+    // The client has not heard of it yet: one handle too many.
+    hand.pose(2, &posed(2)).await;
+    assert_eq!(hand.problem("shape_mismatch").await["seq"], 2);
+    hand.pose(3, &json!([[22, 20], [100, 72]])).await;
+    let hello = hand.text().await;
+    assert_eq!((&hello["columns"], &hello["rows"]), (&json!(7), &json!(5)));
+    let (of, frame) = hand.frame().await;
+    assert_eq!((of, frame.len()), (3, 8 * 7 * 5));
+    hand.ack(3).await;
+    hand.pose(4, &json!([[22, 20], [100, 72]])).await;
+    assert_eq!(hand.frame().await.0, 4, "once");
+}
+
+#[tokio::test]
 async fn mesh_frames_are_the_meshes_of_requests() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use bytes::Bytes;
 
 use super::desk::Order;
-use crate::codec::Compression;
+use crate::codec::{Compression, Format};
 use crate::service::App;
 use crate::service::picture::{Cost, Drawn, Picture, Piece};
 use crate::service::pool::PoolError;
@@ -20,8 +20,8 @@ use crate::warp::{OutputSpec, Report};
 /// What frames are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// PNG files.
-    Png,
+    /// Files of this format, or of the session's.
+    Picture(Option<Format>),
     /// Little-endian f32.
     Mesh,
 }
@@ -47,12 +47,13 @@ pub(super) fn full_width(record: &Record) -> u32 {
 }
 
 /// How a frame of this width is made. What is soon replaced is not compressed with care.
-fn output(record: &Record, width: Option<u32>) -> OutputSpec {
+fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> OutputSpec {
     let full = full_width(record);
+    let output = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
     match width {
-        Some(width) if width < full => OutputSpec { width: Some(width), compression: Compression::Fast, ..record.output },
-        Some(width) if width > full => OutputSpec { width: Some(width), ..record.output },
-        _ => record.output,
+        Some(width) if width < full => OutputSpec { width: Some(width), compression: Compression::Fast, ..output },
+        Some(width) if width > full => OutputSpec { width: Some(width), ..output },
+        _ => output,
     }
 }
 
@@ -64,11 +65,11 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
     let seq = order.pose.seq;
     let q = order.pose.q.as_ref().clone();
     let frame = match form {
-        Form::Png => {
+        Form::Picture(format) => {
             let warm = app.warm(&record).await?;
             drop(turn);
             let shape = warm.shape(record.extent);
-            let output = output(&record, order.width);
+            let output = output(&record, format, order.width);
             let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output).await?;
             let (pieces, cost) = collect(picture).await?;
             let full = order.width.is_none_or(|width| width >= full_width(&record));

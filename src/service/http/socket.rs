@@ -16,6 +16,7 @@ use super::handshake;
 use super::line::{Ending, Heard, Line};
 use super::sessions::session_id;
 use super::warp::drag_limit;
+use crate::codec::Format;
 use crate::service::App;
 use crate::service::config::Config;
 use crate::service::drag::bucket::Bucket;
@@ -64,18 +65,20 @@ async fn open(app: &App, id: &str, wishes: Wishes) -> Result<Drag, Problem> {
     app.open_drag(session_id(id)?, wishes).await
 }
 
-/// `?frames=png|mesh&width=auto|N&report=true|false`. What is not known is refused.
+/// `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. What is not known is refused.
 fn wishes(query: Option<&str>, max_side: u32) -> Result<Wishes, Problem> {
     let bad = |name: &str, value: &str, expected: &str| {
         let value: String = value.chars().take(40).collect();
         Problem::new(Code::BadValue, format!("the query's `{name}` is {expected}: {value}"))
     };
-    let mut wishes = Wishes { form: Form::Png, width: PreviewWidth::Auto, report: false };
+    let mut wishes = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
     for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
         match pair.split_once('=').unwrap_or((pair, "")) {
-            ("frames", "png") => wishes.form = Form::Png,
             ("frames", "mesh") => wishes.form = Form::Mesh,
-            ("frames", value) => return Err(bad("frames", value, "one of png, mesh")),
+            ("frames", value) => {
+                let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(value));
+                wishes.form = Form::Picture(Some(format.ok_or_else(|| bad("frames", value, "one of png, jpeg, webp, mesh"))?));
+            }
             ("width", "auto") => wishes.width = PreviewWidth::Auto,
             ("width", value) => {
                 let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
@@ -200,7 +203,7 @@ mod tests {
     #[test]
     fn the_query_says_what_frames_are() {
         let read = |query: &str| wishes(Some(query), 16384);
-        let png = Wishes { form: Form::Png, width: PreviewWidth::Auto, report: false };
+        let png = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
         assert_eq!(wishes(None, 16384), Ok(png));
         assert_eq!(read("frames=png&width=auto&report=false"), Ok(png));
         assert_eq!(read("width=1024&report=true"), Ok(Wishes { width: PreviewWidth::Fixed(1024), report: true, ..png }));

@@ -103,6 +103,12 @@ impl Hand {
         }
     }
 
+    /// The next frame must be this one; it is acknowledged.
+    pub(crate) async fn ack_of_next_frame(&mut self, seq: u64) {
+        assert_eq!(self.frame().await.0, seq);
+        self.ack(seq).await;
+    }
+
     pub(crate) async fn text(&mut self) -> Value {
         match self.next().await {
             Said::Text(text) => text,
