@@ -22,9 +22,9 @@ const AIM: f64 = 0.75;
 const HARDLY: f64 = 1.15;
 /// Share of the newest frame in the averages, once there are a few.
 const NEWEST: f64 = 0.2;
-/// So many frames of a width are judged, or a few when they have taken so long.
+/// So many frames of a width are judged, or fewer when they have taken so long.
 const JUDGED: u32 = 8;
-const JUDGED_SLOW: (u32, Duration) = (3, Duration::from_millis(250));
+const JUDGED_SLOW: Duration = Duration::from_millis(250);
 /// A width is kept for so long before a wider one is tried although the model is against it.
 const PROBE: Duration = Duration::from_secs(2);
 /// The pause after a trial that failed doubles up to this.
@@ -120,12 +120,12 @@ impl Pace {
             return;
         }
         self.frames += 1;
-        let since = *self.since.get_or_insert(now);
+        let since = *self.since.get_or_insert_with(|| now.checked_sub(make.max(ack)).unwrap_or(now));
         let share = NEWEST.max(1.0 / f64::from(self.frames));
         self.make += share * (make.as_secs_f64() - self.make);
         self.ack += share * (ack.as_secs_f64() - self.ack);
         let passed = now.saturating_duration_since(since);
-        if self.frames >= JUDGED || (self.frames >= JUDGED_SLOW.0 && passed >= JUDGED_SLOW.1) {
+        if self.frames >= JUDGED || passed >= JUDGED_SLOW {
             self.judge(now, passed);
         }
     }
@@ -231,7 +231,7 @@ mod tests {
         // 20 Mbit/s at 1.5 bytes a pixel.
         let mut pace = Pace::adaptive(UHD);
         let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.6e-6 });
-        assert!(widths[3] == 480, "{:?}", &widths[..5]);
+        assert!(widths[1] == 480, "{:?}", &widths[..5]);
         assert!(share(&widths, 480) > 0.9, "{}", share(&widths, 480));
     }
 
