@@ -1,6 +1,7 @@
 //! The walk of one request through the warp: file and handles to all that a picture is made of. CPU work runs on the pool, under one ticket a
 //! request; a warm drag is handed over once, to be posed and drawn (`picture`).
 
+use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime};
@@ -8,22 +9,25 @@ use std::time::{Duration, Instant, SystemTime};
 use bytes::Bytes;
 
 use super::picture::{Drawn, Sitting};
-use super::pool::{PoolError, Ticket};
+use super::pool::{Cancel, PoolError, Ticket};
 use super::problem::{Code, Problem};
-use super::session::SessionId;
+use super::session::{Place, SessionId};
 use super::store::{Record, Session};
-use super::wire::{DragObject, PointsObject, WarpObject};
+use super::wire::{DragObject, MeshObject, MeshShape, PointsObject, WarpObject, Wire};
 use super::{App, Known};
 use crate::codec::CodecError;
 use crate::deform::Handle;
 use crate::geometry::Point;
-use crate::warp::{Digest, GridSpec, Image, Plan, Setup, WarpError};
+use crate::warp::{Digest, GridSpec, Image, Plan, Posed, Report, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
 
 /// Places that are mapped sooner than other threads wake.
 const PLACES_ALONE: usize = 256;
+
+/// Vertices that are written as JSON, some 40 bytes each.
+const JSON_VERTICES: u64 = 1 << 20;
 
 /// Wall time of the steps before drawing.
 #[derive(Clone, Copy, Debug, Default)]
@@ -46,6 +50,53 @@ pub struct Material {
     object: WarpObject,
     image: Arc<Image>,
     setup: Arc<Setup>,
+}
+
+/// A step of a drag that holds its place while it waits.
+struct Turn {
+    record: Arc<Record>,
+    place: Option<(Place, u64)>,
+}
+
+/// How a mesh is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshForm {
+    /// A JSON object.
+    Json,
+    /// Little-endian f32.
+    Numbers,
+}
+
+impl MeshForm {
+    /// Refuses before memory is taken.
+    fn bounded(self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
+        let vertices = u64::from(columns) * u64::from(rows);
+        if self == Self::Json && vertices > JSON_VERTICES {
+            let detail = format!("a mesh of {vertices} vertices is not written as JSON; ask for application/octet-stream");
+            return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", JSON_VERTICES, vertices));
+        }
+        Ok(())
+    }
+
+    fn write(self, posed: &Posed, shape: MeshShape) -> Vec<u8> {
+        match self {
+            Self::Json => serde_json::to_vec(&MeshObject { shape, vertices: Wire(posed) }).expect("an object of numbers"),
+            Self::Numbers => posed.numbers(),
+        }
+    }
+}
+
+/// A posed grid as its client gets it.
+#[derive(Debug)]
+pub struct PosedMesh {
+    /// What to tell.
+    pub report: Report,
+    /// What it cost.
+    pub timing: Timing,
+    /// The coefficients were built for this request, not found.
+    pub plan_built: bool,
+    /// The vertices.
+    pub body: Vec<u8>,
 }
 
 impl App {
@@ -143,17 +194,8 @@ impl App {
     /// # Errors
     /// Unknown session, superseded, whatever is wrong with q, or no room.
     pub async fn drag(&self, id: SessionId, drag: DragObject) -> Result<Drawn, Problem> {
-        let session = self.0.store.touch(id, drag.seq).await?;
-        let superseded = |seq: u64| {
-            self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
-            Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq")
-        };
-        let place = match drag.seq {
-            Some(seq) if session.seq > drag.seq => return Err(superseded(seq)),
-            Some(seq) => Some((self.0.lanes.enter(id, seq), seq)),
-            None => None,
-        };
-        let record = session.record;
+        let turn = self.turn(id, drag.seq).await?;
+        let record = Arc::clone(&turn.record);
         let walk = async {
             let setup = self.session_setup(&record).await?;
             let ticket = self.0.pool.admit().await?;
@@ -164,17 +206,66 @@ impl App {
             let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
             Ok::<_, Problem>((setup, ticket, timing, image, plan, plan_built))
         };
-        let (setup, ticket, timing, image, plan, plan_built) = match &place {
-            None => walk.await?,
-            Some((place, seq)) => tokio::select! {
-                biased;
-                () = place.superseded() => return Err(superseded(*seq)),
-                walked = walk => walked?,
-            },
-        };
+        let (setup, ticket, timing, image, plan, plan_built) = self.unless_superseded(&turn, walk).await?;
         let output = drag.output.over(&record.output);
         let sitting = Sitting { image, setup, plan, q: drag.q, folds: record.folds, output };
         self.draw(ticket, sitting, timing, plan_built).await
+    }
+
+    /// The posed grid of a step of a drag; no picture is decoded or drawn.
+    ///
+    /// # Errors
+    /// Unknown session, superseded, whatever is wrong with q, too many vertices for JSON, or no room.
+    pub async fn mesh(&self, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
+        let turn = self.turn(id, drag.seq).await?;
+        let record = Arc::clone(&turn.record);
+        let walk = async {
+            let setup = self.session_setup(&record).await?;
+            form.bounded(setup.grid())?;
+            let ticket = self.0.pool.admit().await?;
+            let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+            let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+            Ok::<_, Problem>((setup, ticket, timing, plan, plan_built))
+        };
+        let (setup, ticket, mut timing, plan, plan_built) = self.unless_superseded(&turn, walk).await?;
+        let pool = self.0.pool.clone();
+        let pose = move |cancel: &Cancel| {
+            let began = Instant::now();
+            let gone = || cancel.is_cancelled();
+            let pose = || Posed::new(&setup, &plan, &setup.pose(&drag.q)?, record.folds, &gone);
+            let posed = if setup.is_wide() { pool.spread(pose) } else { pose() }?;
+            timing.deform = began.elapsed();
+            let body = form.write(&posed, MeshShape::new(&setup, record.extent));
+            Ok::<_, WarpError>(PosedMesh { report: posed.into_report(), timing, plan_built, body })
+        };
+        Ok(self.0.pool.run(&ticket, pose).await??)
+    }
+
+    /// Uses the session, and takes the request's place among those that are numbered.
+    async fn turn(&self, id: SessionId, seq: Option<u64>) -> Result<Turn, Problem> {
+        let Session { record, seq: newest, .. } = self.0.store.touch(id, seq).await?;
+        match seq {
+            Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
+            Some(seq) => Ok(Turn { record, place: Some((self.0.lanes.enter(id, seq), seq)) }),
+            None => Ok(Turn { record, place: None }),
+        }
+    }
+
+    /// Gives up `work` when a newer request of the same session arrives.
+    async fn unless_superseded<T>(&self, turn: &Turn, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+        match &turn.place {
+            None => work.await,
+            Some((place, seq)) => tokio::select! {
+                biased;
+                () = place.superseded() => Err(self.superseded(*seq)),
+                worked = work => worked,
+            },
+        }
+    }
+
+    fn superseded(&self, seq: u64) -> Problem {
+        self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
+        Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq")
     }
 
     /// Maps places by f exactly.

@@ -1,7 +1,9 @@
 //! What a client asks for, in the words of the contract: nothing is resolved or checked yet.
 
+use super::WarpError;
 use crate::codec::{Compression, Limits as ImageLimits};
 use crate::deform::{Handle, Method};
+use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
 /// What warping may ask for; each is a flag of the service.
@@ -91,4 +93,25 @@ pub struct OutputSpec {
     pub filter: Filter,
     /// What is painted where the posed picture does not reach.
     pub outside: Outside,
+}
+
+impl OutputSpec {
+    /// The target's size: `width` with the height that keeps the proportions, max(1, round(H w / W)).
+    ///
+    /// # Errors
+    /// Over the limits.
+    pub fn target(&self, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
+        let Some(width) = self.width else { return Ok(source) };
+        let (w, h) = (u64::from(source.width()), u64::from(source.height()));
+        let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
+        at_most("output_side", limits.image.max_side.into(), height.max(width.into()))?;
+        at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+        let height = u32::try_from(height).expect("at most max_side");
+        Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: limits.image.max_side.into(), actual: 0 })
+    }
+}
+
+/// Refuses numbers over a limit before memory is taken.
+pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
+    if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
 }

@@ -9,6 +9,7 @@ mod answer;
 mod body;
 mod fence;
 mod health;
+mod mesh;
 mod openapi;
 mod points;
 mod refuse;
@@ -35,6 +36,7 @@ fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
         ("/sessions", computes(post(sessions::create))),
         ("/sessions/{id}", get(sessions::read).delete(sessions::delete)),
         ("/sessions/{id}/warp", computes(post(warp::drag))),
+        ("/sessions/{id}/mesh", computes(post(mesh::mesh))),
         ("/sessions/{id}/points", computes(post(points::of_session))),
         ("/points", computes(post(points::once))),
         ("/healthz", get(health::alive)),

@@ -54,7 +54,7 @@ fn object(session: &Session, setup: &Setup) -> Response {
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
         units: Wire(record.rest.units),
-        grid: SessionGrid { columns, rows, requested: Wire(record.rest.grid) },
+        grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: Wire(record.rest.grid) },
         folds: Wire(record.folds),
         output: Wire(&record.output),
         created: &rfc3339(record.created),

@@ -16,13 +16,15 @@ use crate::service::walk::columns;
 use crate::service::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
+/// What pictures are written as.
+const PNG: [&str; 1] = ["image/png"];
 /// JSON of a drag: so much, and so much more a column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 
 /// A file and a warp object, or a session's id and q.
 pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let keeps = keeps_session(request.uri().query())?;
-    accept::png(request.headers())?;
+    accept::choose(request.headers(), &PNG)?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         let upload = upload::read(&app, request).await?;
@@ -53,7 +55,7 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
 
 /// q alone.
 pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    accept::png(request.headers())?;
+    accept::choose(request.headers(), &PNG)?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(&id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
@@ -69,7 +71,8 @@ fn name_session(response: &mut Response, id: SessionId) {
     response.headers_mut().insert(LOCATION, text(format!("/sessions/{id}")));
 }
 
-const fn drag_limit(columns: u64) -> u64 {
+/// Most bytes of JSON that a drag of so many columns may have.
+pub(super) const fn drag_limit(columns: u64) -> u64 {
     DRAG_BYTES.0 + DRAG_BYTES.1 * columns
 }
 

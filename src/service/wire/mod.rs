@@ -5,6 +5,7 @@
 
 mod handles;
 mod json;
+mod mesh;
 mod number;
 mod output;
 mod rest;
@@ -25,6 +26,7 @@ use crate::warp::{Folds, OutputSpec, RestSpec};
 
 use handles::{handles, places};
 use json::Node;
+pub use mesh::{MeshObject, MeshShape};
 use number::{count, whole};
 pub use output::OutputPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
@@ -95,6 +97,16 @@ impl DragObject {
         } else {
             Self::read(&root, None, root.fields("an object", &["q", "seq", "output"])?)
         }
+    }
+
+    /// Reads the object of a request for the mesh: `q` and `seq` alone.
+    ///
+    /// # Errors
+    /// A problem with the code and a JSON pointer.
+    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [q, seq] = root.fields("an object", &["q", "seq"])?;
+        Self::read(&root, None, [q, seq, None])
     }
 
     fn read(root: &Node<'_, '_>, session: Option<String>, [q, seq, output]: [Option<Node<'_, '_>>; 3]) -> Result<Self, Problem> {

@@ -427,7 +427,7 @@ fn session_object_is_written_in_wire_form() {
         alpha: 2.0,
         point_mass: Some(2.5),
         units: Wire(Units::Px),
-        grid: SessionGrid { columns: 129, rows: 97, requested: Wire(GridSpec::Auto) },
+        grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: Wire(GridSpec::Auto) },
         folds: Wire(Folds::Report),
         output: Wire(&output),
         created: "2026-11-20T12:00:00Z",
@@ -441,7 +441,7 @@ fn session_object_is_written_in_wire_form() {
             "image": {"width": 640, "height": 480, "digest": format!("sha256:{}", "ab".repeat(32))},
             "p": [[1.0, 2.0], [[0.5, 1.0], [2.0, 3.0]]],
             "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "units": "px",
-            "grid": {"columns": 129, "rows": 97, "requested": "auto"},
+            "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
             "output": {"format": "png", "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same"},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
