@@ -11,14 +11,15 @@ use bytes::Bytes;
 use super::picture::{Drawn, Sitting};
 use super::pool::{Cancel, PoolError, Ticket};
 use super::problem::{Code, Problem};
-use super::session::{Place, SessionId};
-use super::store::{Record, Session};
-use super::wire::{DragObject, MeshObject, MeshShape, PointsObject, WarpObject, Wire};
+use super::session::{Place, Revision, SessionId};
+use super::store::{Put, Record, Session};
+use super::wire::{DragObject, MeshObject, MeshShape, PointsObject, WarpObject, WarpPatch, Wire};
 use super::{App, Known};
 use crate::codec::CodecError;
 use crate::deform::Handle;
 use crate::geometry::Point;
-use crate::warp::{Digest, GridSpec, Image, Plan, Posed, Report, Setup, WarpError};
+use crate::pixmap::Extent;
+use crate::warp::{Digest, GridSpec, Image, Limits, Plan, Posed, Report, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
@@ -50,6 +51,24 @@ pub struct Material {
     object: WarpObject,
     image: Arc<Image>,
     setup: Arc<Setup>,
+}
+
+impl Material {
+    /// As a session keeps it: the record, the file, and what they resolve to.
+    fn recorded(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
+        let Self { file, digest, object, image, setup } = self;
+        let record = Record {
+            id,
+            revision: Revision::random(),
+            image: digest,
+            extent: image.extent(),
+            rest: object.rest,
+            folds: object.folds,
+            output: object.output,
+            created: SystemTime::now(),
+        };
+        (Arc::new(record), file, setup)
+    }
 }
 
 /// A step of a drag that holds its place while it waits.
@@ -129,20 +148,74 @@ impl App {
     /// # Errors
     /// No room.
     pub async fn keep(&self, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
-        let Material { file, digest, object, image, setup } = material;
-        let record = Arc::new(Record {
-            id: SessionId::random(),
-            image: digest,
-            extent: image.extent(),
-            rest: object.rest,
-            folds: object.folds,
-            output: object.output,
-            created: SystemTime::now(),
-        });
-        let session = self.0.store.create(Arc::clone(&record), file).await?;
-        let known = Known { setup: Arc::clone(&setup), bytes: weight(&record) };
-        self.0.setups.get(shelf_key(record.id), async { Ok::<_, Problem>(known) }, lost).await?;
+        let (record, file, setup) = material.recorded(SessionId::random());
+        let session = self.0.store.create(record, file).await?;
+        self.know(&session.record, &setup).await?;
         Ok((session, setup))
+    }
+
+    /// A session of a name that the client has chosen, from a file and a warp object, or that session made anew.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn put(&self, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit().await?;
+        let (material, ..) = self.prepare(&ticket, file, json, false).await?;
+        let (record, file, setup) = material.recorded(id);
+        let put = self.0.store.put(record, file).await?;
+        match &put {
+            Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await?,
+            Put::Replaced(session, old) => {
+                self.know(&session.record, &setup).await?;
+                self.forget(old).await;
+            }
+        }
+        Ok((put, setup))
+    }
+
+    /// Other handles at rest on the same picture: the fields that `json` gives replace the session's. The plan is made before the answer.
+    ///
+    /// # Errors
+    /// Unknown session, whatever is wrong with the handles, or no room.
+    pub async fn revise(&self, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit().await?;
+        let patch = self.0.pool.run(&ticket, move |_| WarpPatch::parse(&json)).await??;
+        loop {
+            let old = self.0.store.touch(id, None).await?.record;
+            let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
+            let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
+            let resolve = move |_: &_| resolve(patch.over(base), extent, &limits);
+            let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
+            self.plan(&ticket, &setup, &mut Timing::default()).await?;
+            let WarpObject { rest, folds, output, .. } = object;
+            let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
+            // Whoever was faster has changed fields that this request may not have named: they are kept.
+            if let Some(session) = self.0.store.revise(old.revision, Arc::new(new)).await? {
+                self.know(&session.record, &setup).await?;
+                self.0.setups.remove(shelf_key(&old)).await;
+                return Ok((session, setup));
+            }
+        }
+    }
+
+    /// The setup of a record is at hand.
+    async fn know(&self, record: &Record, setup: &Arc<Setup>) -> Result<(), Problem> {
+        let known = Known { setup: Arc::clone(setup), bytes: weight(record) };
+        self.0.setups.get(shelf_key(record), async { Ok::<_, Problem>(known) }, lost).await?;
+        Ok(())
+    }
+
+    /// Drops what was made for a record that is no session's any more.
+    async fn forget(&self, record: &Record) {
+        let setup = self.0.setups.remove(shelf_key(record)).await;
+        // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
+        // and handles, if there is one, builds them again.
+        if self.0.store.image(record.image).await.is_err() {
+            self.0.images.remove(record.image).await;
+            if let Some(known) = setup {
+                self.0.plans.remove(known.setup.plan_key()).await;
+            }
+        }
     }
 
     /// The session, without using it.
@@ -166,7 +239,7 @@ impl App {
             let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
             Ok(Known { setup: Arc::new(setup), bytes })
         };
-        let known = self.0.setups.get(shelf_key(record.id), build, lost).await?;
+        let known = self.0.setups.get(shelf_key(record), build, lost).await?;
         Ok(Arc::clone(&known.value.setup))
     }
 
@@ -177,15 +250,7 @@ impl App {
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
         let record = self.0.store.peek(id).await?.record;
         self.0.store.delete(id).await?;
-        let setup = self.0.setups.remove(shelf_key(id)).await;
-        // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
-        // and handles, if there is one, builds them again.
-        if self.0.store.image(record.image).await.is_err() {
-            self.0.images.remove(record.image).await;
-            if let Some(known) = setup {
-                self.0.plans.remove(known.setup.plan_key()).await;
-            }
-        }
+        self.forget(&record).await;
         Ok(())
     }
 
@@ -246,7 +311,10 @@ impl App {
         let Session { record, seq: newest, .. } = self.0.store.touch(id, seq).await?;
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
-            Some(seq) => Ok(Turn { record, place: Some((self.0.lanes.enter(id, seq), seq)) }),
+            Some(seq) => {
+                let place = self.0.lanes.enter((id, record.created), seq);
+                Ok(Turn { record, place: Some((place, seq)) })
+            }
             None => Ok(Turn { record, place: None }),
         }
     }
@@ -333,16 +401,8 @@ impl App {
         }
         let image = self.image(ticket, digest, file.clone()).await?;
         timing.decode = began.elapsed();
-        let resolve = {
-            let (limits, extent) = (self.0.config.limits, image.extent());
-            move |_: &_| {
-                let setup = Setup::new(&object.rest, extent, &limits)?;
-                object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
-                Ok::<_, WarpError>((object, setup))
-            }
-        };
-        let (object, setup) = self.0.pool.run(ticket, resolve).await??;
-        let setup = Arc::new(setup);
+        let (limits, extent) = (self.0.config.limits, image.extent());
+        let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
         let (plan, plan_built) = self.plan(ticket, &setup, &mut timing).await?;
         Ok((Material { file, digest, object, image, setup }, plan, timing, plan_built))
     }
@@ -394,10 +454,18 @@ fn lost() -> Problem {
     PoolError::Panicked.into()
 }
 
-/// Records never change, so a session's name stands for its setup.
-fn shelf_key(id: SessionId) -> Digest {
+/// The setup of the handles on a picture of that size; q is checked when it is there.
+fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpObject, Arc<Setup>), WarpError> {
+    let setup = Setup::new(&object.rest, extent, limits)?;
+    object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
+    Ok((object, Arc::new(setup)))
+}
+
+/// Records never change, so name and revision stand for the setup.
+fn shelf_key(record: &Record) -> Digest {
     let mut key = [0; 32];
-    key[..16].copy_from_slice(id.as_bytes());
+    key[..16].copy_from_slice(record.id.as_bytes());
+    key[16..].copy_from_slice(record.revision.as_bytes());
     Digest(key)
 }
 

@@ -17,5 +17,6 @@ mod openapi;
 mod oracle;
 mod overload;
 mod problems;
+mod revisions;
 mod sessions;
 mod support;

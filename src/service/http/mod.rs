@@ -23,7 +23,7 @@ use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
-use axum::routing::{MethodRouter, get, post};
+use axum::routing::{MethodRouter, get, post, put};
 
 use super::App;
 use super::problem::{Code, Problem};
@@ -34,7 +34,8 @@ fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
     vec![
         ("/warp", computes(post(warp::warp))),
         ("/sessions", computes(post(sessions::create))),
-        ("/sessions/{id}", get(sessions::read).delete(sessions::delete)),
+        ("/sessions/{id}", get(sessions::read).delete(sessions::delete).merge(computes(put(sessions::put)))),
+        ("/sessions/{id}/handles", computes(put(sessions::handles))),
         ("/sessions/{id}/warp", computes(post(warp::drag))),
         ("/sessions/{id}/mesh", computes(post(mesh::mesh))),
         ("/sessions/{id}/points", computes(post(points::of_session))),

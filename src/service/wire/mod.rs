@@ -29,6 +29,7 @@ use json::Node;
 pub use mesh::{MeshObject, MeshShape};
 use number::{count, whole};
 pub use output::OutputPatch;
+pub use rest::WarpPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
 pub use write::Wire;
 
@@ -53,8 +54,7 @@ impl WarpObject {
     /// # Errors
     /// A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        let root = json::root(json)?;
-        rest::warp(root.fields("an object", &rest::FIELDS)?)
+        WarpPatch::parse(json).map(|patch| patch.over(Self::default()))
     }
 
     /// The posed handles where they are needed: `q`, or none when there are none at rest.
@@ -156,7 +156,8 @@ impl PointsObject {
             inverse,
             refine,
         ] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
-        let warp = rest::warp([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
+        let warp = WarpPatch::read([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
+        let warp = warp.over(WarpObject::default());
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = asked([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();
