@@ -16,6 +16,7 @@ mod offline;
 mod openapi;
 mod oracle;
 mod overload;
+mod page;
 mod problems;
 mod revisions;
 mod sessions;
