@@ -3,6 +3,7 @@
 
 pub mod cache;
 pub mod config;
+pub mod formats;
 pub mod health;
 pub mod http;
 pub mod offline;

@@ -16,6 +16,7 @@ use super::App;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
 use super::walk::Timing;
+use crate::codec::Format;
 use crate::deform::Handle;
 use crate::pixmap::Extent;
 use crate::warp::{Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, Warp, WarpError, Watch, Writing};
@@ -55,7 +56,7 @@ pub enum Piece {
 pub struct Cost {
     /// Mesh to pixels.
     pub render: Duration,
-    /// Pixels to PNG.
+    /// Pixels to the bytes of a file.
     pub encode: Duration,
 }
 
@@ -113,6 +114,8 @@ pub struct Drawn {
     pub etag: Digest,
     /// Width and height, px.
     pub extent: Extent,
+    /// File format.
+    pub format: Format,
     /// Cost before drawing.
     pub timing: Timing,
     /// The coefficients were built for this request, not found.
@@ -219,8 +222,8 @@ impl App {
             meeting: Arc::clone(&meeting),
             answer,
         };
-        // Threads that pose together come to help by themselves.
-        let early = if sitting.setup.is_wide() { 0 } else { helpers };
+        // Threads that pose together come to help by themselves; only PNG is drawn by several.
+        let early = if sitting.setup.is_wide() || sitting.output.format != Format::Png { 0 } else { helpers };
         self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting));
         // Every way out of the job answers, but a panic.
         result.await.map_err(|_| PoolError::Panicked)?
@@ -248,7 +251,7 @@ impl Easel {
             }
         };
         self.timing.deform = began.elapsed();
-        if warp.max_bytes() <= WHOLE { self.whole(&warp, report) } else { self.strips(warp, report, began) }
+        if warp.is_one_piece() || warp.max_bytes() <= WHOLE { self.whole(&warp, report) } else { self.strips(warp, report, began) }
     }
 
     fn whole(self, warp: &Warp, report: Report) {
@@ -267,15 +270,15 @@ impl Easel {
         let picture = Picture::Whole { bytes: file.into(), cost: clock.cost() };
         drop(self.drawer);
         let Self { timing, plan_built, answer, .. } = self;
-        let (etag, extent) = (warp.etag(), warp.target());
-        let _ = answer.send(Ok(Drawn { report, etag, extent, timing, plan_built, picture }));
+        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
+        let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
     fn strips(self, warp: Warp, report: Report, began: Instant) {
         let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
         let (pieces, strips) = unbounded_channel();
-        let (etag, extent) = (warp.etag(), warp.target());
-        let drawn = Drawn { report, etag, extent, timing, plan_built, picture: Picture::Strips(strips) };
+        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
+        let drawn = Drawn { report, etag, extent, format, timing, plan_built, picture: Picture::Strips(strips) };
         let (end, mut first, mut drawer) = (pieces.clone(), Some((answer, drawn)), Some(drawer));
         let sink: Sink = Box::new(move |bytes, last| {
             if last {

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 
+use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
 use super::pool::{Cancel, PoolError, Ticket};
 use super::problem::{Code, Problem};
@@ -15,11 +16,11 @@ use super::session::{Place, Revision, SessionId};
 use super::store::{Put, Record, Session};
 use super::wire::{DragObject, MeshObject, MeshShape, PointsObject, WarpObject, WarpPatch, Wire};
 use super::{App, Known};
-use crate::codec::CodecError;
+use crate::codec::{CodecError, Format};
 use crate::deform::Handle;
 use crate::geometry::Point;
 use crate::pixmap::Extent;
-use crate::warp::{Digest, GridSpec, Image, Limits, Plan, Posed, Report, Setup, WarpError};
+use crate::warp::{Digest, GridSpec, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
@@ -49,6 +50,8 @@ pub struct Material {
     file: Bytes,
     digest: Digest,
     object: WarpObject,
+    /// Of this picture; a session keeps what was asked for.
+    format: Format,
     image: Arc<Image>,
     setup: Arc<Setup>,
 }
@@ -56,7 +59,7 @@ pub struct Material {
 impl Material {
     /// As a session keeps it: the record, the file, and what they resolve to.
     fn recorded(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
-        let Self { file, digest, object, image, setup } = self;
+        let Self { file, digest, object, image, setup, .. } = self;
         let record = Record {
             id,
             revision: Revision::random(),
@@ -123,11 +126,11 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with either, or no room.
-    pub async fn warp_once(&self, file: Bytes, json: Bytes) -> Result<(Drawn, Material), Problem> {
+    pub async fn warp_once(&self, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, Material), Problem> {
         let ticket = self.0.pool.admit().await?;
-        let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, true).await?;
+        let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, Some(formats)).await?;
         let q = material.object.q.clone().unwrap_or_default();
-        let (folds, output) = (material.object.folds, material.object.output);
+        let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
         let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
         let drawn = self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await?;
         Ok((drawn, material))
@@ -139,7 +142,7 @@ impl App {
     /// Whatever is wrong with either, or no room.
     pub async fn open(&self, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit().await?;
-        let (material, ..) = self.prepare(&ticket, file, json, false).await?;
+        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
         self.keep(material).await
     }
 
@@ -160,7 +163,7 @@ impl App {
     /// Whatever is wrong with either, or no room.
     pub async fn put(&self, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit().await?;
-        let (material, ..) = self.prepare(&ticket, file, json, false).await?;
+        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
         let (record, file, setup) = material.recorded(id);
         let put = self.0.store.put(record, file).await?;
         match &put {
@@ -258,9 +261,11 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, superseded, whatever is wrong with q, or no room.
-    pub async fn drag(&self, id: SessionId, drag: DragObject) -> Result<Drawn, Problem> {
+    pub async fn drag(&self, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let turn = self.turn(id, drag.seq).await?;
         let record = Arc::clone(&turn.record);
+        let format = formats.choose(drag.output.format, record.output.format)?;
+        let output = OutputSpec { format, ..drag.output.over(&record.output) };
         let walk = async {
             let setup = self.session_setup(&record).await?;
             let ticket = self.0.pool.admit().await?;
@@ -272,7 +277,6 @@ impl App {
             Ok::<_, Problem>((setup, ticket, timing, image, plan, plan_built))
         };
         let (setup, ticket, timing, image, plan, plan_built) = self.unless_superseded(&turn, walk).await?;
-        let output = drag.output.over(&record.output);
         let sitting = Sitting { image, setup, plan, q: drag.q, folds: record.folds, output };
         self.draw(ticket, sitting, timing, plan_built).await
     }
@@ -381,22 +385,29 @@ impl App {
         Ok(mapped.await??)
     }
 
-    /// Reads the object, decodes the file, resolves the handles, checks q, fills the table.
+    /// Reads the object, decodes the file, resolves the handles, checks q, fills the table. `draws`: what a picture may be written as, and that q is
+    /// needed for it.
     async fn prepare(
         &self,
         ticket: &Ticket,
         file: Bytes,
         json: Bytes,
-        needs_q: bool,
+        draws: Option<Formats>,
     ) -> Result<(Material, Arc<Plan>, Timing, bool), Problem> {
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let read = {
             let file = file.clone();
-            move |_: &_| WarpObject::parse(&json).map(|object| (object, Image::digest_of(&file)))
+            move |_: &_| {
+                let patch = WarpPatch::parse(&json)?;
+                let asked = patch.output.format;
+                let object = patch.over(WarpObject::default());
+                let format = draws.unwrap_or(Formats::ANY).choose(asked, object.output.format)?;
+                Ok::<_, Problem>((object, format, Image::digest_of(&file)))
+            }
         };
-        let (object, digest) = self.0.pool.run(ticket, read).await??;
-        if needs_q && object.q.is_none() && !object.rest.p.is_empty() {
+        let (object, format, digest) = self.0.pool.run(ticket, read).await??;
+        if draws.is_some() && object.q.is_none() && !object.rest.p.is_empty() {
             return Err(q_is_missing());
         }
         let image = self.image(ticket, digest, file.clone()).await?;
@@ -404,7 +415,7 @@ impl App {
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
         let (plan, plan_built) = self.plan(ticket, &setup, &mut timing).await?;
-        Ok((Material { file, digest, object, image, setup }, plan, timing, plan_built))
+        Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
     async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Arc<Image>, Problem> {

@@ -1,4 +1,4 @@
-//! A prepared warp: the renderer and the PNG writer are ready, and only writing can still fail.
+//! A prepared warp: renderer and writer are ready, and only writing can still fail.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use super::digest::Collector;
 use super::posed::Posed;
 use super::writing::{Watch, Writing};
 use super::{Digest, Image, Limits, OutputSpec, WarpError};
-use crate::codec::{Compression, PngShape, PngWriter};
+use crate::codec::{Compression, Encoding, Format, PngShape, Writer};
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside, RenderOptions, Renderer};
 
@@ -16,7 +16,8 @@ use crate::render::{Filter, Outside, RenderOptions, Renderer};
 #[derive(Debug)]
 pub struct Warp {
     pub(super) renderer: Renderer,
-    pub(super) writer: PngWriter,
+    pub(super) writer: Writer,
+    format: Format,
     etag: Digest,
 }
 
@@ -30,8 +31,8 @@ impl Warp {
         let options = RenderOptions { target, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
         let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
-        let writer = PngWriter::new(shape, output.compression, image.icc.as_ref());
-        Ok(Self { renderer, writer, etag: etag(image, posed, output, target) })
+        let writer = Writer::new(shape, output.encoding(), image.icc.as_ref());
+        Ok(Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target) })
     }
 
     /// Digest of image, resolved request and build: the ETag.
@@ -44,6 +45,18 @@ impl Warp {
     #[must_use]
     pub const fn target(&self) -> Extent {
         self.renderer.target()
+    }
+
+    /// File format.
+    #[must_use]
+    pub const fn format(&self) -> Format {
+        self.format
+    }
+
+    /// It is rendered and encoded in one piece.
+    #[must_use]
+    pub const fn is_one_piece(&self) -> bool {
+        self.writer.strips() == 1
     }
 
     /// No more than this many bytes will be written: what to reserve for the answer.
@@ -75,10 +88,12 @@ impl Warp {
 }
 
 fn etag(image: &Image, posed: &Posed, output: &OutputSpec, target: Extent) -> Digest {
-    let compression = match output.compression {
-        Compression::None => 0,
-        Compression::Fast => 1,
-        Compression::Best => 2,
+    let encoding = match output.encoding() {
+        Encoding::Png(Compression::None) => [0; 5],
+        Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
+        Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
+        Encoding::Jpeg { quality, ground: [r, g, b] } => [3, quality, r, g, b],
+        Encoding::WebP => [4, 0, 0, 0, 0],
     };
     let filter = match output.filter {
         Filter::Nearest => 0,
@@ -89,10 +104,10 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, target: Extent) -> Di
         Outside::Edge => [1, 0, 0, 0, 0],
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
     };
-    Collector::new("mlswarp answer 2")
+    Collector::new("mlswarp answer 3")
         .bytes(&image.digest().0)
         .bytes(&posed.digest().0)
-        .integer(compression)
+        .bytes(&encoding)
         .integer(filter)
         .bytes(&outside)
         .integer(target.width().into())

@@ -7,6 +7,7 @@ mod binary;
 mod clients;
 mod decoders;
 mod drag;
+mod formats;
 mod golden;
 mod identity;
 mod laws;

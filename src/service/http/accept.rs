@@ -3,27 +3,38 @@
 use axum::http::HeaderMap;
 use axum::http::header::ACCEPT;
 
+use crate::codec::Format;
+use crate::service::formats::Formats;
 use crate::service::problem::{Code, Problem};
 
 /// The index of the media type among `offers` that the client wants most; the first of them where it wants several equally, or says nothing.
 ///
 /// # Errors
 /// 406 when it takes none.
-pub(super) fn choose(headers: &HeaderMap, offers: &[&str]) -> Result<usize, Problem> {
+pub(super) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
+    let wanted = wanted(headers, offers);
+    let best = (0..N).fold(0, |best, index| if wanted[index] > wanted[best] { index } else { best });
+    let none = || Problem::new(Code::NotAcceptable, format!("this answer is written as {}; Accept takes none of these", offers.join(", ")));
+    if wanted[best] > 0.0 { Ok(best) } else { Err(none()) }
+}
+
+/// Which picture formats the client takes.
+///
+/// # Errors
+/// 406 when it takes none.
+pub(super) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
+    Formats::new(wanted(headers, Format::ALL.map(Format::media_type)))
+}
+
+/// How much each of the media types is wanted.
+fn wanted<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
     let ranges: Vec<&str> = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).collect();
     if ranges.is_empty() {
-        return Ok(0);
+        return [1.0; N];
     }
-    let mut best: Option<(usize, f32)> = None;
-    for (index, offer) in offers.iter().enumerate() {
-        // The most specific range decides: `image/png;q=0, */*` takes no PNG.
-        let wanted = ranges.iter().filter_map(|range| quality(range, offer)).max_by_key(|(specific, _)| *specific).map_or(0.0, |(_, q)| q);
-        if wanted > best.map_or(0.0, |(_, most)| most) {
-            best = Some((index, wanted));
-        }
-    }
-    let none = || Problem::new(Code::NotAcceptable, format!("this answer is written as {}; Accept takes none of these", offers.join(", ")));
-    best.map(|(index, _)| index).ok_or_else(none)
+    // The most specific range decides: `image/png;q=0, */*` takes no PNG.
+    offers
+        .map(|offer| ranges.iter().filter_map(|range| quality(range, offer)).max_by_key(|(specific, _)| *specific).map_or(0.0, |(_, q)| q))
 }
 
 /// How closely a range names the media type, and how much it is wanted; `None` when it names something else.
@@ -44,7 +55,7 @@ fn quality(range: &str, offer: &str) -> Option<(u8, f32)> {
 mod tests {
     use super::*;
 
-    fn chosen(accept: &str, offers: &[&str]) -> Option<usize> {
+    fn chosen<const N: usize>(accept: &str, offers: [&str; N]) -> Option<usize> {
         let mut headers = HeaderMap::new();
         headers.insert(ACCEPT, accept.parse().unwrap());
         choose(&headers, offers).ok()
@@ -52,12 +63,12 @@ mod tests {
 
     #[test]
     fn png_is_taken_where_the_most_specific_range_says_so() {
-        assert_eq!(choose(&HeaderMap::new(), &["image/png"]).unwrap(), 0);
+        assert_eq!(choose(&HeaderMap::new(), ["image/png"]).unwrap(), 0);
         for accept in ["image/png", "image/*", "*/*", "text/html, image/avif, image/*;q=0.8", "text/html,*/*;q=0.1", "IMAGE/PNG; q=1"] {
-            assert_eq!(chosen(accept, &["image/png"]), Some(0), "{accept}");
+            assert_eq!(chosen(accept, ["image/png"]), Some(0), "{accept}");
         }
         for accept in ["image/jpeg", "text/html", "image/png;q=0", "image/png;q=0, */*", "application/json, image/webp"] {
-            assert_eq!(chosen(accept, &["image/png"]), None, "{accept}");
+            assert_eq!(chosen(accept, ["image/png"]), None, "{accept}");
         }
     }
 
@@ -73,7 +84,7 @@ mod tests {
             ("image/webp;q=0.9, image/jpeg;q=0.8, */*;q=0.1", Some(2)),
             ("text/html", None),
         ] {
-            assert_eq!(chosen(accept, &offers), index, "{accept}");
+            assert_eq!(chosen(accept, offers), index, "{accept}");
         }
     }
 }

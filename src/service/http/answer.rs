@@ -6,7 +6,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
@@ -55,9 +55,10 @@ pub(super) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type
 
 /// A picture as an answer.
 pub(super) fn picture(drawn: Drawn, trailers: bool) -> Response {
-    let Drawn { report, etag, timing, plan_built, picture, .. } = drawn;
+    let Drawn { report, etag, format, timing, plan_built, picture, .. } = drawn;
     let mut headers = told(&report, plan_built);
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static("image/png"));
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    headers.insert(VARY, HeaderValue::from_static("accept"));
     headers.insert(ETAG, text(format!("\"{etag}\"")));
     let body = match picture {
         Picture::Whole { bytes, cost } => {

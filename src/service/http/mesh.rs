@@ -16,7 +16,7 @@ const FORMS: [(&str, MeshForm); 2] = [("application/json", MeshForm::Json), ("ap
 
 /// The posed grid as JSON, or as little-endian f32.
 pub(super) async fn mesh(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let (media_type, form) = FORMS[accept::choose(request.headers(), &FORMS.map(|(name, _)| name))?];
+    let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
     let id = session_id(&id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;

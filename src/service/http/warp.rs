@@ -16,19 +16,17 @@ use crate::service::walk::columns;
 use crate::service::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
-/// What pictures are written as.
-const PNG: [&str; 1] = ["image/png"];
 /// JSON of a drag: so much, and so much more a column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 
 /// A file and a warp object, or a session's id and q.
 pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let keeps = keeps_session(request.uri().query())?;
-    accept::choose(request.headers(), &PNG)?;
+    let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         let upload = upload::read(&app, request).await?;
-        let (drawn, material) = app.warp_once(upload.image, upload.warp).await?;
+        let (drawn, material) = app.warp_once(upload.image, upload.warp, formats).await?;
         let session = if keeps { Some(app.keep(material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
@@ -50,18 +48,18 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
     }
-    Ok(picture(app.drag(id, drag).await?, trailers))
+    Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }
 
 /// q alone.
 pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    accept::choose(request.headers(), &PNG)?;
+    let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(&id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse(&body, false)?;
-    Ok(picture(app.drag(id, drag).await?, trailers))
+    Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }
 
 /// Adds `Warp-Session` and `Location`.

@@ -6,9 +6,9 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::tests::warp_object;
-use super::word::{Canvas, Metric, OutputFormat, Word};
+use super::word::{Canvas, Metric, Word};
 use super::*;
-use crate::codec::Compression;
+use crate::codec::{Compression, Format};
 use crate::deform::Method;
 use crate::render::Filter;
 use crate::warp::Units;
@@ -173,7 +173,7 @@ fn enums_list_what_this_version_has() {
     words::<Metric>("/Metric");
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
-    words::<OutputFormat>("/Output/properties/format");
+    words::<Format>("/Output/properties/format");
     words::<Canvas>("/Output/properties/canvas");
 }
 
@@ -231,7 +231,12 @@ fn schemas_and_parsers_agree_on_a_table() {
         "output: {}",
         "output: null",
         "output: {\"format\": \"png\"}",
-        "output: {\"format\": \"jpeg\"}",
+        "output: {\"format\": \"jpeg\", \"quality\": 100}",
+        "output: {\"format\": \"webp\"}",
+        "output: {\"format\": \"avif\"}",
+        "output: {\"quality\": 0}",
+        "output: {\"quality\": 101}",
+        "output: {\"quality\": 50.5}",
         "output: {\"compression\": \"none\"}",
         "output: {\"compression\": \"max\"}",
         "output: {\"width\": 1}",
