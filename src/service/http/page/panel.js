@@ -201,7 +201,7 @@ export class Panel {
     bar.replaceChildren(...stages.map((name) => {
       const part = document.createElement("span");
       part.className = name;
-      part.style.flexGrow = timing[name];
+      part.style.flexGrow = 1000 * timing[name];
       return part;
     }));
   }
