@@ -116,6 +116,11 @@ store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
+// A tool that was clicked does not keep the focus: the keys go on to the stage. Who came by keyboard stays.
+for (const bar of document.querySelectorAll("#work > .tools, #work > .zoom, #selection, #draft, #undo, #redo")) {
+  bar.addEventListener("click", ({ detail }) => detail > 0 && setTimeout(() => bar.contains(document.activeElement) && stage.focus({ preventScroll: true })));
+}
+
 // Files
 
 find("file").addEventListener("change", ({ target }) => {
