@@ -110,6 +110,7 @@ export class Opener {
     }
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
+    this.view.resized(); // only now the stage is seen, and has a size
     this.fileKey = fileKey ?? null;
     this.fileKey ??= await keepFile(source.blob, source.name);
     this.told();

@@ -37,7 +37,7 @@ export class View {
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
-    new ResizeObserver(() => this.#resized()).observe(stage);
+    new ResizeObserver(() => this.resized()).observe(stage);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
   }
 
@@ -72,7 +72,7 @@ export class View {
       this.painter.setSource(await createImageBitmap(original, wish), width, height);
     }
     this.source = "source";
-    this.fit();
+    this.#fitted = true;
   }
 
   clear() {
@@ -204,7 +204,8 @@ export class View {
     return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
   }
 
-  #resized() {
+  /** The stage has another size, or has come into sight. */
+  resized() {
     this.stageSize = [this.stage.clientWidth, this.stage.clientHeight];
     if (this.#fitted) this.fit();
     else this.#moved();
