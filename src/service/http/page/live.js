@@ -52,7 +52,9 @@ export class Live {
     this.#open = false;
     const socket = this.#socket;
     this.#socket = null;
-    socket?.close(1000);
+    // One that is not open yet would complain.
+    if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close(1000);
+    else socket?.close(1000);
     this.told.way();
   }
 

@@ -149,9 +149,9 @@ export class Panel {
     return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
   }
 
-  #drawHint({ document: { handles }, tool, arm, draft, compare, problem, selection }) {
+  #drawHint({ phase, document: { handles }, tool, arm, draft, compare, problem, selection }) {
     const kind = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
-    const which = arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
+    const which = phase !== "open" ? null : arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
     find("hint").hidden = !which;
     if (which) text("hint", HINTS[which][kind]);
   }
