@@ -26,14 +26,13 @@ export class View {
   #frame = null; // ImageBitmap of the server's preview
   #afterPaint = [];
   #due = false;
-  #gridSeen = false;
   #views = new Set();
   #show = { lines: false, compare: false, at: 50, peek: false };
 
   constructor(stage, allowWebgl) {
     this.stage = stage;
     this.live = stage.querySelector("#live");
-    this.lines = stage.querySelector("#grid").getContext("2d");
+    this.lines = stage.querySelector("#grid").getContext("2d", { willReadFrequently: true }); // many short lines are drawn faster by the processor
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
@@ -270,8 +269,7 @@ export class View {
     const lines = this.mesh && !this.#show.peek && !this.#show.compare;
     const drawn = lines && (this.#show.lines || this.folds > 0);
     if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
-    else if (this.#gridSeen) this.lines.clearRect(0, 0, width, height);
-    this.#gridSeen = drawn;
+    this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
