@@ -9,7 +9,7 @@ const MOST_ZOOM = 32;
 /** From here on enlarged pixels are shown as squares. */
 const CRISP = 6;
 /** Fit leaves so much room at the sides and above and below, CSS px: beside the tools on a wide stage, hardly any on a narrow one. */
-const MARGINS = { wide: [92, 64], narrow: [16, 16], from: 640 };
+const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
   zoom = 1;
@@ -164,7 +164,7 @@ export class View {
   fit() {
     if (!this.size) return;
     const [width, height] = this.stageSize;
-    const [aside, above] = width < MARGINS.from ? MARGINS.narrow : MARGINS.wide;
+    const [aside, above] = width < MARGINS.from[0] || height < MARGINS.from[1] ? MARGINS.narrow : MARGINS.wide;
     const room = [width - 2 * aside, height - 2 * above];
     this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
     this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
