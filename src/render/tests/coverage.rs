@@ -21,7 +21,7 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
             let open = (1 << rows.len()) - 1;
             let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, bare: &mut bare, open };
             let only = |b: usize| if b == i / 8 { 1 << (i % 8) } else { 0 };
-            cell::draw_row(kernel, lattice, j, only, &rows, &mut canvas);
+            cell::draw_row(kernel, lattice, j, only, |_| u32::MAX, &rows, &mut canvas);
             canvas.shrink();
             for (y, bare) in rows.clone().zip(bare) {
                 let row = (y - first) as usize * pitch;
