@@ -55,7 +55,16 @@ impl Division {
         // Rows that do not cross every column are not divided.
         let whole = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!ways.is_divisible(row))) & divided;
         self.whole = whole;
+        if whole != 0 {
+            self.loose[..cells].fill(whole);
+            for (i, known) in (0..cells).step_by(BLOCK).zip(&mut self.blocks) {
+                *known = u8::MAX >> (BLOCK - BLOCK.min(cells - i));
+            }
+        }
         let divided = divided & !whole;
+        if divided == 0 {
+            return;
+        }
         let rows_of = |reach: Reach| {
             let rows = reach.rows(strip);
             let before = |row: u32| ((1_u64 << (row - strip.start)) - 1) as u32;
@@ -104,6 +113,7 @@ impl Division {
         self.parts.clear();
         if self.whole & bit != 0 {
             self.parts.push(Part { cells: 0..cells, across: i32::MIN..i32::MAX });
+            return;
         }
         let px = |place: i32| place as f32 * STEP;
         let tangled = |n: &usize| self.tangled[self.columns[*n]] & bit != 0;

@@ -296,6 +296,12 @@ impl Drawing {
         self.ways.of(row) == Way::Plain
     }
 
+    /// Whether a row is drawn by crossings on some columns and by cells on others.
+    #[cfg(test)]
+    pub(super) fn is_divided(&self, row: u32) -> bool {
+        self.ways.of(row) == Way::Divided && self.ways.is_divisible(row)
+    }
+
     /// A row's coordinates and the runs that are covered.
     #[cfg(test)]
     pub(super) fn row(&self, row: u32) -> (Vec<f32>, Vec<f32>, Vec<Range<usize>>) {
