@@ -10,7 +10,7 @@
 //! use std::{ops::ControlFlow, sync::Arc};
 //! use mlswarp::deform::Handle;
 //! use mlswarp::geometry::Point;
-//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, RestSpec, Setup, Warp};
+//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec, Setup, Warp};
 //!
 //! let file = include_bytes!("../tests/images/chelsea.png");
 //! let limits = Limits::default();
@@ -24,9 +24,10 @@
 //! // The nose moves; the eyes stay. Only this is repeated while a hand drags.
 //! let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
 //! let pose = setup.pose(&q)?;
-//! let warp = Warp::new(&image, &setup, &plan, &pose, Folds::Report, &OutputSpec::default(), &limits, &|| false)?;
-//! assert_eq!(warp.report().folds, 0);
-//! assert!(warp.report().residual < 0.5);
+//! let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &|| false)?;
+//! assert_eq!(posed.report().folds, 0);
+//! assert!(posed.report().residual < 0.5);
+//! let warp = Warp::new(&image, &posed, &OutputSpec::default(), &limits)?;
 //!
 //! let mut png = Vec::new();
 //! let _ = warp.write(0, &(), &mut |bytes| {

@@ -36,8 +36,8 @@ fn run(command: Command, config: Config) -> ExitCode {
         }
         Command::Health => exit(health::ask(config.listen).map_err(|e| format!("error: {e}"))),
         Command::Warp { image, warp, out } => exit(match offline::run(&config, &image, &warp, &out) {
-            Ok(report) => {
-                eprintln!("{}", offline::Summary(&report));
+            Ok(summary) => {
+                eprintln!("{summary}");
                 Ok(())
             }
             Err(problem) => Err(offline::complaint(&problem)),

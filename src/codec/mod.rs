@@ -1,5 +1,5 @@
 //! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `decode` checks every limit on that header
-//! before it takes memory; `PngWriter` turns strips of rows into PNG bytes, strip by strip, in any order.
+//! before it takes memory; `Writer` turns strips of rows into the bytes of a file, PNG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod decode;
@@ -17,9 +17,16 @@ mod read_png;
 mod read_webp;
 #[cfg(test)]
 mod tests;
+#[forbid(unsafe_code)]
+mod write;
+#[forbid(unsafe_code)]
+mod write_jpeg;
+#[forbid(unsafe_code)]
+mod write_webp;
 
 pub use decode::{Decoded, decode};
 pub use error::CodecError;
 pub use limits::Limits;
 pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
+pub use write::{Encoding, Writer};

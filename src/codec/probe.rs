@@ -6,10 +6,11 @@ use super::orientation::Orientation;
 use super::{CodecError, read_jpeg, read_png, read_webp};
 use crate::pixmap::{Channels, Depth, Extent};
 
-/// A file format that is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A file format that is read and written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Format {
     /// PNG.
+    #[default]
     Png,
     /// JPEG.
     Jpeg,

@@ -11,13 +11,14 @@ use super::config::Config;
 use super::problem::{Code, Problem};
 use super::walk::q_is_missing;
 use super::wire::WarpObject;
-use crate::warp::{Image, Report, Setup, Warp};
+use crate::pixmap::Extent;
+use crate::warp::{Image, Posed, Report, Setup, Warp};
 
 /// Bends one picture; `-` is standard input or output.
 ///
 /// # Errors
 /// What a server would answer, or a file that cannot be read or written.
-pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Report, Problem> {
+pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Summary, Problem> {
     if is_stdio(image) && is_stdio(warp) {
         return Err(Problem::new(Code::MalformedRequest, "standard input can be the image or the warp object, not both"));
     }
@@ -28,7 +29,7 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Rep
     threads.install(|| bend(config, &file, &object, out))
 }
 
-fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<Report, Problem> {
+fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<Summary, Problem> {
     let image = Arc::new(Image::decode(file, &config.limits.image)?);
     let setup = Setup::new(&object.rest, image.extent(), &config.limits)?;
     let q = match &object.q {
@@ -37,7 +38,9 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
         None => return Err(q_is_missing()),
     };
     let pose = setup.pose(q)?;
-    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &config.limits, &|| false)?;
+    object.output.target(image.extent(), &config.limits)?;
+    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
+    let warp = Warp::new(&image, &posed, &object.output, &config.limits)?;
     let helpers = config.workers.saturating_sub(1);
     let drawn = if is_stdio(out) {
         draw(&warp, helpers, io::stdout())
@@ -48,7 +51,7 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
         create(out).and_then(|(file, half)| draw(&warp, helpers, file).and_then(|()| half.keep()))
     };
     drawn.map_err(|e| Problem::new(Code::Internal, format!("{} cannot be written: {e}", out.display())))?;
-    Ok(warp.report().clone())
+    Ok(Summary { extent: warp.target(), report: posed.into_report() })
 }
 
 fn is_stdio(path: &Path) -> bool {
@@ -114,12 +117,17 @@ pub fn complaint(problem: &Problem) -> String {
 
 /// What a server would say in headers, on one line.
 #[derive(Debug)]
-pub struct Summary<'a>(pub &'a Report);
+pub struct Summary {
+    /// Of the posed grid.
+    pub report: Report,
+    /// Of the picture.
+    pub extent: Extent,
+}
 
-impl fmt::Display for Summary<'_> {
+impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Report { warnings, folds, residual, target: (width, height), .. } = self.0;
-        write!(f, "{width} x {height} px, {folds} folded cells, residual {residual:.4} px")?;
+        let Self { report: Report { warnings, folds, residual }, extent } = self;
+        write!(f, "{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height())?;
         warnings.iter().try_for_each(|warning| write!(f, ", {}", warning.code()))
     }
 }

@@ -16,8 +16,10 @@ use super::App;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
 use super::walk::Timing;
+use crate::codec::Format;
 use crate::deform::Handle;
-use crate::warp::{Folds, Image, Limits, OutputSpec, Plan, Report, Setup, Stage, Warp, WarpError, Watch, Writing};
+use crate::pixmap::Extent;
+use crate::warp::{Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, Warp, WarpError, Watch, Writing};
 
 /// How long a helper waits for the first strip to begin. Posing takes less, or nobody was asked to help so early.
 const PATIENCE: Duration = Duration::from_millis(1);
@@ -54,7 +56,7 @@ pub enum Piece {
 pub struct Cost {
     /// Mesh to pixels.
     pub render: Duration,
-    /// Pixels to PNG.
+    /// Pixels to the bytes of a file.
     pub encode: Duration,
 }
 
@@ -95,10 +97,11 @@ pub(super) struct Sitting {
 }
 
 impl Sitting {
-    fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<Warp, WarpError> {
+    fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
         let Self { image, setup, plan, q, folds, output } = self;
-        let pose = setup.pose(q)?;
-        Warp::new(image, setup, plan, &pose, *folds, output, limits, gone)
+        output.target(image.extent(), limits)?;
+        let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, gone)?;
+        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report()))
     }
 }
 
@@ -107,6 +110,12 @@ impl Sitting {
 pub struct Drawn {
     /// What to tell before the first pixel.
     pub report: Report,
+    /// Digest of image, resolved request and build.
+    pub etag: Digest,
+    /// Width and height, px.
+    pub extent: Extent,
+    /// File format.
+    pub format: Format,
     /// Cost before drawing.
     pub timing: Timing,
     /// The coefficients were built for this request, not found.
@@ -213,8 +222,8 @@ impl App {
             meeting: Arc::clone(&meeting),
             answer,
         };
-        // Threads that pose together come to help by themselves.
-        let early = if sitting.setup.is_wide() { 0 } else { helpers };
+        // Threads that pose together come to help by themselves; only PNG is drawn by several.
+        let early = if sitting.setup.is_wide() || sitting.output.format != Format::Png { 0 } else { helpers };
         self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting));
         // Every way out of the job answers, but a panic.
         result.await.map_err(|_| PoolError::Panicked)?
@@ -234,7 +243,7 @@ impl Easel {
         let limits = self.app.config().limits;
         let gone = || self.answer.is_closed();
         let pose = || sitting.warp(&limits, &gone);
-        let warp = match if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() } {
+        let (warp, report) = match if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() } {
             Ok(warp) => warp,
             Err(error) => {
                 let _ = self.answer.send(Err(error.into()));
@@ -242,10 +251,10 @@ impl Easel {
             }
         };
         self.timing.deform = began.elapsed();
-        if warp.max_bytes() <= WHOLE { self.whole(&warp) } else { self.strips(warp, began) }
+        if warp.is_one_piece() || warp.max_bytes() <= WHOLE { self.whole(&warp, report) } else { self.strips(warp, report, began) }
     }
 
-    fn whole(self, warp: &Warp) {
+    fn whole(self, warp: &Warp, report: Report) {
         let (begun, clock, mut file) = (Begun::new(&self.app), Clock::default(), Vec::new());
         let flow = warp.write(0, &clock, &mut |bytes| {
             if file.is_empty() {
@@ -261,13 +270,15 @@ impl Easel {
         let picture = Picture::Whole { bytes: file.into(), cost: clock.cost() };
         drop(self.drawer);
         let Self { timing, plan_built, answer, .. } = self;
-        let _ = answer.send(Ok(Drawn { report: warp.report().clone(), timing, plan_built, picture }));
+        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
+        let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
-    fn strips(self, warp: Warp, began: Instant) {
+    fn strips(self, warp: Warp, report: Report, began: Instant) {
         let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
         let (pieces, strips) = unbounded_channel();
-        let drawn = Drawn { report: warp.report().clone(), timing, plan_built, picture: Picture::Strips(strips) };
+        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
+        let drawn = Drawn { report, etag, extent, format, timing, plan_built, picture: Picture::Strips(strips) };
         let (end, mut first, mut drawer) = (pieces.clone(), Some((answer, drawn)), Some(drawer));
         let sink: Sink = Box::new(move |bytes, last| {
             if last {

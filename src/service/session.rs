@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::fmt;
 use std::str::FromStr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
 use tokio::sync::watch;
 use uuid::{Uuid, Variant};
@@ -21,6 +22,24 @@ impl SessionId {
     }
 
     /// The 16 bytes of the name.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &[u8; 16] {
+        self.0.as_bytes()
+    }
+}
+
+/// One state of a session: it changes whenever the session's handles or picture do, and never comes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Revision(Uuid);
+
+impl Revision {
+    /// A new one.
+    #[must_use]
+    pub fn random() -> Self {
+        Self(Uuid::new_v4())
+    }
+
+    /// Its 16 bytes.
     #[must_use]
     pub const fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
@@ -56,15 +75,18 @@ impl fmt::Debug for SessionId {
     }
 }
 
+/// A life of a session: the numbers of its requests start anew with each.
+pub type Life = (SessionId, SystemTime);
+
 /// The sessions for which numbered requests are under way.
 #[derive(Clone, Debug, Default)]
-pub struct Lanes(Arc<Mutex<HashMap<SessionId, Arc<watch::Sender<u64>>>>>);
+pub struct Lanes(Arc<Mutex<HashMap<Life, Arc<watch::Sender<u64>>>>>);
 
 /// A numbered request under way.
 #[derive(Debug)]
 pub struct Place {
     lanes: Lanes,
-    id: SessionId,
+    life: Life,
     newest: Arc<watch::Sender<u64>>,
     seq: u64,
 }
@@ -72,17 +94,17 @@ pub struct Place {
 impl Lanes {
     /// Enters a request; those with a lower number are superseded from now on.
     #[must_use]
-    pub fn enter(&self, id: SessionId, seq: u64) -> Place {
-        let newest = Arc::clone(self.lock().entry(id).or_insert_with(|| Arc::new(watch::Sender::new(seq))));
+    pub fn enter(&self, life: Life, seq: u64) -> Place {
+        let newest = Arc::clone(self.lock().entry(life).or_insert_with(|| Arc::new(watch::Sender::new(seq))));
         newest.send_if_modified(|newest| {
             let higher = seq > *newest;
             *newest = seq.max(*newest);
             higher
         });
-        Place { lanes: self.clone(), id, newest, seq }
+        Place { lanes: self.clone(), life, newest, seq }
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<SessionId, Arc<watch::Sender<u64>>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<Life, Arc<watch::Sender<u64>>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -107,7 +129,7 @@ impl Drop for Place {
         let mut lanes = self.lanes.lock();
         // The map's and this one: arcs are cloned under the lock alone.
         if Arc::strong_count(&self.newest) <= 2 {
-            lanes.remove(&self.id);
+            lanes.remove(&self.life);
         }
     }
 }
@@ -115,6 +137,7 @@ impl Drop for Place {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn names_are_hyphenated_uuids_of_version_4() {
@@ -135,10 +158,11 @@ mod tests {
     #[tokio::test]
     async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
         let lanes = Lanes::default();
-        let id = SessionId::random();
+        let id = (SessionId::random(), SystemTime::now());
         let old = lanes.enter(id, 4);
         let retry = lanes.enter(id, 4);
-        let other = lanes.enter(SessionId::random(), 1);
+        let other = lanes.enter((SessionId::random(), id.1), 1);
+        let replaced = lanes.enter((id.0, id.1 + Duration::from_nanos(1)), 1);
         assert!(!old.is_superseded() && !retry.is_superseded());
         let waiting = tokio::spawn(async move {
             old.superseded().await;
@@ -146,14 +170,14 @@ mod tests {
         });
         let new = lanes.enter(id, 5);
         assert_eq!(waiting.await.unwrap(), 4);
-        assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded());
+        assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded() && !replaced.is_superseded());
         assert!(lanes.enter(id, 3).is_superseded());
     }
 
     #[test]
     fn a_lane_goes_with_its_last_request() {
         let lanes = Lanes::default();
-        let id = SessionId::random();
+        let id = (SessionId::random(), SystemTime::now());
         let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
         drop(a);
         assert_eq!(lanes.lock().len(), 1);

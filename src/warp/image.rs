@@ -55,7 +55,7 @@ impl Image {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
-        let profile = self.icc.as_ref().map_or(0, Profile::len);
+        let profile = self.icc.as_ref().map_or(0, Profile::bytes);
         Source::bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + profile as u64
     }
 }

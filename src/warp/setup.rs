@@ -6,6 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::digest::Collector;
+use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
 use crate::deform::{self, Falloff, Field, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table};
 use crate::geometry::{Grid, Mesh, Point};
@@ -140,6 +141,16 @@ impl Setup {
         Ok(places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect())
     }
 
+    /// Distance of neighbouring grid lines, px; the last ones may be nearer.
+    #[must_use]
+    pub const fn cell(&self) -> (f64, f64) {
+        self.grid.cell()
+    }
+
+    pub(super) const fn unit(&self) -> (f64, f64) {
+        self.unit
+    }
+
     pub(super) fn field(&self) -> &Field {
         &self.field
     }
@@ -151,11 +162,6 @@ impl Setup {
             None => pose_without_table(&self.field, &self.grid, pose, gone).ok_or(WarpError::GivenUp),
         }
     }
-}
-
-/// Refuses numbers over a limit before memory is taken.
-pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
-    if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
 }
 
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {

@@ -1,7 +1,9 @@
 //! What a client asks for, in the words of the contract: nothing is resolved or checked yet.
 
-use crate::codec::{Compression, Limits as ImageLimits};
+use super::WarpError;
+use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
 use crate::deform::{Handle, Method};
+use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
 /// What warping may ask for; each is a flag of the service.
@@ -81,8 +83,12 @@ pub struct RestSpec {
 }
 
 /// How the picture is made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct OutputSpec {
+    /// File format.
+    pub format: Format,
+    /// JPEG quality, 1 to 100.
+    pub quality: u8,
     /// PNG compression.
     pub compression: Compression,
     /// Width of the target, px; default the source's. Height = max(1, round(H w / W)).
@@ -91,4 +97,62 @@ pub struct OutputSpec {
     pub filter: Filter,
     /// What is painted where the posed picture does not reach.
     pub outside: Outside,
+}
+
+/// JPEG quality where none is asked for.
+const QUALITY: u8 = 90;
+
+impl Default for OutputSpec {
+    /// A PNG of the source's size, compressed fast, read bilinearly, transparent outside.
+    fn default() -> Self {
+        Self {
+            format: Format::default(),
+            quality: QUALITY,
+            compression: Compression::default(),
+            width: None,
+            filter: Filter::default(),
+            outside: Outside::default(),
+        }
+    }
+}
+
+impl OutputSpec {
+    /// How the picture is written. A JPEG stands on the colour outside, or on white.
+    #[must_use]
+    pub const fn encoding(&self) -> Encoding {
+        match self.format {
+            Format::Png => Encoding::Png(self.compression),
+            Format::Jpeg => {
+                let ground = match self.outside {
+                    Outside::Colour([r, g, b, _]) => [r, g, b],
+                    Outside::Transparent | Outside::Edge => [255; 3],
+                };
+                Encoding::Jpeg { quality: self.quality, ground }
+            }
+            Format::WebP => Encoding::WebP,
+        }
+    }
+
+    /// The target's size: `width` with the height that keeps the proportions, max(1, round(H w / W)).
+    ///
+    /// # Errors
+    /// Over the limits.
+    pub fn target(&self, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
+        let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
+        let Some(width) = self.width else {
+            let longest = source.width().max(source.height());
+            return at_most("output_side", self.format.max_side().into(), longest.into()).map(|()| source);
+        };
+        let (w, h) = (u64::from(source.width()), u64::from(source.height()));
+        let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
+        at_most("output_side", max_side, height.max(width.into()))?;
+        at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+        let height = u32::try_from(height).expect("at most max_side");
+        Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
+    }
+}
+
+/// Refuses numbers over a limit before memory is taken.
+pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
+    if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
 }

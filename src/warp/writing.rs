@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use super::Warp;
-use crate::codec::{PngWriter, StripChecksum};
+use crate::codec::{StripChecksum, Writer};
 
 /// A thread keeps its buffer of samples for the next strip up to this size, bytes: rows of ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
@@ -17,7 +17,7 @@ const KEPT: usize = 2 << 20;
 pub enum Stage {
     /// Mesh to pixels.
     Render,
-    /// Pixels to PNG.
+    /// Pixels to the bytes of a file.
     Encode,
 }
 
@@ -97,7 +97,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
 
 impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
     /// Hands over every strip whose turn it is; says whether the last one was among them.
-    fn flush(&mut self, writer: &PngWriter) -> ControlFlow<(), bool> {
+    fn flush(&mut self, writer: &Writer) -> ControlFlow<(), bool> {
         while let Some((mut bytes, checksum)) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
             self.checksums.push(checksum);
             let last = self.checksums.len() == self.waiting.len();

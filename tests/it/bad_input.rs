@@ -82,7 +82,7 @@ async fn warp_objects() {
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "alpha": "one"}"#, 422, "bad_value", Some("/alpha")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "rubber"}"#, 422, "bad_value", Some("/method")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps"}"#, 422, "not_supported", Some("/method")),
-        (r#"{"p": [[1, 1]], "q": [[1, 2]], "output": {"format": "jpeg"}}"#, 422, "not_supported", Some("/output/format")),
+        (r#"{"p": [[1, 1]], "q": [[1, 2]], "output": {"canvas": "fit"}}"#, 422, "not_supported", Some("/output/canvas")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "colour": 1}"#, 422, "unknown_field", Some("/colour")),
         (r#"{"p": [[1, 1]], "q": [[1, NaN]]}"#, 400, "malformed_request", None),
         (r#"{"p": [[1, 1]], "q": [[1, 2]]"#, 400, "malformed_request", None),

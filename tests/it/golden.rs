@@ -9,7 +9,7 @@ use mlswarp::codec::{self, Limits as ImageLimits};
 use mlswarp::deform::Method;
 use mlswarp::pixmap::{Pixmap, Samples};
 use mlswarp::service::wire::WarpObject;
-use mlswarp::warp::{Image, Limits, OutputSpec, Setup, Warp};
+use mlswarp::warp::{Image, Limits, OutputSpec, Posed, Setup, Warp};
 
 use crate::support::picture::decoded;
 
@@ -41,7 +41,8 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap());
     let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
-    let warp = Warp::new(&image, &setup, &setup.plan(), &pose, object.folds, &object.output, &limits(), &|| false).unwrap();
+    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
+    let warp = Warp::new(&image, &posed, &object.output, &limits()).unwrap();
     let mut bytes = Vec::new();
     let written = warp.write(1, &(), &mut |strip| {
         bytes.extend(strip);

@@ -7,7 +7,7 @@ use mlswarp::codec::{self, Compression, Limits as ImageLimits, PngShape, PngWrit
 use mlswarp::deform::{Handle, Method};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::{Channels, Depth, Extent};
-use mlswarp::warp::{Folds, GridSpec, Image, OutputSpec, RestSpec, Setup, Warp};
+use mlswarp::warp::{Folds, GridSpec, Image, OutputSpec, Posed, RestSpec, Setup, Warp};
 
 use crate::golden::limits;
 use crate::support::picture::decoded;
@@ -57,7 +57,8 @@ fn identity_returns_the_decoded_pixels() {
                         let setup = Setup::new(&rest, extent, &limits()).unwrap();
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
-                        let warp = Warp::new(&image, &setup, &setup.plan(), &pose, Folds::Reject, &output, &limits(), &|| false).unwrap();
+                        let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false).unwrap();
+                        let warp = Warp::new(&image, &posed, &output, &limits()).unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);
@@ -66,7 +67,7 @@ fn identity_returns_the_decoded_pixels() {
                         let (got, want) = (codec::decode(&png, &ImageLimits::default()), codec::decode(&file, &ImageLimits::default()));
                         assert!(decoded(&png).samples == decoded(&file).samples);
                         assert!(got.unwrap().pixmap == want.unwrap().pixmap, "{width} x {height} {channels:?} {depth:?} {method:?}");
-                        assert_eq!((warp.report().folds, warp.report().residual), (0, 0.0));
+                        assert_eq!((posed.report().folds, posed.report().residual), (0, 0.0));
                         compared += 1;
                     }
                 }

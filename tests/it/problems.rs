@@ -13,7 +13,7 @@ async fn unknown_routes_and_methods() {
     problem(server.get("/nothing").send().await.unwrap(), 404, "not_found").await;
     problem(server.get("/sessions/x/y/z").send().await.unwrap(), 404, "not_found").await;
     for (method, path, allow) in
-        [(Method::GET, "/warp", "POST"), (Method::POST, "/healthz", "GET,HEAD"), (Method::PATCH, "/sessions/x", "GET,HEAD,DELETE")]
+        [(Method::GET, "/warp", "POST"), (Method::POST, "/healthz", "GET,HEAD"), (Method::PATCH, "/sessions/x", "GET,HEAD,PUT,DELETE")]
     {
         let response = server.client.request(method, server.url(path)).send().await.unwrap();
         let mut named: Vec<_> = header(&response, "allow").split(',').map(str::trim).collect();
@@ -52,7 +52,7 @@ async fn accept_is_negotiated() {
     for accept in ["image/png", "image/*", "*/*", "text/html, image/*;q=0.5"] {
         png(send(accept).await.unwrap()).await;
     }
-    problem(send("image/jpeg").await.unwrap(), 406, "not_acceptable").await;
+    problem(send("image/avif").await.unwrap(), 406, "not_acceptable").await;
     server.is_well().await;
 }
 

@@ -149,3 +149,75 @@ async fn points_are_mapped_by_a_session_and_without_one() {
     near(&alone["points"][1], 50.0, 40.0);
     assert_eq!(alone["points"].as_array().unwrap().len(), 3);
 }
+
+#[tokio::test]
+async fn a_mesh_is_the_grid_where_the_picture_is_drawn() {
+    let server = Server::start(&[]).await;
+    let (p, q) = (json!([[20.0, 15.0], [[40.0, 50.0], [60.0, 30.0]]]), json!([[24.0, 17.5], [[38.0, 52.0], [61.0, 33.0]]]));
+    for (units, scale) in [("px", [1.0, 1.0]), ("normalized", [1.0 / 80.0, 1.0 / 60.0])] {
+        let scaled = |handles: &Value| -> Value {
+            let place = |v: &Value| json!([v[0].as_f64().unwrap() * scale[0], v[1].as_f64().unwrap() * scale[1]]);
+            let handle = |h: &Value| if h[0].is_array() { h.as_array().unwrap().iter().map(place).collect() } else { place(h) };
+            handles.as_array().unwrap().iter().map(handle).collect()
+        };
+        let warp = json!({"p": scaled(&p), "units": units, "grid": {"cell": 7}});
+        let id = server.session(&photo(80, 60), &warp).await;
+        let path = format!("/sessions/{id}/mesh");
+        let ask = |accept: &str| server.post(&path).header("accept", accept).json(&json!({"q": scaled(&q)})).send();
+
+        let response = ask("application/json").await.unwrap();
+        assert_eq!((response.status().as_u16(), header(&response, "warp-folds")), (200, "0"));
+        assert!(header(&response, "server-timing").contains("deform"));
+        let mesh: Value = response.json().await.unwrap();
+        let shape = json!({"columns": 13, "rows": 10, "width": 80, "height": 60, "cell": [7.0, 7.0]});
+        for (name, value) in shape.as_object().unwrap() {
+            assert_eq!(mesh[name], *value, "{name}");
+        }
+        let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
+        assert_eq!(session["grid"]["cell"], json!([7.0, 7.0]));
+
+        // The grid's vertices are the images of its rest places under f: what `/points` says of them.
+        let rest: Vec<Value> = (0..10)
+            .flat_map(|j| (0..13).map(move |i| json!([f64::min(f64::from(i) * 7.0, 80.0), f64::min(f64::from(j) * 7.0, 60.0)])))
+            .map(|v| json!([v[0].as_f64().unwrap() * scale[0], v[1].as_f64().unwrap() * scale[1]]))
+            .collect();
+        let asked = json!({"q": scaled(&q), "points": rest});
+        let mapped: Value = server.post(&format!("/sessions/{id}/points")).json(&asked).send().await.unwrap().json().await.unwrap();
+        let numbers = ask("application/octet-stream").await.unwrap();
+        assert_eq!(header(&numbers, "content-type"), "application/octet-stream");
+        let numbers = numbers.bytes().await.unwrap();
+        assert_eq!(numbers.len(), 13 * 10 * 8);
+        for (k, vertex) in mesh["vertices"].as_array().unwrap().iter().enumerate() {
+            for axis in 0..2 {
+                let (got, exact) = (vertex[axis].as_f64().unwrap(), mapped["points"][k][axis].as_f64().unwrap());
+                assert!((got - exact).abs() < 1e-4 * scale[axis], "vertex {k}: {got} {exact}");
+                let bytes: [u8; 4] = numbers[8 * k + 4 * axis..][..4].try_into().unwrap();
+                #[expect(clippy::cast_possible_truncation, reason = "the numbers are f32")]
+                let rounded = got as f32;
+                assert_eq!(f32::from_le_bytes(bytes).to_bits(), rounded.to_bits());
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_mesh_is_refused_as_a_drag_is() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(40, 30), &json!({"p": [[10, 10]], "folds": "reject"})).await;
+    let ask = |body: Value| server.post(&format!("/sessions/{id}/mesh")).json(&body).send();
+    problem(ask(json!({"q": [[1, 2], [3, 4]]})).await.unwrap(), 422, "shape_mismatch").await;
+    problem(ask(json!({"q": [[1, 2]], "output": {}})).await.unwrap(), 422, "unknown_field").await;
+    assert_eq!(ask(json!({"q": [[12, 9]], "seq": 5})).await.unwrap().status(), 200);
+    problem(ask(json!({"q": [[12, 9]], "seq": 4})).await.unwrap(), 409, "superseded").await;
+    let png = server.post(&format!("/sessions/{id}/mesh")).header("accept", "image/png").json(&json!({"q": [[12, 9]]})).send();
+    problem(png.await.unwrap(), 406, "not_acceptable").await;
+    let unknown = "/sessions/00000000-0000-4000-8000-000000000000/mesh";
+    problem(server.post(unknown).json(&json!({"q": []})).send().await.unwrap(), 404, "no_such_session").await;
+
+    // 1025 x 1025 vertices are more than JSON is written for.
+    let id = server.session(&photo(300, 300), &json!({"p": [], "grid": {"columns": 1025, "rows": 1025}})).await;
+    let many = |accept: &'static str| server.post(&format!("/sessions/{id}/mesh")).header("accept", accept).json(&json!({"q": []})).send();
+    let refused = problem(many("*/*").await.unwrap(), 413, "too_large").await;
+    assert_eq!((&refused["limit"], &refused["actual"]), (&json!(1 << 20), &json!(1025 * 1025)));
+    assert_eq!(many("application/octet-stream").await.unwrap().bytes().await.unwrap().len(), 1025 * 1025 * 8);
+}

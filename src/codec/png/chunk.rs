@@ -67,7 +67,7 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
     // Deflate, the five filters, no interlacing: each the only value in use.
     header.extend_from_slice(&[0, 0, 0]);
     write(&mut out, *b"IHDR", &header);
-    if let Some(Profile(chunk)) = icc {
+    if let Some(Profile { chunk, .. }) = icc {
         out.extend_from_slice(chunk);
     }
     out

@@ -79,22 +79,30 @@ pub struct Strip {
     pub filtered_len: u64,
 }
 
-/// A colour profile as a file carries it: compressed once, for every picture that is written with it.
+/// A colour profile, and the chunk that carries it in a PNG: compressed once, for every picture that is written with it.
 #[derive(Debug, Clone)]
-pub struct Profile(Arc<[u8]>);
+pub struct Profile {
+    icc: Arc<[u8]>,
+    chunk: Arc<[u8]>,
+}
 
 impl Profile {
     /// Compresses a profile. CPU work, 0.1 ms and more.
     #[must_use]
     pub fn new(icc: &[u8]) -> Self {
-        Self(chunk::profile(icc).into())
+        Self { icc: icc.into(), chunk: chunk::profile(icc).into() }
     }
 
-    /// Bytes in a file.
-    #[expect(clippy::len_without_is_empty, reason = "a chunk is never empty")]
+    /// As it was read.
     #[must_use]
-    pub fn len(&self) -> usize {
-        self.0.len()
+    pub fn icc(&self) -> &[u8] {
+        &self.icc
+    }
+
+    /// Memory held, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.icc.len() + self.chunk.len()
     }
 }
 

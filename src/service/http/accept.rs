@@ -1,31 +1,50 @@
-//! Content negotiation: whether the client takes what is written here (RFC 9110, section 12.5.1).
+//! Content negotiation: which of the forms that are written here the client would rather have (RFC 9110, section 12.5.1).
 
 use axum::http::HeaderMap;
 use axum::http::header::ACCEPT;
 
+use crate::codec::Format;
+use crate::service::formats::Formats;
 use crate::service::problem::{Code, Problem};
 
-/// Refuses a client that takes no PNG. No `Accept` takes everything.
-pub(super) fn png(headers: &HeaderMap) -> Result<(), Problem> {
-    let mut ranges = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).peekable();
-    if ranges.peek().is_none() {
-        return Ok(());
-    }
-    // The most specific range decides: `image/png;q=0, */*` takes no PNG.
-    let best = ranges.filter_map(quality).max_by_key(|(specific, _)| *specific);
-    match best {
-        Some((_, quality)) if quality > 0.0 => Ok(()),
-        _ => Err(Problem::new(Code::NotAcceptable, "the picture is written as image/png; Accept takes none of image/png, image/*, */*")),
-    }
+/// The index of the media type among `offers` that the client wants most; the first of them where it wants several equally, or says nothing.
+///
+/// # Errors
+/// 406 when it takes none.
+pub(super) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
+    let wanted = wanted(headers, offers);
+    let best = (0..N).fold(0, |best, index| if wanted[index] > wanted[best] { index } else { best });
+    let none = || Problem::new(Code::NotAcceptable, format!("this answer is written as {}; Accept takes none of these", offers.join(", ")));
+    if wanted[best] > 0.0 { Ok(best) } else { Err(none()) }
 }
 
-/// How closely a range names PNG, and how much it is wanted; `None` when it names something else.
-fn quality(range: &str) -> Option<(u8, f32)> {
+/// Which picture formats the client takes.
+///
+/// # Errors
+/// 406 when it takes none.
+pub(super) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
+    Formats::new(wanted(headers, Format::ALL.map(Format::media_type)))
+}
+
+/// How much each of the media types is wanted.
+fn wanted<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
+    let ranges: Vec<&str> = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).collect();
+    if ranges.is_empty() {
+        return [1.0; N];
+    }
+    // The most specific range decides: `image/png;q=0, */*` takes no PNG.
+    offers
+        .map(|offer| ranges.iter().filter_map(|range| quality(range, offer)).max_by_key(|(specific, _)| *specific).map_or(0.0, |(_, q)| q))
+}
+
+/// How closely a range names the media type, and how much it is wanted; `None` when it names something else.
+fn quality(range: &str, offer: &str) -> Option<(u8, f32)> {
     let mut pieces = range.split(';').map(str::trim);
-    let specific = match pieces.next()?.to_ascii_lowercase().as_str() {
-        "image/png" => 2,
-        "image/*" => 1,
+    let name = pieces.next()?.to_ascii_lowercase();
+    let specific = match name.as_str() {
         "*/*" | "*" => 0,
+        name if name == offer => 2,
+        name if name.strip_suffix("/*").is_some_and(|kind| offer.split('/').next() == Some(kind)) => 1,
         _ => return None,
     };
     let q = pieces.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q="))).map_or(Some(1.0), |q| q.trim().parse().ok());
@@ -36,19 +55,36 @@ fn quality(range: &str) -> Option<(u8, f32)> {
 mod tests {
     use super::*;
 
+    fn chosen<const N: usize>(accept: &str, offers: [&str; N]) -> Option<usize> {
+        let mut headers = HeaderMap::new();
+        headers.insert(ACCEPT, accept.parse().unwrap());
+        choose(&headers, offers).ok()
+    }
+
     #[test]
     fn png_is_taken_where_the_most_specific_range_says_so() {
-        let takes = |accept: &str| {
-            let mut headers = HeaderMap::new();
-            headers.insert(ACCEPT, accept.parse().unwrap());
-            png(&headers).is_ok()
-        };
-        assert!(png(&HeaderMap::new()).is_ok());
+        assert_eq!(choose(&HeaderMap::new(), ["image/png"]).unwrap(), 0);
         for accept in ["image/png", "image/*", "*/*", "text/html, image/avif, image/*;q=0.8", "text/html,*/*;q=0.1", "IMAGE/PNG; q=1"] {
-            assert!(takes(accept), "{accept}");
+            assert_eq!(chosen(accept, ["image/png"]), Some(0), "{accept}");
         }
         for accept in ["image/jpeg", "text/html", "image/png;q=0", "image/png;q=0, */*", "application/json, image/webp"] {
-            assert!(!takes(accept), "{accept}");
+            assert_eq!(chosen(accept, ["image/png"]), None, "{accept}");
+        }
+    }
+
+    #[test]
+    fn the_form_that_is_wanted_most_is_chosen_and_the_first_of_equals() {
+        let offers = ["image/png", "image/jpeg", "image/webp"];
+        for (accept, index) in [
+            ("image/*", Some(0)),
+            ("image/webp", Some(2)),
+            ("image/jpeg, image/png", Some(0)),
+            ("image/jpeg, image/*;q=0.5", Some(1)),
+            ("image/png;q=0, image/*", Some(1)),
+            ("image/webp;q=0.9, image/jpeg;q=0.8, */*;q=0.1", Some(2)),
+            ("text/html", None),
+        ] {
+            assert_eq!(chosen(accept, offers), index, "{accept}");
         }
     }
 }

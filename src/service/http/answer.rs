@@ -6,7 +6,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
@@ -15,6 +15,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 
 use crate::service::picture::{Cost, Drawn, Picture, Piece};
 use crate::service::walk::Timing;
+use crate::warp::Report;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
@@ -27,20 +28,38 @@ pub(super) fn takes_trailers(headers: &HeaderMap) -> bool {
     headers.get_all(TE).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|t| t.trim().eq_ignore_ascii_case("trailers"))
 }
 
-/// A picture as an answer.
-pub(super) fn picture(drawn: Drawn, trailers: bool) -> Response {
-    let Drawn { report, timing, plan_built, picture } = drawn;
+/// What is told of a posed grid.
+fn told(report: &Report, plan_built: bool) -> HeaderMap {
     let mut headers = HeaderMap::with_capacity(16);
-    let text = |text: String| HeaderValue::from_str(&text).expect("numbers and codes are visible ASCII");
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static("image/png"));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    headers.insert(ETAG, text(format!("\"{}\"", report.etag)));
     headers.insert(WARP_PLAN, HeaderValue::from_static(if plan_built { "built" } else { "hit" }));
     headers.insert(WARP_FOLDS, report.folds.into());
     headers.insert(WARP_RESIDUAL, text(format!("{:.4}", report.residual)));
     if !report.warnings.is_empty() {
         headers.insert(WARP_WARNING, text(report.warnings.iter().map(|w| w.code()).collect::<Vec<_>>().join(", ")));
     }
+    headers
+}
+
+fn text(text: String) -> HeaderValue {
+    HeaderValue::from_str(&text).expect("numbers and codes are visible ASCII")
+}
+
+/// A posed grid as an answer: `body` is its JSON or its numbers.
+pub(super) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type: &'static str, body: Vec<u8>) -> Response {
+    let mut headers = told(report, plan_built);
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
+    headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
+    (headers, body).into_response()
+}
+
+/// A picture as an answer.
+pub(super) fn picture(drawn: Drawn, trailers: bool) -> Response {
+    let Drawn { report, etag, format, timing, plan_built, picture, .. } = drawn;
+    let mut headers = told(&report, plan_built);
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    headers.insert(VARY, HeaderValue::from_static("accept"));
+    headers.insert(ETAG, text(format!("\"{etag}\"")));
     let body = match picture {
         Picture::Whole { bytes, cost } => {
             headers.insert(SERVER_TIMING, text(timing_text(Some(timing), Some(cost))));

@@ -8,12 +8,17 @@ mod accept;
 mod answer;
 mod body;
 mod fence;
+mod handshake;
 mod health;
+mod line;
+mod mesh;
 mod openapi;
+mod page;
 mod points;
 mod refuse;
 pub mod server;
 mod sessions;
+mod socket;
 mod upload;
 mod warp;
 
@@ -22,19 +27,22 @@ use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
-use axum::routing::{MethodRouter, get, post};
+use axum::routing::{MethodRouter, get, post, put};
 
 use super::App;
 use super::problem::{Code, Problem};
 
-/// Every route; the OpenAPI document lists the same (tested).
+/// Every route of the contract; the OpenAPI document lists the same (tested). The page's files are not of it.
 fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
     let computes = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
         ("/warp", computes(post(warp::warp))),
         ("/sessions", computes(post(sessions::create))),
-        ("/sessions/{id}", get(sessions::read).delete(sessions::delete)),
+        ("/sessions/{id}", get(sessions::read).delete(sessions::delete).merge(computes(put(sessions::put)))),
+        ("/sessions/{id}/handles", computes(put(sessions::handles))),
         ("/sessions/{id}/warp", computes(post(warp::drag))),
+        ("/sessions/{id}/mesh", computes(post(mesh::mesh))),
+        ("/sessions/{id}/drag", get(socket::drag)),
         ("/sessions/{id}/points", computes(post(points::of_session))),
         ("/points", computes(post(points::once))),
         ("/healthz", get(health::alive)),
@@ -43,7 +51,7 @@ fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
     ]
 }
 
-/// The paths that are served.
+/// The paths of the contract.
 #[must_use]
 pub fn paths(app: &App) -> Vec<&'static str> {
     routes(app).into_iter().map(|(path, _)| path).collect()
@@ -53,7 +61,7 @@ pub fn paths(app: &App) -> Vec<&'static str> {
 pub fn router(app: App) -> Router {
     routes(&app)
         .into_iter()
-        .fold(Router::new(), |router, (path, route)| router.route(path, route))
+        .fold(page::routes(&app), |router, (path, route)| router.route(path, route))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
         .layer(from_fn_with_state(app.clone(), fence::fence))

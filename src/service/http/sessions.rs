@@ -8,11 +8,11 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
 use super::answer::json;
-use super::upload;
+use super::{body, upload};
 use crate::service::App;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
-use crate::service::store::Session;
+use crate::service::store::{Put, Session};
 use crate::service::wire::{SessionGrid, SessionImage, SessionObject, Wire};
 use crate::warp::Setup;
 
@@ -20,8 +20,27 @@ use crate::warp::Setup;
 pub(super) async fn create(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&app, request).await?;
     let (session, setup) = app.open(upload.image, upload.warp).await?;
-    let location = HeaderValue::from_str(&format!("/sessions/{}", session.record.id)).expect("a UUID is visible ASCII");
-    Ok((StatusCode::CREATED, [(LOCATION, location)], object(&session, &setup)).into_response())
+    Ok((StatusCode::CREATED, [(LOCATION, location(session.record.id))], object(&session, &setup)).into_response())
+}
+
+/// The session of a name that the client chose: 201 when it is new, 200 when it was there, made from the same or made anew.
+pub(super) async fn put(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let id = id.parse().map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
+    let upload = upload::read(&app, request).await?;
+    let (put, setup) = app.put(id, upload.image, upload.warp).await?;
+    Ok(match put {
+        Put::Created(session) => (StatusCode::CREATED, [(LOCATION, location(id))], object(&session, &setup)).into_response(),
+        Put::Same(session) | Put::Replaced(session, _) => object(&session, &setup),
+    })
+}
+
+/// Other handles at rest on the session's picture.
+pub(super) async fn handles(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let id = session_id(&id)?;
+    app.session(id).await?;
+    let body = body::json(request, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
+    let (session, setup) = app.revise(id, body).await?;
+    Ok(object(&session, &setup))
 }
 
 /// The session object. Looking does not prolong its life.
@@ -35,6 +54,10 @@ pub(super) async fn read(State(app): State<App>, Path(id): Path<String>) -> Resu
 pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
     app.close(session_id(&id)?).await?;
     Ok(StatusCode::NO_CONTENT)
+}
+
+fn location(id: SessionId) -> HeaderValue {
+    HeaderValue::from_str(&format!("/sessions/{id}")).expect("a UUID is visible ASCII")
 }
 
 /// What is no id names no session.
@@ -54,7 +77,7 @@ fn object(session: &Session, setup: &Setup) -> Response {
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
         units: Wire(record.rest.units),
-        grid: SessionGrid { columns, rows, requested: Wire(record.rest.grid) },
+        grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: Wire(record.rest.grid) },
         folds: Wire(record.folds),
         output: Wire(&record.output),
         created: &rfc3339(record.created),

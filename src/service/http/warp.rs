@@ -22,11 +22,11 @@ const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 /// A file and a warp object, or a session's id and q.
 pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let keeps = keeps_session(request.uri().query())?;
-    accept::png(request.headers())?;
+    let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         let upload = upload::read(&app, request).await?;
-        let (drawn, material) = app.warp_once(upload.image, upload.warp).await?;
+        let (drawn, material) = app.warp_once(upload.image, upload.warp, formats).await?;
         let session = if keeps { Some(app.keep(material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
@@ -48,18 +48,18 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
     }
-    Ok(picture(app.drag(id, drag).await?, trailers))
+    Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }
 
 /// q alone.
 pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    accept::png(request.headers())?;
+    let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(&id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse(&body, false)?;
-    Ok(picture(app.drag(id, drag).await?, trailers))
+    Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }
 
 /// Adds `Warp-Session` and `Location`.
@@ -69,7 +69,8 @@ fn name_session(response: &mut Response, id: SessionId) {
     response.headers_mut().insert(LOCATION, text(format!("/sessions/{id}")));
 }
 
-const fn drag_limit(columns: u64) -> u64 {
+/// Most bytes of JSON that a drag of so many columns may have.
+pub(super) const fn drag_limit(columns: u64) -> u64 {
     DRAG_BYTES.0 + DRAG_BYTES.1 * columns
 }
 

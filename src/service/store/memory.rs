@@ -7,8 +7,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 
-use super::{Answer, Record, Session, Store, StoreError};
-use crate::service::session::SessionId;
+use super::{Answer, Put, Record, Session, Store, StoreError};
+use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 
 /// Bounds of a [`MemoryStore`].
@@ -77,18 +77,25 @@ impl MemoryStore {
     }
 
     fn create_now(&self, record: Arc<Record>, image: Bytes) -> Result<Session, StoreError> {
+        self.insert(&mut self.lock(), record, image)
+    }
+
+    /// A new session, or another one of its name.
+    fn insert(&self, held: &mut Held, record: Arc<Record>, image: Bytes) -> Result<Session, StoreError> {
         let now = Instant::now();
-        let held = &mut *self.lock();
         let bytes = record_bytes(&record);
-        if held.room(&self.bounds, &record, bytes, &image).is_err() {
+        if held.room(&self.bounds, &record, bytes, image.len() as u64).is_err() {
             held.sweep(self.bounds, now);
         }
-        held.room(&self.bounds, &record, bytes, &image)?;
+        held.room(&self.bounds, &record, bytes, image.len() as u64)?;
+        // The new file is counted before the old one is let go: it may be the same.
         let file = held.files.entry(record.image).or_insert_with(|| {
             held.bytes += image.len() as u64;
             File { bytes: image, sessions: 0 }
         });
         file.sessions += 1;
+        held.remove(record.id);
+        held.graves.remove(&record.id);
         held.bytes += bytes;
         let entry = Entry { record: Arc::clone(&record), bytes, seq: None, used: now };
         let session = self.session(&entry);
@@ -96,15 +103,49 @@ impl MemoryStore {
         Ok(session)
     }
 
+    fn put_now(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
+        let held = &mut *self.lock();
+        self.bury_if_expired(held, record.id);
+        match held.sessions.get_mut(&record.id) {
+            None => self.insert(held, record, image).map(Put::Created),
+            Some(entry) if entry.record.is_made_like(&record) => {
+                entry.used = Instant::now();
+                Ok(Put::Same(self.session(entry)))
+            }
+            Some(entry) => {
+                let old = Arc::clone(&entry.record);
+                self.insert(held, record, image).map(|session| Put::Replaced(session, old))
+            }
+        }
+    }
+
+    fn revise_now(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
+        self.with(new.id, |held| {
+            let Some(entry) = held.sessions.get(&new.id).filter(|entry| entry.record.revision == old) else { return Ok(None) };
+            let bytes = record_bytes(&new);
+            let all = held.bytes - entry.bytes + bytes;
+            if all > self.bounds.bytes {
+                return Err(StoreError::Full { what: "store_bytes", limit: self.bounds.bytes, actual: all });
+            }
+            held.bytes = all;
+            let entry = Entry { record: Arc::clone(&new), bytes, seq: entry.seq, used: Instant::now() };
+            let session = self.session(&entry);
+            held.sessions.insert(new.id, entry);
+            Ok(Some(session))
+        })?
+    }
+
+    fn bury_if_expired(&self, held: &mut Held, id: SessionId) {
+        if held.sessions.get(&id).is_some_and(|entry| entry.used.elapsed() >= self.bounds.idle) {
+            held.bury(id, self.bounds);
+        }
+    }
+
     /// The living session, after those who are not have been told apart.
     fn with<T>(&self, id: SessionId, use_it: impl FnOnce(&mut Held) -> T) -> Result<T, StoreError> {
         let now = Instant::now();
         let held = &mut *self.lock();
-        if let Some(entry) = held.sessions.get(&id)
-            && now.duration_since(entry.used) >= self.bounds.idle
-        {
-            held.bury(id, self.bounds);
-        }
+        self.bury_if_expired(held, id);
         if held.sessions.contains_key(&id) {
             return Ok(use_it(held));
         }
@@ -116,13 +157,16 @@ impl MemoryStore {
 }
 
 impl Held {
-    fn room(&self, bounds: &Bounds, record: &Record, bytes: u64, image: &Bytes) -> Result<(), StoreError> {
-        let sessions = self.sessions.len() + 1;
+    /// Whether there is room for the record, and for its file where that is new.
+    fn room(&self, bounds: &Bounds, record: &Record, bytes: u64, image: u64) -> Result<(), StoreError> {
+        let old = self.sessions.get(&record.id);
+        let sessions = self.sessions.len() + usize::from(old.is_none());
         if sessions > bounds.sessions {
             return Err(StoreError::Full { what: "sessions", limit: bounds.sessions as u64, actual: sessions as u64 });
         }
-        let file = if self.files.contains_key(&record.image) { 0 } else { image.len() as u64 };
-        let bytes = self.bytes + bytes + file;
+        let file = if self.files.contains_key(&record.image) { 0 } else { image };
+        // A replaced session's file is held until the new one is there.
+        let bytes = self.bytes - old.map_or(0, |old| old.bytes) + bytes + file;
         if bytes > bounds.bytes {
             return Err(StoreError::Full { what: "store_bytes", limit: bounds.bytes, actual: bytes });
         }
@@ -184,6 +228,14 @@ impl Store for MemoryStore {
         ready(self.create_now(record, image))
     }
 
+    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
+        ready(self.put_now(record, image))
+    }
+
+    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
+        ready(self.revise_now(old, new))
+    }
+
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
         ready(self.with(id, |held| self.session(&held.sessions[&id])))
     }
@@ -230,6 +282,7 @@ mod tests {
     fn record(image: u8) -> Arc<Record> {
         Arc::new(Record {
             id: SessionId::random(),
+            revision: Revision::random(),
             image: Digest([image; 32]),
             extent: Extent::new(4, 3).unwrap(),
             rest: RestSpec::default(),
@@ -257,6 +310,47 @@ mod tests {
         assert_eq!(store.image(a.image).await, Err(StoreError::NoSuchSession));
         assert_eq!(store.bytes(), 0);
         assert_eq!(store.delete(b.id).await, Err(StoreError::NoSuchSession));
+    }
+
+    #[tokio::test]
+    async fn a_put_makes_a_session_once_and_makes_it_anew_from_something_else() {
+        let store = store(1, 1 << 20);
+        let a = record(1);
+        assert!(matches!(store.put(Arc::clone(&a), file(1000)).await, Ok(Put::Created(_))));
+        store.touch(a.id, Some(7)).await.unwrap();
+        let (one, again) = (store.bytes(), Record { revision: Revision::random(), created: SystemTime::now(), ..(*a).clone() });
+        let Ok(Put::Same(same)) = store.put(Arc::new(again), file(1000)).await else { panic!("the same file and handles") };
+        assert_eq!((same.record.revision, same.seq, store.bytes()), (a.revision, Some(7), one));
+
+        let other = Arc::new(Record { revision: Revision::random(), image: Digest([2; 32]), ..(*a).clone() });
+        let Ok(Put::Replaced(session, old)) = store.put(Arc::clone(&other), file(300)).await else { panic!("another file") };
+        assert_eq!((session.record, session.seq, old), (other, None, a.clone()));
+        assert_eq!(store.bytes(), one - 700);
+        assert_eq!(store.image(a.image).await, Err(StoreError::NoSuchSession));
+        assert!(matches!(store.put(record(3), file(1)).await, Err(StoreError::Full { what: "sessions", .. })));
+
+        tokio::time::sleep(IDLE + IDLE / 5).await;
+        assert!(matches!(store.put(a, file(1000)).await, Ok(Put::Created(_))), "an expired session is not replaced");
+    }
+
+    #[tokio::test]
+    async fn handles_are_revised_once_a_revision_and_numbers_go_on() {
+        let store = store(1, 2000);
+        let a = record(1);
+        store.create(Arc::clone(&a), file(1000)).await.unwrap();
+        store.touch(a.id, Some(7)).await.unwrap();
+        let weights = |n: usize| RestSpec { weights: Some(vec![1.0; n]), ..RestSpec::default() };
+        let b = Arc::new(Record { revision: Revision::random(), rest: weights(4), ..(*a).clone() });
+        let before = store.bytes();
+        let session = store.revise(a.revision, Arc::clone(&b)).await.unwrap().expect("the revision is there");
+        assert_eq!((session.seq, store.peek(a.id).await.unwrap().record, store.bytes()), (Some(7), Arc::clone(&b), before + 32));
+        assert!(store.revise(a.revision, Arc::clone(&a)).await.unwrap().is_none(), "someone was faster");
+        let huge = Arc::new(Record { revision: Revision::random(), rest: weights(100), ..(*a).clone() });
+        assert!(matches!(store.revise(b.revision, huge).await, Err(StoreError::Full { what: "store_bytes", .. })));
+        let gone = record(2);
+        assert_eq!(store.revise(gone.revision, gone).await.unwrap_err(), StoreError::NoSuchSession);
+        store.delete(a.id).await.unwrap();
+        assert_eq!(store.bytes(), 0);
     }
 
     #[tokio::test]

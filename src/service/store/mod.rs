@@ -1,8 +1,8 @@
 //! Where sessions and the files of their pictures live. The trait is asynchronous and object safe, so that a store in a file or on
 //! another machine takes the place of memory without a change elsewhere; [`memory`] is the one that is built in.
 //!
-//! A record never changes once created, except for the time of its last use and the highest `seq` seen: both move by [`Store::touch`]
-//! alone, in one step. A picture's file is held once, by its digest, for as long as a session names it.
+//! A record never changes: a session whose handles or picture are replaced has another one, with another revision. The time of its last use and
+//! the highest `seq` seen move by [`Store::touch`] alone, in one step. A picture's file is held once, by its digest, for as long as a session names it.
 
 pub mod memory;
 
@@ -15,18 +15,20 @@ use std::time::SystemTime;
 use bytes::Bytes;
 use thiserror::Error;
 
-use super::session::SessionId;
+use super::session::{Revision, SessionId};
 use crate::pixmap::Extent;
 use crate::warp::{Digest, Folds, OutputSpec, RestSpec};
 
 /// What a store answers, later.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
-/// What was fixed when the session was made.
+/// What stays while q moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// Its name.
+    /// The session's name.
     pub id: SessionId,
+    /// Changes with everything below.
+    pub revision: Revision,
     /// Digest of the picture's file.
     pub image: Digest,
     /// Upright size of the picture.
@@ -37,14 +39,34 @@ pub struct Record {
     pub folds: Folds,
     /// How pictures are made unless a drag says otherwise.
     pub output: OutputSpec,
-    /// When it was made.
+    /// When the session was made, or made anew with another picture: its numbers start there.
     pub created: SystemTime,
+}
+
+impl Record {
+    /// Made from the same file and the same handles.
+    #[must_use]
+    pub fn is_made_like(&self, other: &Self) -> bool {
+        let made = |record: &Self| (record.image, record.folds, record.output);
+        made(self) == made(other) && self.rest == other.rest
+    }
+}
+
+/// What became of a record that was put.
+#[derive(Clone, Debug)]
+pub enum Put {
+    /// There was no such session.
+    Created(Session),
+    /// The session that was there had been made from the same: it stays as it is.
+    Same(Session),
+    /// The session is made anew; its old record.
+    Replaced(Session, Arc<Record>),
 }
 
 /// A living session.
 #[derive(Clone, Debug)]
 pub struct Session {
-    /// What was fixed when it was made.
+    /// What stays while q moves.
     pub record: Arc<Record>,
     /// Highest sequence number seen.
     pub seq: Option<u64>,
@@ -77,6 +99,12 @@ pub enum StoreError {
 pub trait Store: Send + Sync + fmt::Debug {
     /// Keeps a new session and its picture's file.
     fn create(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Session>;
+
+    /// Makes the session of that name, or makes it anew: its numbers start again, and it lives for another idle period.
+    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put>;
+
+    /// Puts `new` in the place of the record of that revision, on the same picture; numbers go on. `None`: another revision is there.
+    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>>;
 
     /// Looks without using: the session does not live longer for it.
     fn peek(&self, id: SessionId) -> Answer<'_, Session>;

@@ -5,10 +5,12 @@
 
 mod handles;
 mod json;
+mod mesh;
 mod number;
 mod output;
 mod rest;
 mod session;
+mod socket;
 mod word;
 mod write;
 
@@ -25,9 +27,12 @@ use crate::warp::{Folds, OutputSpec, RestSpec};
 
 use handles::{handles, places};
 use json::Node;
+pub use mesh::{MeshObject, MeshShape};
 use number::{count, whole};
 pub use output::OutputPatch;
+pub use rest::WarpPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
+pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use write::Wire;
 
 const HANDLES: &str = "an array of handles";
@@ -51,8 +56,7 @@ impl WarpObject {
     /// # Errors
     /// A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        let root = json::root(json)?;
-        rest::warp(root.fields("an object", &rest::FIELDS)?)
+        WarpPatch::parse(json).map(|patch| patch.over(Self::default()))
     }
 
     /// The posed handles where they are needed: `q`, or none when there are none at rest.
@@ -95,6 +99,16 @@ impl DragObject {
         } else {
             Self::read(&root, None, root.fields("an object", &["q", "seq", "output"])?)
         }
+    }
+
+    /// Reads the object of a request for the mesh: `q` and `seq` alone.
+    ///
+    /// # Errors
+    /// A problem with the code and a JSON pointer.
+    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [q, seq] = root.fields("an object", &["q", "seq"])?;
+        Self::read(&root, None, [q, seq, None])
     }
 
     fn read(root: &Node<'_, '_>, session: Option<String>, [q, seq, output]: [Option<Node<'_, '_>>; 3]) -> Result<Self, Problem> {
@@ -144,7 +158,8 @@ impl PointsObject {
             inverse,
             refine,
         ] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
-        let warp = rest::warp([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
+        let warp = WarpPatch::read([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
+        let warp = warp.over(WarpObject::default());
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = asked([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();

@@ -2,17 +2,21 @@
 
 use super::json::{Kind, Node, quote};
 use super::number::count;
-use super::word::{Canvas, OutputFormat, refuse, word};
-use crate::codec::Compression;
+use super::word::{Canvas, refuse, word};
+use crate::codec::{Compression, Format};
 use crate::render::{Filter, Outside};
 use crate::service::problem::{Code, Problem};
 use crate::warp::OutputSpec;
 
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
-/// The output fields that a request gave. Format and canvas have one value each in this version: given or not is the same.
+/// The output fields that a request gave. Canvas has one value in this version: given or not is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OutputPatch {
+    /// File format.
+    pub format: Option<Format>,
+    /// JPEG quality, 1 to 100.
+    pub quality: Option<u8>,
     /// PNG compression.
     pub compression: Option<Compression>,
     /// Width of the target, px.
@@ -28,6 +32,8 @@ impl OutputPatch {
     #[must_use]
     pub fn over(&self, base: &OutputSpec) -> OutputSpec {
         OutputSpec {
+            format: self.format.unwrap_or(base.format),
+            quality: self.quality.unwrap_or(base.quality),
             compression: self.compression.unwrap_or(base.compression),
             width: self.width.or(base.width),
             filter: self.filter.unwrap_or(base.filter),
@@ -36,16 +42,26 @@ impl OutputPatch {
     }
 
     pub(super) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [format, compression, width, filter, outside_, canvas] =
-            node.fields("an object", &["format", "compression", "width", "filter", "outside", "canvas"])?;
-        format.map(|n| word::<OutputFormat>(&n)).transpose()?;
+        let [format, quality_, compression, width, filter, outside_, canvas] =
+            node.fields("an object", &["format", "quality", "compression", "width", "filter", "outside", "canvas"])?;
         canvas.map(|n| word::<Canvas>(&n)).transpose()?;
         Ok(Self {
+            format: format.map(|n| word(&n)).transpose()?,
+            quality: quality_.map(|n| quality(&n)).transpose()?,
             compression: compression.map(|n| word(&n)).transpose()?,
             width: width.map(|n| count(&n, 1, "a width: a whole number of pixels, at least 1")).transpose()?,
             filter: filter.map(|n| word(&n)).transpose()?,
             outside: outside_.map(|n| outside(&n)).transpose()?,
         })
+    }
+}
+
+fn quality(node: &Node<'_, '_>) -> Result<u8, Problem> {
+    const QUALITY: &str = "a quality: a whole number of 1 to 100";
+    let value = count(node, 1, QUALITY)?;
+    match u8::try_from(value) {
+        Ok(quality) if quality <= 100 => Ok(quality),
+        _ => Err(node.problem(Code::BadValue, format!("expected {QUALITY}; found {value}")).actual(value)),
     }
 }
 

@@ -61,6 +61,8 @@ pub struct SessionGrid {
     pub columns: u32,
     /// Vertices in a column.
     pub rows: u32,
+    /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the picture's edge.
+    pub cell: [f64; 2],
     /// As the client asked for it.
     pub requested: Wire<GridSpec>,
 }

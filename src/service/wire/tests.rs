@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::*;
-use crate::codec::Compression;
+use crate::codec::{Compression, Format};
 use crate::deform::Method;
 use crate::render::{Filter, Outside};
 use crate::warp::{Digest, GridSpec, Units};
@@ -52,6 +52,8 @@ fn warp_reads_the_example_of_the_contract() {
         q: Some(vec![point(130.0, 60.0), line(&[(40.0, 220.0), (300.0, 190.0)])]),
         folds: Folds::Reject,
         output: OutputSpec {
+            format: Format::Png,
+            quality: 90,
             compression: Compression::Best,
             width: Some(800),
             filter: Filter::Nearest,
@@ -65,7 +67,7 @@ fn warp_reads_the_example_of_the_contract() {
 fn warp_has_defaults_for_everything() {
     assert_eq!(WarpObject::parse(b" {} "), Ok(WarpObject::default()));
     let defaults = br#"{"p": [], "method": "rigid", "units": "px", "grid": "auto", "folds": "report", "metric": "euclidean",
-        "output": {"format": "png", "compression": "fast", "filter": "bilinear", "outside": "transparent", "canvas": "same"}}"#;
+        "output": {"format": "png", "quality": 90, "compression": "fast", "filter": "bilinear", "outside": "transparent", "canvas": "same"}}"#;
     assert_eq!(WarpObject::parse(defaults), Ok(WarpObject::default()));
     assert_eq!(WarpObject::parse(br#"{"output": {}}"#), Ok(WarpObject::default()));
 }
@@ -184,7 +186,7 @@ fn unknown_fields_are_named_with_what_is_known() {
         ("{\"a/b~c\": [1e999]}", U, Some("/a~1b~0c"), None),
         ("{\"session\": \"x\"}", U, Some("/session"), None),
         ("{\"extent\": [1, 1]}", U, Some("/extent"), None),
-        ("{\"output\": {\"quality\": 3}}", U, Some("/output/quality"), None),
+        ("{\"output\": {\"depth\": 3}}", U, Some("/output/depth"), None),
         ("{\"grid\": {\"cells\": 3}}", U, Some("/grid/cells"), None),
     ];
     check(WarpObject::parse, table);
@@ -216,14 +218,12 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
         ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
-        ("{\"output\": {\"format\": \"jpeg\"}}", S, Some("/output/format"), None),
-        ("{\"output\": {\"format\": \"webp\"}}", S, Some("/output/format"), None),
         ("{\"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None),
         ("{\"output\": {\"outside\": \"reflect\"}}", S, Some("/output/outside"), None),
         ("{\"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None),
     ];
     check(WarpObject::parse, table);
-    check(|b| DragObject::parse(b, false), &[("{\"q\": [], \"output\": {\"format\": \"webp\"}}", S, Some("/output/format"), None)]);
+    check(|b| DragObject::parse(b, false), &[("{\"q\": [], \"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None)]);
     assert_eq!(detail("{\"method\": \"tps\"}"), "not supported by this version: `tps`; supported: `rigid`, `similarity`, `affine`");
 }
 
@@ -337,11 +337,26 @@ fn drag_refuses() {
 
 #[test]
 fn output_patch_replaces_only_what_it_gives() {
-    let base = OutputSpec { compression: Compression::None, width: Some(7), filter: Filter::Nearest, outside: Outside::Edge };
+    let base = OutputSpec {
+        format: Format::Jpeg,
+        quality: 40,
+        compression: Compression::None,
+        width: Some(7),
+        filter: Filter::Nearest,
+        outside: Outside::Edge,
+    };
     assert_eq!(OutputPatch::default().over(&base), base);
-    let colour = Outside::Colour([1, 2, 3, 4]);
-    let all = OutputPatch { compression: Some(Compression::Best), width: Some(8), filter: Some(Filter::Bilinear), outside: Some(colour) };
-    assert_eq!(all.over(&base), OutputSpec { compression: Compression::Best, width: Some(8), filter: Filter::Bilinear, outside: colour });
+    let (format, quality, compression, width) = (Format::WebP, 70, Compression::Best, 8);
+    let (filter, outside) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]));
+    let all = OutputPatch {
+        format: Some(format),
+        quality: Some(quality),
+        compression: Some(compression),
+        width: Some(width),
+        filter: Some(filter),
+        outside: Some(outside),
+    };
+    assert_eq!(all.over(&base), OutputSpec { format, quality, compression, width: Some(width), filter, outside });
     assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.over(&base), OutputSpec { width: Some(8), ..base });
 }
 
@@ -427,7 +442,7 @@ fn session_object_is_written_in_wire_form() {
         alpha: 2.0,
         point_mass: Some(2.5),
         units: Wire(Units::Px),
-        grid: SessionGrid { columns: 129, rows: 97, requested: Wire(GridSpec::Auto) },
+        grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: Wire(GridSpec::Auto) },
         folds: Wire(Folds::Report),
         output: Wire(&output),
         created: "2026-11-20T12:00:00Z",
@@ -441,9 +456,9 @@ fn session_object_is_written_in_wire_form() {
             "image": {"width": 640, "height": 480, "digest": format!("sha256:{}", "ab".repeat(32))},
             "p": [[1.0, 2.0], [[0.5, 1.0], [2.0, 3.0]]],
             "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "units": "px",
-            "grid": {"columns": 129, "rows": 97, "requested": "auto"},
+            "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
-            "output": {"format": "png", "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same"},
+            "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same"},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
         })
     );
@@ -520,7 +535,10 @@ pub(super) fn warp_object() -> impl Strategy<Value = WarpObject> {
     let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9));
     let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, all(), grid)
         .prop_map(|(p, weights, method, (alpha, point_mass), units, grid)| RestSpec { p, weights, method, alpha, point_mass, units, grid });
-    let output = (all(), prop::option::of(1_u32..), all(), outside).prop_map(|(compression, width, filter, outside)| OutputSpec {
+    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside);
+    let output = output.prop_map(|(format, quality, compression, width, filter, outside)| OutputSpec {
+        format,
+        quality,
         compression,
         width,
         filter,

@@ -2,7 +2,7 @@
 //! One table for reading, for writing, and for the enums of the OpenAPI document (tested).
 
 use super::json::{Kind, Node, list, quote};
-use crate::codec::Compression;
+use crate::codec::{Compression, Format};
 use crate::deform::Method;
 use crate::render::Filter;
 use crate::service::problem::{Code, Problem};
@@ -59,12 +59,6 @@ pub(super) enum Metric {
     Euclidean,
 }
 
-/// The file format of the answer.
-#[derive(Clone, Copy)]
-pub(super) enum OutputFormat {
-    Png,
-}
-
 /// The rectangle that the answer shows: the source's.
 #[derive(Clone, Copy)]
 pub(super) enum Canvas {
@@ -77,5 +71,5 @@ words!(Folds, later["remove"], Folds::Report = "report", Folds::Reject = "reject
 words!(Compression, later [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 words!(Filter, later["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
 words!(Metric, later["geodesic"], Metric::Euclidean = "euclidean");
-words!(OutputFormat, later ["jpeg", "webp"], OutputFormat::Png = "png");
+words!(Format, later [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
 words!(Canvas, later["fit"], Canvas::Same = "same");

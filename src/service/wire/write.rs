@@ -4,8 +4,8 @@
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
 use super::WarpObject;
-use super::word::{Canvas, Metric, OutputFormat, Word};
-use crate::codec::Compression;
+use super::word::{Canvas, Metric, Word};
+use crate::codec::{Compression, Format};
 use crate::deform::{Handle, Method};
 use crate::geometry::Point;
 use crate::render::{Filter, Outside};
@@ -25,7 +25,7 @@ macro_rules! words_are_strings {
     };
 }
 
-words_are_strings!(Method, Units, Folds, Compression, Filter);
+words_are_strings!(Method, Units, Folds, Format, Compression, Filter);
 
 impl Serialize for Wire<Point> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
@@ -90,9 +90,10 @@ impl Serialize for Wire<Outside> {
 
 impl Serialize for Wire<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let OutputSpec { compression, width, filter, outside } = *self.0;
+        let OutputSpec { format, quality, compression, width, filter, outside } = *self.0;
         let mut object = s.serialize_map(None)?;
-        object.serialize_entry("format", OutputFormat::Png.word())?;
+        object.serialize_entry("format", &Wire(format))?;
+        object.serialize_entry("quality", &quality)?;
         object.serialize_entry("compression", &Wire(compression))?;
         if let Some(width) = width {
             object.serialize_entry("width", &width)?;

@@ -1,0 +1,280 @@
+//! Pixels to the bytes of a file, whatever its format: head, strips in any order, tail. PNG is written in strips that are rendered and encoded in
+//! parallel and leave as they are done; JPEG and WebP are one strip, for their encoders take whole pictures.
+
+use std::ops::Range;
+
+use super::png::{Compression, PngShape, PngWriter, Profile, StripChecksum};
+use super::{Format, write_jpeg, write_webp};
+use crate::pixmap::Depth;
+
+/// How a picture is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Lossless, 8 or 16 bit.
+    Png(Compression),
+    /// 8 bit, no alpha.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+        /// The colour on which stands what is transparent.
+        ground: [u8; 3],
+    },
+    /// Lossless, 8 bit.
+    WebP,
+}
+
+impl Encoding {
+    /// The format of the file.
+    #[must_use]
+    pub const fn format(self) -> Format {
+        match self {
+            Self::Png(_) => Format::Png,
+            Self::Jpeg { .. } => Format::Jpeg,
+            Self::WebP => Format::WebP,
+        }
+    }
+}
+
+/// Writes one picture. Cheap to make and to clone.
+#[derive(Clone, Debug)]
+pub struct Writer(Kind);
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Strips(PngWriter),
+    Whole { shape: PngShape, coding: Coding, icc: Option<Profile> },
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Coding {
+    Jpeg { quality: u8, ground: [u8; 3] },
+    WebP,
+}
+
+impl Writer {
+    /// A writer for one picture.
+    ///
+    /// # Panics
+    /// If a row is longer than 1 GiB.
+    #[must_use]
+    pub fn new(shape: PngShape, encoding: Encoding, icc: Option<&Profile>) -> Self {
+        let whole = |coding| Kind::Whole { shape, coding, icc: icc.cloned() };
+        Self(match encoding {
+            Encoding::Png(compression) => Kind::Strips(PngWriter::new(shape, compression, icc)),
+            Encoding::Jpeg { quality, ground } => whole(Coding::Jpeg { quality, ground }),
+            Encoding::WebP => whole(Coding::WebP),
+        })
+    }
+
+    /// Number of strips.
+    #[must_use]
+    pub const fn strips(&self) -> usize {
+        match &self.0 {
+            Kind::Strips(png) => png.strips(),
+            Kind::Whole { .. } => 1,
+        }
+    }
+
+    /// Rows of a strip.
+    ///
+    /// # Panics
+    /// If there is no such strip.
+    #[must_use]
+    pub fn rows(&self, strip: usize) -> Range<u32> {
+        match &self.0 {
+            Kind::Strips(png) => png.rows(strip),
+            Kind::Whole { shape, .. } => 0..shape.extent.height(),
+        }
+    }
+
+    /// Upper bound of the whole file, bytes, whatever the samples.
+    #[must_use]
+    pub fn max_bytes(&self) -> u64 {
+        /// Markers and tables.
+        const FRAME: u64 = 64 << 10;
+        /// A JPEG coefficient takes at most 26 bits, each byte of which may have to be stuffed; a WebP sample less.
+        const SAMPLE: u64 = 8;
+        match &self.0 {
+            Kind::Strips(png) => png.max_bytes(),
+            Kind::Whole { shape, icc, .. } => {
+                // Both pad a picture to blocks.
+                let side = |length: u32| u64::from(length).next_multiple_of(16);
+                let samples = side(shape.extent.width()) * side(shape.extent.height()) * shape.channels.count() as u64;
+                samples * SAMPLE + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64 + FRAME
+            }
+        }
+    }
+
+    /// What comes before the first strip.
+    #[must_use]
+    pub fn head(&self) -> Vec<u8> {
+        match &self.0 {
+            Kind::Strips(png) => png.head(),
+            Kind::Whole { .. } => Vec::new(),
+        }
+    }
+
+    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian.
+    ///
+    /// # Panics
+    /// If there is no such strip or the samples are not its rows.
+    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
+        match &self.0 {
+            Kind::Strips(png) => png.strip_into(index, samples, out),
+            Kind::Whole { shape, coding, icc } => {
+                let eight = match shape.depth {
+                    Depth::Eight => None,
+                    Depth::Sixteen => Some(to_eight(samples)),
+                };
+                let samples = eight.as_deref().unwrap_or(samples);
+                let icc = icc.as_ref().map(Profile::icc);
+                match *coding {
+                    Coding::Jpeg { quality, ground } => write_jpeg::write(shape.extent, shape.channels, samples, quality, ground, icc, out),
+                    Coding::WebP => write_webp::write(shape.extent, shape.channels, samples, icc, out),
+                }
+                StripChecksum::default()
+            }
+        }
+    }
+
+    /// What follows the last strip.
+    #[must_use]
+    pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
+        match &self.0 {
+            Kind::Strips(png) => png.tail(checksums),
+            Kind::Whole { .. } => Vec::new(),
+        }
+    }
+}
+
+/// 16 bit to the nearest 8: `(s * 255 + 32767) / 65535`, rounded.
+fn to_eight(samples: &[u8]) -> Vec<u8> {
+    #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
+    let nearest = |s: &[u8]| ((u32::from(u16::from_be_bytes([s[0], s[1]])) * 255 + 32_767) / 65_535) as u8;
+    samples.chunks_exact(2).map(nearest).collect()
+}
+
+impl Format {
+    /// What is written, the default first.
+    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
+
+    /// The longest side that a file of the format can have, px.
+    #[must_use]
+    pub const fn max_side(self) -> u32 {
+        match self {
+            Self::Png => u32::MAX >> 1,
+            Self::Jpeg => u16::MAX as u32,
+            Self::WebP => 1 << 14,
+        }
+    }
+
+    /// The media type.
+    #[must_use]
+    pub const fn media_type(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::Jpeg => "image/jpeg",
+            Self::WebP => "image/webp",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::{Decoded, Limits, decode};
+    use crate::pixmap::Samples;
+    use crate::pixmap::{Channels, Extent};
+
+    fn written(extent: Extent, channels: Channels, depth: Depth, samples: &[u8], encoding: Encoding, icc: Option<&[u8]>) -> Decoded {
+        let profile = icc.map(Profile::new);
+        let writer = Writer::new(PngShape { extent, channels, depth }, encoding, profile.as_ref());
+        let mut file = writer.head();
+        let checksum = writer.strip_into(0, samples, &mut file);
+        file.extend(writer.tail(&[checksum]));
+        assert_eq!(Format::of(&file).unwrap(), encoding.format());
+        assert!(file.len() as u64 <= writer.max_bytes());
+        decode(&file, &Limits::default()).unwrap()
+    }
+
+    fn eight(decoded: &Decoded) -> &[u8] {
+        match decoded.pixmap.samples() {
+            Samples::Eight(samples) => samples,
+            Samples::Sixteen(_) => panic!("8 bit expected"),
+        }
+    }
+
+    /// A smooth picture: what a lossy format keeps.
+    fn waves(extent: Extent, channels: Channels) -> Vec<u8> {
+        let (w, h) = (extent.width() as usize, extent.height() as usize);
+        let wave = |k: usize| {
+            let (x, y, c) = (k / channels.count() % w, k / channels.count() / w, k % channels.count());
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
+            let sample = (127.5 + 120.0 * ((x as f64 * 0.11 + c as f64).sin() * (y as f64 * 0.07).cos())) as u8;
+            sample
+        };
+        (0..w * h * channels.count()).map(wave).collect()
+    }
+
+    #[test]
+    fn webp_gives_every_sample_back() {
+        for (w, h) in [(1, 1), (5, 3), (64, 33)] {
+            let extent = Extent::new(w, h).unwrap();
+            for channels in [Channels::Rgb, Channels::Rgba] {
+                let samples = waves(extent, channels);
+                let back = written(extent, channels, Depth::Eight, &samples, Encoding::WebP, None);
+                assert_eq!((back.pixmap.extent(), back.pixmap.channels(), eight(&back)), (extent, channels, samples.as_slice()));
+            }
+        }
+    }
+
+    #[test]
+    fn jpeg_is_near_and_nearer_at_a_higher_quality() {
+        let extent = Extent::new(61, 47).unwrap();
+        let samples = waves(extent, Channels::Rgb);
+        let worst = |quality| {
+            let back = written(extent, Channels::Rgb, Depth::Eight, &samples, Encoding::Jpeg { quality, ground: [255; 3] }, None);
+            assert_eq!(back.pixmap.extent(), extent);
+            eight(&back).iter().zip(&samples).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
+        };
+        let (low, high, full) = (worst(30), worst(90), worst(100));
+        assert!(full <= 6 && full < high && high < low, "{low} {high} {full}");
+    }
+
+    #[test]
+    fn jpeg_puts_what_is_transparent_on_the_ground() {
+        let extent = Extent::new(24, 16).unwrap();
+        for (alpha, want) in [(0, [10, 200, 30]), (255, [250, 0, 90]), (51, [58, 160, 42])] {
+            let samples = [250, 0, 90, alpha].repeat(24 * 16);
+            let encoding = Encoding::Jpeg { quality: 100, ground: [10, 200, 30] };
+            let back = written(extent, Channels::Rgba, Depth::Eight, &samples, encoding, None);
+            assert_eq!(back.pixmap.channels(), Channels::Rgb);
+            for pixel in eight(&back).chunks_exact(3) {
+                assert!(pixel.iter().zip(want).all(|(got, want)| got.abs_diff(want) <= 3), "{pixel:?} {want:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_become_the_nearest_eight() {
+        let extent = Extent::new(4, 1).unwrap();
+        let deep = [0_u16, 128, 129, 257, 32_639, 32_768, 65_406, 65_407, 65_535, 300, 400, 500];
+        let samples: Vec<u8> = deep.iter().flat_map(|s| s.to_be_bytes()).collect();
+        let back = written(extent, Channels::Rgb, Depth::Sixteen, &samples, Encoding::WebP, None);
+        let nearest: Vec<u8> = deep.iter().map(|s| (f64::from(*s) / 257.0).round() as u8).collect();
+        assert_eq!(eight(&back), nearest);
+    }
+
+    #[test]
+    fn a_profile_travels_in_every_format() {
+        let extent = Extent::new(9, 7).unwrap();
+        let samples = waves(extent, Channels::Rgb);
+        let mut profile = vec![0; 70_000];
+        profile[16..20].copy_from_slice(b"RGB ");
+        profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = (k % 251) as u8);
+        for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP] {
+            let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
+            assert!(back.icc.as_deref() == Some(profile.as_slice()), "{encoding:?}");
+        }
+    }
+}

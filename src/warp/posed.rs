@@ -1,0 +1,138 @@
+//! A posed grid and what is told about it: everything that follows from the handles alone, before any pixel.
+
+use super::digest::Collector;
+use super::{Digest, Folds, Plan, Setup, WarpError};
+use crate::deform::{Handle, Handles, Pose, Warning};
+use crate::geometry::Mesh;
+
+/// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
+const LEAST_ROTATION: f32 = 0.1;
+/// Places along a segment at which the residual is looked at.
+const RESIDUAL_SAMPLES: u32 = 5;
+
+/// What a client is told about a warp before its first pixel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// In the order of [`Warning`].
+    pub warnings: Vec<Warning>,
+    /// Drawn cells that fold.
+    pub folds: u64,
+    /// Largest distance between a posed handle and where the drawn picture puts it, px of the source; handles outside the picture are not drawn.
+    pub residual: f64,
+}
+
+/// A posed mesh and its report.
+#[derive(Debug)]
+pub struct Posed {
+    mesh: Mesh,
+    report: Report,
+    digest: Digest,
+    unit: (f64, f64),
+}
+
+impl Posed {
+    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the plan has no table, and then given up when `gone` says
+    /// that nobody waits any more.
+    ///
+    /// # Errors
+    /// `folds: reject` and it folds; given up.
+    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: &(dyn Fn() -> bool + Sync)) -> Result<Self, WarpError> {
+        let (mesh, quality) = setup.mesh(plan, pose, gone)?;
+        let cells = mesh.folded_cell_count();
+        if folds == Folds::Reject && cells > 0 {
+            return Err(WarpError::Folded { cells });
+        }
+        let mut warnings = setup.field().warnings(pose);
+        if quality.least_rotation < LEAST_ROTATION {
+            warnings.push(Warning::RotationUndefined);
+            warnings.sort_unstable();
+        }
+        let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };
+        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
+    }
+
+    /// The mesh, px.
+    #[must_use]
+    pub const fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// What to tell.
+    #[must_use]
+    pub const fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// The report alone.
+    #[must_use]
+    pub fn into_report(self) -> Report {
+        self.report
+    }
+
+    /// Digest of all that the mesh depends on.
+    #[must_use]
+    pub(super) const fn digest(&self) -> Digest {
+        self.digest
+    }
+
+    /// The posed vertices row by row, in the client's units.
+    pub fn vertices(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let grid = self.mesh.grid();
+        let (ux, uy) = self.unit;
+        (0..grid.rows()).flat_map(move |row| {
+            (0..grid.columns()).map(move |column| {
+                let posed = self.mesh.posed(column, row);
+                [posed.x / ux, posed.y / uy]
+            })
+        })
+    }
+
+    /// The same as little-endian f32, x then y.
+    #[must_use]
+    pub fn numbers(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
+        for vertex in self.vertices() {
+            #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
+            out.extend(vertex.map(|c| c as f32).iter().flat_map(|c| c.to_le_bytes()));
+        }
+        out
+    }
+}
+
+/// Largest distance between where a posed handle is and where the mesh draws it.
+fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
+    let mut d = pose.displacements().iter().copied();
+    let mut worst = 0.0f64;
+    let mut look = |p, displacement| {
+        if let Some(drawn) = mesh.map(p) {
+            worst = worst.max(drawn.distance(p + displacement));
+        }
+    };
+    for handle in handles.handles() {
+        match handle {
+            Handle::Point(p) => look(*p, d.next().expect("one column a point")),
+            Handle::Polyline(places) => {
+                for ab in places.windows(2) {
+                    let (da, db) = (d.next().expect("two columns a segment"), d.next().expect("two columns a segment"));
+                    for k in 0..RESIDUAL_SAMPLES {
+                        let t = f64::from(k) / f64::from(RESIDUAL_SAMPLES - 1);
+                        look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
+                    }
+                }
+            }
+        }
+    }
+    worst
+}
+
+fn digest(setup: &Setup, pose: &Pose) -> Digest {
+    let mut digest = Collector::new("mlswarp pose 1")
+        .bytes(env!("CARGO_PKG_VERSION").as_bytes())
+        .bytes(&setup.plan_key().0)
+        // Rows that are weighed anew are summed in f64.
+        .integer(setup.plan_bytes().is_some().into());
+    for d in pose.displacements() {
+        digest = digest.float(d.x).float(d.y);
+    }
+    digest.finish()
+}
