@@ -11,6 +11,9 @@ use super::ways::Ways;
 /// Crossings in f32 are nearer than this to the exact ones, px.
 pub(super) const DOUBT: f32 = 1.0 / 32.0;
 
+/// What is joined with a range is that range.
+const NOWHERE: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
+
 /// The divided rows of a strip.
 #[derive(Debug, Default)]
 pub(super) struct Division {
@@ -67,7 +70,7 @@ impl Division {
         }
         let rows_of = |reach: Reach| {
             let rows = reach.rows(strip);
-            let before = |row: u32| ((1_u64 << (row - strip.start)) - 1) as u32;
+            let before = |row: u32| !u32::MAX.checked_shl(row - strip.start).unwrap_or(0);
             before(rows.end.max(rows.start)) & !before(rows.start) & divided
         };
         for j in lattice.rows_touching(strip) {
@@ -85,7 +88,7 @@ impl Division {
             return;
         }
         self.across.clear();
-        self.across.resize(self.columns.len(), [const { i32::MAX..i32::MIN }; 32]);
+        self.across.resize(self.columns.len(), [NOWHERE; 32]);
         for j in lattice.rows_touching(strip) {
             for (&i, across) in self.columns.iter().zip(&mut self.across) {
                 if !lattice.block_touches(j, i / BLOCK, strip) {

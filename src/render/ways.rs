@@ -5,18 +5,18 @@
 
 use std::ops::Range;
 
-use super::kernel::{CellRow, Edges, FARTHEST, Kernel, Neighbours, SOUND, STEEP, STEP, UPRIGHT};
+use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
 use super::lattice::{BLOCK, Lattice, ONE, Reach};
 use crate::pixmap::Extent;
 
 /// Rows are divided if one of so many cells is folded at most: looking for where to divide them costs more than it saves otherwise.
 const FOLDED: usize = 24;
 /// Rows are divided if a block of cells meets so many times its share of rows at most, on average.
-const SHARES: i64 = 16;
-/// Vertices beyond are not exact in f32, lattice steps.
-const FAR: u32 = (FARTHEST / STEP) as u32;
+const SHARES: u64 = 16;
+/// Rows of cells that are lower at rest, px of the sampled picture, and those beside them are not judged: their columns have no direction.
+const LEAST_HEIGHT: f32 = 1.0 / 64.0;
 /// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
-const FARTHEST_PIXEL: u32 = 1 << 15;
+const FARTHEST: u32 = 1 << 15;
 
 /// How a row is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,7 +40,7 @@ pub(super) struct Ways {
     bent: Vec<u8>,
     /// Those that are not upright.
     folded: Vec<u8>,
-    /// The rows that may be divided: those that cross every column.
+    /// The rows that may be divided.
     divisible: Range<u32>,
 }
 
@@ -49,16 +49,16 @@ impl Ways {
         let (height, blocks) = (target.height(), lattice.blocks());
         let none = vec![0; (lattice.rows - 1) * blocks];
         let mut ways = Self { rows: vec![Way::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
-        if height.max(target.width()) > FARTHEST_PIXEL {
+        if height.max(target.width()) > FARTHEST {
             return ways;
         }
         let crossing = rows_that_cross(lattice, height);
         ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(Way::Plain);
         ways.judge(lattice, kernel);
         let folded: u32 = ways.folded.iter().map(|cells| cells.count_ones()).sum();
-        let met: i64 = lattice.block_reach.iter().map(|reach| (i64::from(reach.bottom) - i64::from(reach.top)) / i64::from(ONE)).sum();
+        let met: u64 = lattice.block_reach.iter().map(|reach| u64::from(reach.bottom.abs_diff(reach.top) / ONE.unsigned_abs())).sum();
         let are_few = folded as usize * FOLDED <= ways.folded.len() * BLOCK;
-        if are_few && met <= SHARES * i64::from(height) * blocks as i64 {
+        if are_few && met <= SHARES * u64::from(height) * blocks as u64 {
             ways.divisible = crossing;
         }
         ways
@@ -79,7 +79,7 @@ impl Ways {
         &self.folded[j * self.blocks..][..self.blocks]
     }
 
-    /// Whether a row may be divided: it crosses every column, and it is not so that very many cells meet each row.
+    /// Whether a row may be divided: it crosses every column, and neither are many cells folded nor do very many meet each row.
     pub(super) fn is_divisible(&self, row: u32) -> bool {
         self.divisible.contains(&row)
     }
@@ -202,9 +202,10 @@ impl<'a> Look<'a> {
         let height = self.height(before).min(self.height(j)).min(self.height(behind));
         let (lines, columns) = ([over, top, bottom, under], [above, columns, below]);
         self.kernel.soundness(&Neighbours { lines, columns, height, u: &lattice.u, unit: lattice.unit.recip() }, &mut self.soundness);
-        let is_far =
-            |line: (&[i32], &[i32])| [line.0, line.1].into_iter().flatten().fold(0, |far, place| far.max(place.unsigned_abs())) >= FAR;
-        if is_far(self.vertices(j)) || is_far(self.vertices(j + 1)) {
+        let is_far = |line: (&[i32], &[i32])| {
+            [line.0, line.1].into_iter().flatten().fold(0, |far, place| far.max(place.unsigned_abs())) >= FARTHEST * ONE.unsigned_abs()
+        };
+        if height < LEAST_HEIGHT || is_far(self.vertices(j)) || is_far(self.vertices(j + 1)) {
             self.soundness.fill(0);
         }
         if self.soundness.iter().fold(0, |any, &s| any | s) & STEEP != 0 {

@@ -1,6 +1,7 @@
 //! The inner loops of the renderer and the one place where an instruction set is chosen. `scalar` is the reference and defines every result:
 //! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `avx2` repeats it: the loops
-//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. What was tried and dropped: `notes.md`.
+//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. `avx512` has cells of its own.
+//! What was tried and dropped: `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
@@ -24,7 +25,7 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{BARE, Canvas, Glance, LANES, LONGEST_SIDE, Piece};
-pub(super) use scalar::{CellRow, Edges, FARTHEST, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, STEP, Spans, UPRIGHT, fixed};
+pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, STEP, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
 #[derive(Clone, Copy, Debug)]

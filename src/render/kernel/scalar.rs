@@ -91,7 +91,7 @@ const TOLERANCE: f32 = 7.0 / 128.0;
 /// The least area of a cell, as a share of the area at rest, at which crossings are trusted.
 const LEAST_AREA: f32 = 0.02;
 /// Places beyond are not exact in f32, px.
-pub(in crate::render) const FARTHEST: f32 = 32_768.0;
+const FARTHEST: f32 = 32_768.0;
 
 /// A cell of which the columns lead downwards and which is convex: it lies between its columns, in order.
 pub(in crate::render) const UPRIGHT: u8 = 1;
