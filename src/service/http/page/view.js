@@ -74,13 +74,6 @@ export class View {
     this.#fitted = true;
   }
 
-  clear() {
-    this.size = null;
-    this.source = "none";
-    this.#setMesh(null);
-    this.invalidate();
-  }
-
   /** Loads a picture into an element that is not seen yet. */
   async #load(id, blob, alt) {
     const image = new Image();
