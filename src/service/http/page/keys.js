@@ -113,8 +113,8 @@ export class Keys {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const { state } = this.store;
     if (key === "Escape") {
-      this.pointer.cancel();
-      this.actions.escape();
+      if (this.pointer.busy) this.pointer.cancel();
+      else this.actions.escape();
     } else if (key === "Delete" || key === "Backspace") {
       const named = this.#focused(event);
       if (!state.selection.length && named) this.actions.choose(named, false);
@@ -123,12 +123,10 @@ export class Keys {
       if (!inStage) return false;
       this.#enter(event);
     } else if (key === " ") {
-      const named = this.#focused(event);
-      if (named) this.actions.choose(named, event.shiftKey);
-      else {
-        this.pointer.spaceHeld = true;
-        this.stage.dataset.space = "";
-      }
+      if (event.repeat) return true;
+      this.pointer.spaceHeld = true;
+      this.pointer.spaceUsed = false;
+      this.stage.dataset.space = "";
     } else {
       return this.singleKeys() && this.#single(key, event.repeat);
     }
@@ -162,6 +160,9 @@ export class Keys {
 
   #up(event) {
     if (event.key === " ") {
+      // Space that panned nothing chooses the handle that has the focus.
+      const named = this.pointer.spaceHeld && !this.pointer.spaceUsed && event.target && this.#focused(event);
+      if (named) this.actions.choose(named, event.shiftKey);
       this.pointer.spaceHeld = false;
       delete this.stage.dataset.space;
     }

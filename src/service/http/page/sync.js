@@ -13,7 +13,7 @@ const TRANSIENT = new Set(["network", "overloaded", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Sync {
-  /** The session: { id, grid, rest (JSON of what it was made with), borrowed (came by a link: its handles are someone else's) }. */
+  /** The session: { id, grid, rest (JSON of what it was made with), setup (the same in the server's words), borrowed (came by a link: its handles are someone else's) }. */
   session = null;
   /** The picture as a file: { blob, name }. */
   file = null;
@@ -23,6 +23,7 @@ export class Sync {
   shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
 
   #running = false;
+  #again = false; // something has changed since the last step began
   #cancel = null;
   #refused = -1;
   #stalled = false;
@@ -77,14 +78,8 @@ export class Sync {
     this.#adopt(object, rest, borrowed);
   }
 
-  end() {
-    this.#cancel?.abort();
-    this.session = null;
-    this.live.close();
-  }
-
   #adopt(object, rest, borrowed = false) {
-    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), borrowed };
+    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), setup: setupOf(object), borrowed };
     this.#seq = Math.max(this.#seq, object.seq ?? 0);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
     this.#tell();
@@ -122,16 +117,18 @@ export class Sync {
   }
 
   async #run() {
+    this.#again = true;
     if (this.#running) return;
     this.#running = true;
     try {
-      let more = true;
-      while (more) {
+      while (this.#again) {
+        this.#again = false;
         try {
-          more = await this.#step();
-          if (more) this.#retries = 0;
+          if (!(await this.#step())) continue;
+          this.#again = true;
+          this.#retries = 0;
         } catch (error) {
-          more = await this.#after(error);
+          if (await this.#after(error)) this.#again = true;
         }
       }
     } finally {
@@ -160,16 +157,20 @@ export class Sync {
   }
 
   async #putRest(rest) {
-    if (this.session.borrowed) return this.#reopen(rest);
-    const { id } = this.session;
-    this.session.rest = null; // until the answer says otherwise, nobody knows
-    this.#adopt(await api.putHandles(id, rest), rest);
+    const { session } = this;
+    if (session.borrowed) return this.#reopen(rest);
+    session.rest = null; // until the answer says otherwise, nobody knows
+    const object = await api.putHandles(session.id, rest);
+    if (this.session === session) this.#adopt(object, rest);
   }
 
   /** The same picture as a new session: the old one has ended, or is someone else's. */
   async #reopen(rest) {
     if (!this.file) throw new api.Problem({ code: "no_such_session", title: "The session has ended", detail: "" }, 404);
-    this.#adopt(await api.openSession(this.file.blob, this.file.name, rest, {}), rest);
+    const { session } = this;
+    const object = await api.openSession(this.file.blob, this.file.name, rest, {});
+    if (this.session !== session) return; // another picture was opened meanwhile
+    this.#adopt(object, rest);
     this.#meshRevision = -1;
   }
 
@@ -180,7 +181,10 @@ export class Sync {
     const { id, grid } = this.session;
     const body = { q: wire(document, "q"), seq: this.#nextSeq() };
     const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
-    const [{ blob, report }] = await Promise.all([api.picture(id, body, cancel.signal), meshing]);
+    const [{ blob, report }, object] = await Promise.all([api.picture(id, body, cancel.signal), api.readSession(id), meshing]);
+    if (cancel.signal.aborted) return;
+    // Another tab, or whoever has the link, may have given the session other handles: then this page has one of its own from now on.
+    if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision };
     this.#settled = revision;
@@ -246,9 +250,24 @@ export class Sync {
     this.#tell();
   }
 
+  /** Resolves when the newest pose has its picture, or none to be expected. */
+  settled() {
+    const done = () => this.condition === "ready" || this.condition === "error";
+    return new Promise((resolve) => {
+      const look = () => {
+        if (!done()) return;
+        this.#views.delete(look);
+        resolve();
+      };
+      this.#views.add(look);
+      look();
+    });
+  }
+
   /** Whether to go on after an error. */
   async #after(error) {
     if (api.wasAborted(error)) return true;
+    if (error?.name === "EncodingError") error = new api.Problem({ code: "unreadable" }, 0);
     if (!(error instanceof api.Problem)) throw error;
     const { phase, document } = this.store.state;
     if (phase !== "open" || !this.session) return false;
@@ -257,7 +276,8 @@ export class Sync {
         this.#seq = (await api.readSession(this.session.id)).seq ?? 0;
         return true;
       }
-      if (LOST.has(error.code) && this.file && this.#retries++ < 3) {
+      // Shapes that do not match: somebody else gave the session other handles.
+      if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#retries++ < 3) {
         await this.#reopen(restOf(document));
         return true;
       }
@@ -274,6 +294,11 @@ export class Sync {
     }
     return false;
   }
+}
+
+/** All of a session object that decides on a picture, but q. */
+function setupOf({ p, weights, method, alpha, point_mass: mass, units, grid, folds, output }) {
+  return JSON.stringify([p, weights, method, alpha, mass, units, grid, folds, output]);
 }
 
 /** The grid of a session object, as a mesh has it. */

@@ -8,12 +8,13 @@ const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 32;
 /** From here on enlarged pixels are shown as squares. */
 const CRISP = 6;
-/** Fit leaves so much room at the sides and above and below, CSS px: beside the tools on a wide stage, hardly any on a narrow one. */
-const MARGINS = { wide: [92, 64], narrow: [16, 16], from: 640 };
+/** Room at the sides and above and below, CSS px, that Fit and Tab keep free of the tools; on a narrow stage hardly any. */
+const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
   zoom = 1;
   pan = [0, 0];
+  stageSize = [0, 0]; // CSS px, as it was laid out last: asking for it anew would lay out the page in every move
   size = null; // of the picture, px
   source = "none"; // of what is seen
   mesh = null;
@@ -31,11 +32,11 @@ export class View {
   constructor(stage, allowWebgl) {
     this.stage = stage;
     this.live = stage.querySelector("#live");
-    this.lines = stage.querySelector("#grid").getContext("2d");
+    this.lines = stage.querySelector("#grid").getContext("2d", { willReadFrequently: true }); // many short lines are drawn faster by the processor
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
-    new ResizeObserver(() => this.#resized()).observe(stage);
+    new ResizeObserver(() => this.resized()).observe(stage);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
   }
 
@@ -48,9 +49,6 @@ export class View {
     return devicePixelRatio || 1;
   }
 
-  get stageSize() {
-    return [this.stage.clientWidth, this.stage.clientHeight];
-  }
 
   toStage([x, y]) {
     return [this.pan[0] + this.zoom * x, this.pan[1] + this.zoom * y];
@@ -73,14 +71,7 @@ export class View {
       this.painter.setSource(await createImageBitmap(original, wish), width, height);
     }
     this.source = "source";
-    this.fit();
-  }
-
-  clear() {
-    this.size = null;
-    this.source = "none";
-    this.#setMesh(null);
-    this.invalidate();
+    this.#fitted = true;
   }
 
   /** Loads a picture into an element that is not seen yet. */
@@ -163,10 +154,14 @@ export class View {
 
   // Zoom and pan
 
+  get #margins() {
+    return this.stageSize.some((side, axis) => side < MARGINS.from[axis]) ? MARGINS.narrow : MARGINS.wide;
+  }
+
   fit() {
     if (!this.size) return;
     const [width, height] = this.stageSize;
-    const [aside, above] = width < MARGINS.from ? MARGINS.narrow : MARGINS.wide;
+    const [aside, above] = this.#margins;
     const room = [width - 2 * aside, height - 2 * above];
     this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
     this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
@@ -192,7 +187,8 @@ export class View {
   /** Brings a place of the picture into the stage. */
   reveal(place) {
     const at = this.toStage(place);
-    const shift = at.map((c, axis) => Math.max(0, 24 - c) - Math.max(0, c - (this.stageSize[axis] - 24)));
+    const inset = this.#margins;
+    const shift = at.map((c, axis) => Math.max(0, inset[axis] - c) - Math.max(0, c - (this.stageSize[axis] - inset[axis])));
     if (shift[0] || shift[1]) this.panBy(...shift);
   }
 
@@ -205,7 +201,9 @@ export class View {
     return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
   }
 
-  #resized() {
+  /** The stage has another size, or has come into sight. */
+  resized() {
+    this.stageSize = [this.stage.clientWidth, this.stage.clientHeight];
     if (this.#fitted) this.fit();
     else this.#moved();
   }
@@ -267,8 +265,9 @@ export class View {
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
     const lines = this.mesh && !this.#show.peek && !this.#show.compare;
-    if (lines) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines);
-    else this.lines.clearRect(0, 0, width, height);
+    const drawn = lines && (this.#show.lines || this.folds > 0);
+    if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
+    this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
