@@ -89,6 +89,6 @@ export const HINTS = {
 
 export function limitWords({ body, pixels, idle }) {
   const minutes = Math.round(idle / 60);
-  const kept = minutes >= 1 ? `${count(minutes, "minute")}` : `${idle} seconds`;
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. It stays in this server's memory for ${kept} of idling.`;
+  const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. The server keeps it in memory only and forgets it after ${time}.`;
 }
