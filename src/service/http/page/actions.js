@@ -1,0 +1,158 @@
+// What a person can do to the handles, whoever asks: a pointer, a key, a button.
+
+import * as edits from "./edits.js";
+import { keyOf } from "./handles.js";
+import { count, places } from "./words.js";
+
+export class Actions {
+  constructor(store, sync, view, handles, say) {
+    Object.assign(this, { store, sync, view, handles, say });
+  }
+
+  get state() {
+    return this.store.state;
+  }
+
+  edit(document, more = {}) {
+    this.store.do("edit", { document, now: performance.now(), ...more });
+  }
+
+  /** Where a posed place comes from: through the inverse of the grid that is seen. */
+  restOf(place) {
+    return this.sync.mesh ? this.sync.mesh.inverse(...place) : place;
+  }
+
+  inPicture([x, y]) {
+    const [width, height] = this.view.size ?? [0, 0];
+    return x >= 0 && y >= 0 && x <= width && y <= height;
+  }
+
+  /** A handle that is seen at these places; it is selected and has the focus. */
+  add(posed) {
+    const made = edits.added(this.state.document, posed.map((place) => this.restOf(place)), posed);
+    this.store.do("draft", { places: [] });
+    if (!made) return this.say("A line needs two different places");
+    this.edit(made.document, { select: [made.key] });
+    const index = this.state.document.handles.length - 1;
+    const handle = this.state.document.handles[index];
+    this.handles.focus(index);
+    this.say(`${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}`);
+  }
+
+  /** What a click at a place of the picture does when it hits no handle. */
+  place(place) {
+    const { tool, draft, arm } = this.state;
+    if (arm === "move") return this.moveTo(place);
+    if (tool === "point") return this.add([place]);
+    const places = [...draft, place];
+    if (tool === "line" && places.length === 2) return this.add(places);
+    this.store.do("draft", { places });
+    this.say(`${tool === "line" ? "Line" : "Path"}: ${count(places.length, "place")}`);
+  }
+
+  finish() {
+    const { draft } = this.state;
+    if (draft.length > 1) this.add(draft);
+    else this.store.do("draft", { places: [] });
+  }
+
+  /** The selection's middle goes to a place. */
+  moveTo(place) {
+    const { document, selection } = this.state;
+    const { centre } = edits.circleOf(edits.posedPlaces(document, selection));
+    this.store.do("arm", { arm: "" });
+    this.edit(edits.translated(document, selection, place[0] - centre[0], place[1] - centre[1]));
+    this.sayWhere();
+  }
+
+  nudge(dx, dy) {
+    const { document, selection } = this.state;
+    this.edit(edits.translated(document, selection, dx, dy), { tag: `nudge ${selection}` });
+    this.sayWhere();
+  }
+
+  rotate(degrees) {
+    const { document, selection } = this.state;
+    const posed = edits.posedPlaces(document, selection);
+    if (posed.length < 2) return;
+    this.edit(edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180), { tag: `rotate ${selection}` });
+    this.say(`Turned by ${degrees} degrees`);
+  }
+
+  remove(selection = this.state.selection) {
+    const { document } = this.state;
+    const next = edits.removed(document, selection);
+    const gone = document.handles.length - next.handles.length;
+    this.edit(next, { select: [] });
+    this.say(gone ? `${count(gone, "handle")} deleted` : "Place deleted");
+    if (!globalThis.document.activeElement?.isConnected || globalThis.document.activeElement === globalThis.document.body) this.view.stage.focus({ preventScroll: true });
+  }
+
+  putBack(selection = this.state.selection) {
+    this.edit(edits.putBack(this.state.document, selection));
+    this.say("Put back");
+  }
+
+  selectAll() {
+    this.store.do("select", { keys: this.all });
+    this.say(`${count(this.state.selection.length, "handle")} selected`);
+  }
+
+  get all() {
+    return this.state.document.handles.map((h) => String(h.id));
+  }
+
+  clear() {
+    this.remove(this.all);
+  }
+
+  /** A handle where the middle of what is seen is, as the tool says. */
+  addInTheMiddle() {
+    const middle = this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
+    const reach = Math.min(...this.view.size) / 8;
+    const offsets = { point: [[0, 0]], line: [[-reach, 0], [reach, 0]], path: [[-reach, 0], [0, -reach / 2], [reach, 0]] }[this.state.tool];
+    this.add(offsets.map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
+  }
+
+  pinBorder() {
+    const places = edits.borderPath(...this.view.size);
+    const { document } = this.state;
+    if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places))) return this.say("The border is pinned already");
+    const made = edits.added(document, places, places);
+    this.edit(made.document, { select: [] });
+    this.say("The border is pinned");
+  }
+
+  undo(back) {
+    this.store.do(back ? "undo" : "redo");
+    this.say(back ? "Undone" : "Done again");
+  }
+
+  escape() {
+    const { before, draft, arm, selection } = this.state;
+    if (before) this.store.do("dragCancel");
+    else if (draft.length) this.store.do("draft", { places: [] });
+    else if (arm) this.store.do("arm", { arm: "" });
+    else if (selection.length) this.store.do("select", { keys: [] });
+    else {
+      this.store.do("cross", { place: null });
+      this.view.stage.focus({ preventScroll: true });
+    }
+  }
+
+  /** A click on a handle. */
+  choose({ handle, vertex }, adds) {
+    const key = keyOf(handle, vertex);
+    if (adds || this.state.more) this.store.do("toggle", { key });
+    else this.store.do("select", { keys: [key] });
+  }
+
+  sayWhere() {
+    const { document, selection } = this.state;
+    const posed = edits.posedPlaces(document, selection);
+    if (!posed.length) return;
+    const index = document.handles.findIndex((h) => h.id === Number(selection[0].split(".")[0]));
+    const name = `${edits.kindName(document.handles[index])} ${index + 1}`;
+    this.say(selection.length === 1 ? `${name} at ${places(posed)}` : `${count(selection.length, "handle")} moved`);
+  }
+}

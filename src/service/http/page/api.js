@@ -1,0 +1,121 @@
+// The service, as the page asks it. Addresses are relative to the page, so that a proxy may put both under any path. What is refused is
+// thrown as a Problem: a problem document, or the lack of any answer.
+
+export class Problem extends Error {
+  constructor(members, status) {
+    super(members.detail ?? members.title ?? "refused");
+    Object.assign(this, { status, code: "internal", title: "", detail: "" }, members);
+  }
+
+  static async from(response) {
+    try {
+      return new Problem(await response.json(), response.status);
+    } catch {
+      return Problem.ofStatus(response.status);
+    }
+  }
+
+  /** An answer that is no problem document: a proxy's, not the service's. */
+  static ofStatus(status) {
+    const code = { 413: "too_large", 429: "rate_limited", 502: "network", 503: "overloaded", 504: "timeout" }[status] ?? "internal";
+    return new Problem({ code, title: `The answer was ${status}`, detail: "Something between this page and the service refused." }, status);
+  }
+
+  static network() {
+    return new Problem({ code: "network", title: "No answer", detail: "" }, 0);
+  }
+}
+
+const wasAborted = (error) => error?.name === "AbortError";
+export { wasAborted };
+
+async function ask(method, path, { json, accept, signal } = {}) {
+  const headers = { ...(json && { "Content-Type": "application/json" }), ...(accept && { Accept: accept }) };
+  let response;
+  try {
+    response = await fetch(path, { method, headers, body: json && JSON.stringify(json), signal, cache: "no-store" });
+  } catch (error) {
+    throw wasAborted(error) ? error : Problem.network();
+  }
+  if (!response.ok) throw await Problem.from(response);
+  return response;
+}
+
+/** Reads a body; a connection that breaks under it is a network problem. */
+async function read(response, how) {
+  try {
+    return await response[how]();
+  } catch (error) {
+    throw wasAborted(error) ? error : Problem.network();
+  }
+}
+
+/** POST /sessions. XMLHttpRequest, because fetch tells nothing while it sends. */
+export function openSession(file, name, rest, { progress, signal }) {
+  return new Promise((resolve, reject) => {
+    const form = new FormData();
+    form.append("image", file, name);
+    form.append("warp", new Blob([JSON.stringify(rest)], { type: "application/json" }));
+    const request = new XMLHttpRequest();
+    request.open("POST", "sessions");
+    request.upload.onprogress = (event) => event.lengthComputable && progress?.((100 * event.loaded) / event.total);
+    request.onerror = () => reject(Problem.network());
+    request.onabort = () => reject(new DOMException("cancelled", "AbortError"));
+    request.onload = () => {
+      let answer = null;
+      try {
+        answer = JSON.parse(request.responseText);
+      } catch {
+        // Told by its status below.
+      }
+      if (request.status < 300 && answer) resolve(answer);
+      else reject(answer?.code ? new Problem(answer, request.status) : Problem.ofStatus(request.status));
+    };
+    signal?.addEventListener("abort", () => request.abort());
+    request.send(form);
+  });
+}
+
+const session = (id) => `sessions/${encodeURIComponent(id)}`;
+
+export const readSession = async (id) => read(await ask("GET", session(id)), "json");
+
+export const putHandles = async (id, rest, signal) => read(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }), "json");
+
+/** The posed grid: f32, x and y of each vertex, row by row. */
+export async function mesh(id, body, signal) {
+  const response = await ask("POST", `${session(id)}/mesh`, { json: body, accept: "application/octet-stream", signal });
+  const bytes = await read(response, "arrayBuffer");
+  return { places: floats(bytes, 0), report: reportOf(response, bytes.byteLength) };
+}
+
+/** A picture, and what its headers say. */
+export async function picture(id, body, signal) {
+  const begun = performance.now();
+  const response = await ask("POST", `${session(id)}/warp`, { json: body, accept: "image/png", signal });
+  const blob = await read(response, "blob");
+  return { blob, report: { ...reportOf(response, blob.size), trip: performance.now() - begun } };
+}
+
+function reportOf(response, size) {
+  const timing = {};
+  for (const entry of (response.headers.get("Server-Timing") ?? "").split(",")) {
+    const [, name, ms] = /^\s*([\w-]+)\s*;\s*dur=([\d.]+)/.exec(entry) ?? [];
+    if (name) timing[name] = Number(ms);
+  }
+  const warnings = (response.headers.get("Warp-Warning") ?? "").split(",").map((w) => w.trim()).filter(Boolean);
+  return { timing, size, folds: Number(response.headers.get("Warp-Folds") ?? 0), residual: Number(response.headers.get("Warp-Residual") ?? 0), warnings };
+}
+
+/** Little-endian f32 from a byte on, on any machine. */
+export function floats(bytes, from) {
+  const view = new DataView(bytes, from);
+  return Float32Array.from({ length: view.byteLength >> 2 }, (_, k) => view.getFloat32(4 * k, true));
+}
+
+/** The drag socket's address. */
+export function socketAddress(id, query) {
+  const address = new URL(`${session(id)}/drag?${query}`, document.baseURI);
+  address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+  return address;
+}

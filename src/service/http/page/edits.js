@@ -1,0 +1,151 @@
+// What can be done to a document: each function takes one and gives another, or the same when nothing changes. Places are [x, y] in picture
+// px, kept to a hundredth, so that what the table shows is what is sent.
+
+export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
+export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
+
+/** The server's own limit of a coordinate. */
+const REACH = 1e6;
+const round = (x) => Math.min(REACH, Math.max(-REACH, Math.round(x * 100) / 100)) + 0;
+export const rounded = ([x, y]) => [round(x), round(y)];
+
+const same = (a, b) => a[0] === b[0] && a[1] === b[1];
+const idOf = (key) => Number(key.split(".")[0]);
+const vertexOf = (key) => (key.includes(".") ? Number(key.split(".")[1]) : null);
+
+/** What a selection means: Map of handle id to the set of its places. Places of one handle that meet at rest go together. */
+export function placesOf(document, selection) {
+  const found = new Map();
+  for (const key of selection) {
+    const handle = document.handles.find((h) => h.id === idOf(key));
+    if (!handle) continue;
+    const places = found.get(handle.id) ?? new Set();
+    const vertex = vertexOf(key);
+    handle.p.forEach((p, k) => {
+      if (vertex === null || same(p, handle.p[vertex])) places.add(k);
+    });
+    found.set(handle.id, places);
+  }
+  return found;
+}
+
+/** Posed places of a selection. */
+export function posedPlaces(document, selection) {
+  const places = placesOf(document, selection);
+  return document.handles.flatMap((h) => [...(places.get(h.id) ?? [])].map((k) => h.q[k]));
+}
+
+/** Every posed place of a selection goes where `to` says. */
+export function moved(document, selection, to) {
+  const places = placesOf(document, selection);
+  let changed = false;
+  const handles = document.handles.map((handle) => {
+    const mine = places.get(handle.id);
+    if (!mine) return handle;
+    const q = handle.q.map((place, k) => (mine.has(k) ? rounded(to(place)) : place));
+    if (q.every((place, k) => same(place, handle.q[k]))) return handle;
+    changed = true;
+    return { ...handle, q };
+  });
+  return changed ? { ...document, handles } : document;
+}
+
+export const translated = (document, selection, dx, dy) => moved(document, selection, ([x, y]) => [x + dx, y + dy]);
+
+export function rotated(document, selection, [cx, cy], angle) {
+  const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+  return moved(document, selection, ([x, y]) => [cx + (x - cx) * cos - (y - cy) * sin, cy + (x - cx) * sin + (y - cy) * cos]);
+}
+
+/** Centre and radius of the circle around some places. */
+export function circleOf(places) {
+  const xs = places.map((p) => p[0]);
+  const ys = places.map((p) => p[1]);
+  const centre = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
+  return { centre, radius: Math.max(...places.map((p) => Math.hypot(p[0] - centre[0], p[1] - centre[1]))) };
+}
+
+export function putBack(document, selection) {
+  const places = placesOf(document, selection);
+  let changed = false;
+  const handles = document.handles.map((handle) => {
+    const mine = places.get(handle.id);
+    if (!mine || [...mine].every((k) => same(handle.p[k], handle.q[k]))) return handle;
+    changed = true;
+    return { ...handle, q: handle.q.map((place, k) => (mine.has(k) ? handle.p[k] : place)) };
+  });
+  return changed ? { ...document, handles } : document;
+}
+
+/** Removes whole handles, and places of paths as long as two remain. */
+export function removed(document, selection) {
+  const handles = document.handles.flatMap((handle) => {
+    const keys = selection.filter((key) => idOf(key) === handle.id);
+    if (!keys.length) return [handle];
+    const gone = new Set(keys.map(vertexOf));
+    const stays = (_, k) => !gone.has(k);
+    const p = handle.p.filter(stays);
+    if (gone.has(null) || p.length < 2 || !segmentsHaveLength(p)) return [];
+    return [{ ...handle, p, q: handle.q.filter(stays) }];
+  });
+  return handles.length === document.handles.length && handles.every((h, i) => h === document.handles[i]) ? document : { ...document, handles };
+}
+
+const segmentsHaveLength = (p) => p.every((place, k) => k === 0 || !same(place, p[k - 1]));
+
+/** A new handle; `null` when no segment of it would have a length at rest. Repeated places are dropped. */
+export function added(document, p, q) {
+  const rest = p.map(rounded);
+  const keep = rest.map((place, k) => k === 0 || !same(place, rest[k - 1]));
+  const id = 1 + Math.max(0, ...document.handles.map((h) => h.id));
+  const handle = { id, p: rest.filter((_, k) => keep[k]), q: q.map(rounded).filter((_, k) => keep[k]) };
+  if (p.length > 1 && handle.p.length < 2) return null;
+  return { document: { ...document, handles: [...document.handles, handle] }, key: String(id) };
+}
+
+/** One number of the table. */
+export function withNumber(document, which, index, vertex, axis, value) {
+  const old = document.handles[index];
+  const places = old[which].map((place, k) => {
+    if (k !== vertex) return place;
+    const next = [...place];
+    next[axis] = round(value);
+    return next;
+  });
+  if (same(places[vertex], old[which][vertex])) return document;
+  const handles = document.handles.with(index, { ...old, [which]: places });
+  return { ...document, handles };
+}
+
+/** A closed path around the picture, held where it is. */
+export function borderPath(width, height) {
+  return [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
+}
+
+/** What the server calls p and q: a point is [x, y], a line a list of places. */
+export const wire = (document, which) => document.handles.map((h) => (h[which].length === 1 ? h[which][0] : h[which]));
+
+/** The session's part of a warp object. */
+export function restOf(document) {
+  const { method, alpha, grid } = document;
+  return { p: wire(document, "p"), method, ...(alpha === null ? {} : { alpha }), grid: grid === "auto" ? grid : { cell: grid } };
+}
+
+/** The whole warp object. */
+export const warpOf = (document) => ({ ...restOf(document), q: wire(document, "q") });
+
+/** The document of a warp object, `null` when it is none that this page can show. */
+export function documentOf(warp) {
+  const places = (h) => (Array.isArray(h) && Array.isArray(h[0]) ? h : [h]);
+  const sound = (list) => Array.isArray(list) && list.every((place) => Array.isArray(place) && place.length === 2 && place.every(Number.isFinite));
+  if (!warp || !Array.isArray(warp.p)) return null;
+  const q = warp.q ?? warp.p;
+  if (!Array.isArray(q) || q.length !== warp.p.length || (warp.units ?? "px") !== "px") return null;
+  const handles = warp.p.map((p, i) => ({ id: i + 1, p: places(p), q: places(q[i]) }));
+  if (!handles.every((h) => h.p.length && h.p.length === h.q.length && sound(h.p) && sound(h.q))) return null;
+  const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
+  const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;
+  const grid = (warp.grid ?? "auto") === "auto" ? "auto" : warp.grid.cell;
+  if (method === null || alpha === undefined || !(grid === "auto" || grid > 0)) return null;
+  return { handles, method, alpha, grid };
+}

@@ -1,0 +1,47 @@
+// Mesh lines and folded cells, on a 2D canvas over the picture.
+
+/** Lines are left out until those drawn are about so far apart, CSS px. */
+const APART = 9;
+
+/** Seen on any picture: light lines on a dark edge, red that is no skin. */
+const COLOURS = { line: "rgb(255 255 255 / 0.85)", under: "rgb(10 20 40 / 0.3)", fold: "rgb(235 20 60 / 0.5)", foldEdge: "rgb(160 0 40 / 0.9)" };
+
+/** `place`: { zoom, x, y } in device px; `scale`: device px a CSS px. */
+export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines) {
+  const { width, height } = context.canvas;
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, width, height);
+  const to = ([px, py]) => [x + zoom * px, y + zoom * py];
+  if (lines) {
+    drawLines(context, mesh, to, zoom, scale, COLOURS.under, 3 * scale);
+    drawLines(context, mesh, to, zoom, scale, COLOURS.line, scale);
+  }
+  if (!folded.length) return;
+  context.beginPath();
+  for (const [i, j] of folded) {
+    mesh.corners(i, j).forEach((corner, k) => (k ? context.lineTo(...to(corner)) : context.moveTo(...to(corner))));
+    context.closePath();
+  }
+  context.fillStyle = COLOURS.fold;
+  context.strokeStyle = COLOURS.foldEdge;
+  context.lineWidth = scale;
+  context.fill("nonzero");
+  context.stroke();
+}
+
+function drawLines(context, mesh, to, zoom, scale, colour, thick) {
+  const { columns, rows, cell } = mesh.grid;
+  const every = (size) => Math.max(1, Math.round((APART * scale) / (zoom * size)));
+  const [acrossStep, downStep] = [every(cell[0]), every(cell[1])];
+  const chosen = (count, step) => Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
+  context.beginPath();
+  for (const i of chosen(columns, acrossStep)) {
+    for (let j = 0; j < rows; j++) j ? context.lineTo(...to(mesh.posed(i, j))) : context.moveTo(...to(mesh.posed(i, j)));
+  }
+  for (const j of chosen(rows, downStep)) {
+    for (let i = 0; i < columns; i++) i ? context.lineTo(...to(mesh.posed(i, j))) : context.moveTo(...to(mesh.posed(i, j)));
+  }
+  context.strokeStyle = colour;
+  context.lineWidth = thick;
+  context.stroke();
+}

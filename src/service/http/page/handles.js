@@ -1,0 +1,222 @@
+// The handles as SVG over the picture: one focusable element for a point, one for the whole of a line and one for each of its places.
+// Places are in picture px, the drawing in CSS px of the stage, so that dots keep their size at every zoom.
+
+import { circleOf, kindName, kindOf, posedPlaces } from "./edits.js";
+import { places as placesWords } from "./words.js";
+
+const SPACE = "http://www.w3.org/2000/svg";
+/** Radius in which a place is taken, CSS px: 24 px across for a mouse, 44 for a finger. */
+export const REACH = { mouse: 12, pen: 14, touch: 22 };
+const LINE_REACH = { mouse: 8, pen: 9, touch: 16 };
+/** The ring of a selection stands so far off its places. */
+const RING_OFF = 26;
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElementNS(SPACE, name);
+  set(made, attributes);
+  made.append(...children);
+  return made;
+}
+
+/** Sets what has changed; null takes away. */
+function set(node, attributes) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null) node.removeAttribute(name);
+    else if (node.getAttribute(name) !== String(value)) node.setAttribute(name, value);
+  }
+}
+
+const list = (places) => places.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
+const at = ([x, y]) => `translate(${x.toFixed(2)} ${y.toFixed(2)})`;
+
+export const keyOf = (handle, vertex) => (vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`);
+
+export class Handles {
+  /** Where the marquee is, in stage px: [[x, y], [x, y]] or null; and where the pointer is while a line is drawn. */
+  marquee = null;
+  pointer = null;
+
+  #drawn = new Map(); // id of a handle to its nodes
+
+  constructor(svg, store, view) {
+    Object.assign(this, { svg, store, view });
+    this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
+    this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
+    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection: arrow keys turn by 1 degree" });
+    this.knob.append(element("circle", { class: "hit", r: 14 }), element("circle", { class: "halo", r: 11 }), element("circle", { class: "dot", r: 6.5 }));
+    this.draft = element("g", { class: "draft", "aria-hidden": true }, element("polyline", { class: "under" }), element("polyline", { class: "over" }));
+    this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
+    this.cross = element("path", { id: "cross", class: "cross", d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14", "aria-hidden": true });
+    this.body = element("g");
+    svg.replaceChildren(this.ghosts, this.body, this.ring, this.knob, this.draft, this.frame, this.cross);
+    store.subscribe(() => this.draw());
+    view.subscribe(() => this.draw());
+  }
+
+  draw() {
+    const { state } = this.store;
+    const { handles } = state.document;
+    set(this.svg, { class: state.compare || state.peek ? "away" : state.before ? "moving" : "" });
+    for (const [id, nodes] of this.#drawn) {
+      if (handles.some((h) => h.id === id && h.p.length === nodes.count)) continue;
+      for (const node of [nodes.whole, ...nodes.places, ...nodes.ghosts]) node.remove();
+      this.#drawn.delete(id);
+    }
+    let last = null;
+    handles.forEach((handle, index) => {
+      const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
+      this.#update(nodes, handle, index, state);
+      // A handle that an undo brings back stands where it stood.
+      if (nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
+      last = nodes.places.at(-1) ?? nodes.whole;
+    });
+    this.#drawRing(state);
+    this.#drawDraft(state);
+    this.#drawMarks(state);
+  }
+
+  #make(handle) {
+    const focusable = (...parts) => element("g", { role: "button", tabindex: 0 }, ...parts);
+    const place = (small) => {
+      const label = element("text", { class: "number", y: -15, "text-anchor": "middle" });
+      const shape = small ? element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }) : element("circle", { class: "dot", r: 7 });
+      return focusable(element("circle", { class: "hit", r: 12 }), element("circle", { class: "halo", r: 12 }), shape, label);
+    };
+    const line = () => focusable(...["hit", "halo", "under", "over"].map((name) => element("polyline", { class: name })));
+    const single = handle.p.length === 1;
+    const ghosts = handle.p.map(() => element("g", {}, element("line"), element("circle", { r: 3.2 })));
+    const nodes = { count: handle.p.length, whole: single ? place(false) : line(), places: single ? [] : handle.p.map(() => place(true)), ghosts };
+    this.ghosts.append(...ghosts);
+    this.#drawn.set(handle.id, nodes);
+    return nodes;
+  }
+
+  #update(nodes, handle, index, state) {
+    const posed = handle.q.map((place) => this.view.toStage(place));
+    const name = `${kindName(handle)} ${index + 1}`;
+    const fault = state.problem?.handle === index ? "" : null;
+    const whole = state.selection.includes(String(handle.id));
+    const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
+    const single = handle.p.length === 1;
+    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}` : name });
+    if (single) this.#updatePlace(nodes.whole, posed[0], handle.q[0], index + 1);
+    else for (const part of nodes.whole.children) set(part, { points: list(posed) });
+    nodes.places.forEach((node, k) => {
+      const pressed = whole || state.selection.includes(`${handle.id}.${k}`);
+      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressed, "aria-label": `${name}, place ${k + 1} at ${placesWords([handle.q[k]])}` });
+      this.#updatePlace(node, posed[k], handle.q[k], `${index + 1}.${k + 1}`);
+    });
+    nodes.ghosts.forEach((ghost, k) => {
+      const [x, y] = this.view.toStage(handle.p[k]);
+      const away = Math.hypot(posed[k][0] - x, posed[k][1] - y) > 4;
+      set(ghost, { visibility: away ? "visible" : "hidden" });
+      set(ghost.firstChild, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
+      set(ghost.lastChild, { cx: x, cy: y });
+    });
+  }
+
+  #updatePlace(node, stage, place, label) {
+    set(node, { transform: at(stage), "data-x": place[0], "data-y": place[1] });
+    if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
+  }
+
+  /** Circle around a selection with two or more places, stage px; null without. */
+  ringAt() {
+    const { document, selection } = this.store.state;
+    const places = posedPlaces(document, selection);
+    if (places.length < 2) return null;
+    const { centre, radius } = this.turning ?? circleOf(places);
+    const r = radius * this.view.zoom + RING_OFF;
+    const middle = this.view.toStage(centre);
+    const angle = -Math.PI / 4 + (this.turning?.angle ?? 0);
+    return { centre, middle, r, knob: [middle[0] + r * Math.cos(angle), middle[1] + r * Math.sin(angle)] };
+  }
+
+  #drawRing() {
+    const ring = this.ringAt();
+    set(this.ring, { visibility: ring ? "visible" : "hidden", ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
+    set(this.knob, { visibility: ring ? "visible" : "hidden", tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
+  }
+
+  #drawDraft({ draft, cross }) {
+    const posed = draft.map((place) => this.view.toStage(place));
+    const next = this.pointer ?? (cross ? this.view.toStage(cross) : null);
+    const line = list(posed.length && next ? [...posed, next] : posed);
+    for (const part of this.draft.querySelectorAll("polyline")) set(part, { points: line });
+    const dots = this.draft.querySelectorAll("rect");
+    for (let k = posed.length; k < dots.length; k++) dots[k].remove();
+    posed.forEach((place, k) => {
+      const dot = dots[k] ?? this.draft.appendChild(element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }));
+      set(dot, { transform: at(place) });
+    });
+  }
+
+  #drawMarks({ cross }) {
+    const box = this.marquee;
+    set(this.frame, { visibility: box ? "visible" : "hidden" });
+    if (box) {
+      const [[ax, ay], [bx, by]] = box;
+      set(this.frame, { x: Math.min(ax, bx), y: Math.min(ay, by), width: Math.abs(ax - bx), height: Math.abs(ay - by) });
+    }
+    set(this.cross, { visibility: cross ? "visible" : "hidden", ...(cross && { transform: at(this.view.toStage(cross)) }) });
+  }
+
+  /** What a pointer takes at a place of the stage: { knob: true }, { handle, index, vertex } (vertex null: the whole), or null. */
+  hit([x, y], kind) {
+    const ring = this.ringAt();
+    const reach = REACH[kind] ?? REACH.mouse;
+    if (ring && Math.hypot(ring.knob[0] - x, ring.knob[1] - y) <= Math.max(14, reach)) return { knob: true };
+    const { handles } = this.store.state.document;
+    let [best, least] = [null, Infinity];
+    handles.forEach((handle, index) => {
+      handle.q.forEach((place, vertex) => {
+        const [px, py] = this.view.toStage(place);
+        const away = Math.hypot(px - x, py - y);
+        if (away <= reach && away <= least) [best, least] = [{ handle, index, vertex: handle.p.length === 1 ? null : vertex }, away];
+      });
+    });
+    if (best) return best;
+    least = LINE_REACH[kind] ?? LINE_REACH.mouse;
+    handles.forEach((handle, index) => {
+      const posed = handle.q.map((place) => this.view.toStage(place));
+      for (let k = 1; k < posed.length; k++) {
+        const away = distanceToSegment([x, y], posed[k - 1], posed[k]);
+        if (away <= least) [best, least] = [{ handle, index, vertex: null }, away];
+      }
+    });
+    return best;
+  }
+
+  /** Keys of everything inside a rectangle of the stage: wholes where all places are inside, else the places. */
+  inside([[ax, ay], [bx, by]]) {
+    const within = (place) => {
+      const [x, y] = this.view.toStage(place);
+      return x >= Math.min(ax, bx) && x <= Math.max(ax, bx) && y >= Math.min(ay, by) && y <= Math.max(ay, by);
+    };
+    return this.store.state.document.handles.flatMap((handle) => {
+      const kept = handle.q.map((place, k) => (within(place) ? k : -1)).filter((k) => k >= 0);
+      return kept.length === handle.q.length ? [String(handle.id)] : kept.map((k) => keyOf(handle, k));
+    });
+  }
+
+  /** What an element of the SVG stands for. */
+  named(target) {
+    const node = target.closest?.("[data-handle]");
+    if (!node) return null;
+    const index = Number(node.dataset.handle);
+    const handle = this.store.state.document.handles[index];
+    return handle ? { handle, index, vertex: node.dataset.vertex === undefined ? null : Number(node.dataset.vertex) } : null;
+  }
+
+  /** Gives the focus to a handle's element without moving the page. */
+  focus(index, vertex = null) {
+    this.svg.querySelector(vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`)?.focus({ preventScroll: true });
+  }
+}
+
+function distanceToSegment([x, y], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const length = dx * dx + dy * dy;
+  const t = length ? Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / length)) : 0;
+  return Math.hypot(x - ax - t * dx, y - ay - t * dy);
+}

@@ -1,0 +1,97 @@
+// Nothing is lost on reload: the document in this tab's storage (and, for a new tab, in the browser's), the file in IndexedDB, so that a
+// session that has ended is opened again without asking.
+
+const KEY = "mlswarp";
+const STEPS = 50;
+/** Files that are kept: of the last few pictures. */
+const FILES = 4;
+
+/** Storage that may be refused, full or private: then nothing is kept, and the page works on. */
+function attempt(what, otherwise = null) {
+  try {
+    return what();
+  } catch {
+    return otherwise;
+  }
+}
+
+export const setting = (name) => attempt(() => localStorage.getItem(`${KEY}.${name}`));
+export const keepSetting = (name, value) => attempt(() => localStorage.setItem(`${KEY}.${name}`, value));
+
+/** What was kept by this tab, else by the last one. */
+export const kept = () => attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY)));
+
+export function forget() {
+  attempt(() => sessionStorage.removeItem(KEY));
+  attempt(() => localStorage.removeItem(KEY));
+}
+
+export class Keeper {
+  kept = false;
+  #timer = 0;
+
+  /** `whole`: gives what is to be kept, or null. */
+  constructor(store, whole, told) {
+    Object.assign(this, { whole, told });
+    store.subscribe((state, previous) => {
+      if (state.document === previous.document && state.picture === previous.picture && state.past === previous.past) return;
+      clearTimeout(this.#timer);
+      this.#timer = setTimeout(() => this.save(store.state), state.before ? 1000 : 100);
+    });
+    addEventListener("pagehide", () => this.save(store.state));
+  }
+
+  save(state) {
+    clearTimeout(this.#timer);
+    const more = state.phase === "open" ? this.whole() : null;
+    if (!more) return;
+    const document = state.before ?? state.document;
+    const text = JSON.stringify({ ...more, picture: state.picture, document, past: state.past.slice(-STEPS), future: state.future.slice(0, STEPS) });
+    this.kept = attempt(() => (sessionStorage.setItem(KEY, text), true), false) && more.file !== null;
+    attempt(() => localStorage.setItem(KEY, text));
+    this.told();
+  }
+}
+
+function database() {
+  return new Promise((resolve, reject) => {
+    const request = indexedDB.open(KEY, 1);
+    request.onupgradeneeded = () => request.result.createObjectStore("files", { keyPath: "key", autoIncrement: true });
+    request.onsuccess = () => resolve(request.result);
+    request.onerror = () => reject(request.error);
+  });
+}
+
+function settled(request) {
+  return new Promise((resolve, reject) => {
+    request.onsuccess = () => resolve(request.result);
+    request.onerror = () => reject(request.error);
+  });
+}
+
+/** Keeps a file; its key, or null where the browser refuses. */
+export async function keepFile(blob, name) {
+  try {
+    const opened = await database();
+    const files = opened.transaction("files", "readwrite").objectStore("files");
+    const key = await settled(files.add({ blob, name }));
+    const keys = await settled(files.getAllKeys());
+    for (const old of keys.slice(0, -FILES)) files.delete(old);
+    opened.close();
+    return key;
+  } catch {
+    return null;
+  }
+}
+
+export async function keptFile(key) {
+  if (key === null || key === undefined) return null;
+  try {
+    const opened = await database();
+    const found = await settled(opened.transaction("files").objectStore("files").get(key));
+    opened.close();
+    return found ?? null;
+  } catch {
+    return null;
+  }
+}

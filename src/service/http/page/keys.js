@@ -1,0 +1,175 @@
+// The keyboard. Keys with Ctrl work everywhere but in text; single keys only with the focus in the stage or nowhere, and can be switched off.
+
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+const NUDGE = [1, 10];
+const CROSS = [10, 1];
+const PAN = 40;
+const TURN = 5;
+
+export class Keys {
+  #crossMoved = false;
+
+  /** `does`: what the buttons of the page do, by name. */
+  constructor(stage, store, view, handles, pointer, actions, does, singleKeys) {
+    Object.assign(this, { stage, store, view, handles, pointer, actions, does, singleKeys });
+    document.addEventListener("keydown", (event) => this.#down(event));
+    document.addEventListener("keyup", (event) => this.#up(event));
+    globalThis.addEventListener("blur", () => this.#release());
+    // Tab brings a handle into sight.
+    stage.addEventListener("focusin", (event) => {
+      const named = event.target.matches(":focus-visible") && handles.named(event.target);
+      if (named) view.reveal(named.handle.q[named.vertex ?? 0]);
+    });
+  }
+
+  #down(event) {
+    if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
+    const open = this.store.state.phase === "open";
+    const text = event.target.closest?.("input:not([type=radio], [type=checkbox], [type=range]), textarea, select");
+    if (event.ctrlKey || event.metaKey) {
+      if (!event.altKey && (!text || event.key.toLowerCase() === "o") && this.#command(event, open)) event.preventDefault();
+      return;
+    }
+    if (text) return;
+    const inStage = this.stage.contains(event.target);
+    const free = inStage || event.target === document.body || event.target === document.documentElement;
+    if (!free) return event.key === "Escape" && open && this.actions.escape();
+    if (event.key === "?" && this.singleKeys()) return this.#take(event, this.does.help);
+    if (!open) return;
+    if (this.#moving(event, inStage) || this.#acting(event, inStage)) event.preventDefault();
+  }
+
+  #command(event, open) {
+    const key = event.key.toLowerCase();
+    if (key === "o") this.does.pick();
+    else if (!open) return false;
+    else if (key === "z") this.actions.undo(!event.shiftKey);
+    else if (key === "y") this.actions.undo(false);
+    else if (key === "a") this.actions.selectAll();
+    else return false;
+    return true;
+  }
+
+  #take(event, act) {
+    event.preventDefault();
+    act();
+  }
+
+  /** Arrows, with or without something selected. */
+  #moving(event, inStage) {
+    const arrow = ARROWS[event.key];
+    if (!arrow) return false;
+    const [dx, dy] = arrow;
+    const coarse = event.shiftKey ? 1 : 0;
+    if (event.altKey) this.view.panBy(-dx * PAN, -dy * PAN);
+    else if (event.target === this.handles.knob) this.actions.rotate((dx || dy) * NUDGE[coarse]);
+    else if (this.#focused(event) && this.#adopts(event)) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
+    else if (this.store.state.selection.length && !this.store.state.draft.length && !this.store.state.arm) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
+    else if (inStage) this.#moveCross(dx * CROSS[coarse], dy * CROSS[coarse]);
+    else return false;
+    return true;
+  }
+
+  #focused(event) {
+    return this.handles.named(event.target);
+  }
+
+  /** The handle that has the focus is the one that moves: it is selected when nothing that contains it is. */
+  #adopts(event) {
+    const { state } = this.store;
+    if (state.arm || state.draft.length) return false;
+    const { handle, vertex } = this.#focused(event);
+    const keys = [String(handle.id), `${handle.id}.${vertex}`];
+    if (!state.selection.some((key) => keys.includes(key))) this.actions.choose({ handle, vertex }, false);
+    return true;
+  }
+
+  #moveCross(dx, dy) {
+    const { size } = this.view;
+    const from = this.store.state.cross ?? this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map(Math.round);
+    const place = [from[0] + dx, from[1] + dy].map((c, axis) => Math.min(size[axis], Math.max(0, c)));
+    this.#crossMoved = true;
+    this.store.do("cross", { place });
+    this.view.reveal(place);
+    this.actions.say(`${place[0]}, ${place[1]}`);
+  }
+
+  #enter(event) {
+    const named = this.#focused(event);
+    const { draft, tool, arm, cross } = this.store.state;
+    if (named && !arm && !draft.length) return this.actions.choose(named, event.shiftKey);
+    if (!cross) return draft.length ? this.actions.finish() : this.#moveCross(0, 0);
+    // Twice at one place: that was the last.
+    if (tool === "path" && draft.length && !arm && !this.#crossMoved) return this.actions.finish();
+    this.#crossMoved = false;
+    const keep = tool !== "point" && draft.length + 1 < (tool === "line" ? 2 : Infinity);
+    this.actions.place(cross);
+    // The cross stays while it draws; a new handle has the focus, and arrows move it.
+    if (!keep || arm) this.store.do("cross", { place: null });
+  }
+
+  #acting(event, inStage) {
+    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const { state } = this.store;
+    if (key === "Escape") {
+      this.pointer.cancel();
+      this.actions.escape();
+    } else if (key === "Delete" || key === "Backspace") {
+      const named = this.#focused(event);
+      if (!state.selection.length && named) this.actions.choose(named, false);
+      if (this.store.state.selection.length) this.actions.remove();
+    } else if (key === "Enter") {
+      if (!inStage) return false;
+      this.#enter(event);
+    } else if (key === " ") {
+      const named = this.#focused(event);
+      if (named) this.actions.choose(named, event.shiftKey);
+      else {
+        this.pointer.spaceHeld = true;
+        this.stage.dataset.space = "";
+      }
+    } else {
+      return this.singleKeys() && this.#single(key, event.repeat);
+    }
+    return true;
+  }
+
+  #single(key, repeat) {
+    const { does, actions, view } = this;
+    const selected = this.store.state.selection.length > 0;
+    const acts = {
+      1: () => does.tool("point"),
+      2: () => does.tool("line"),
+      3: () => does.tool("path"),
+      m: () => does.arm(),
+      r: () => selected && actions.putBack(),
+      "[": () => actions.rotate(-TURN),
+      "]": () => actions.rotate(TURN),
+      g: () => does.mesh(),
+      c: () => does.compare(),
+      b: () => repeat || this.store.do("show", { what: { peek: true } }),
+      "+": () => view.zoomTo(view.zoom * 1.25),
+      "=": () => view.zoomTo(view.zoom * 1.25),
+      "-": () => view.zoomTo(view.zoom / 1.25),
+      f: () => view.fit(),
+      0: () => does.full(),
+    };
+    if (!acts[key]) return false;
+    acts[key]();
+    return true;
+  }
+
+  #up(event) {
+    if (event.key === " ") {
+      this.pointer.spaceHeld = false;
+      delete this.stage.dataset.space;
+    }
+    if (event.key.toLowerCase() === "b" && this.store.state.peek) this.store.do("show", { what: { peek: false } });
+  }
+
+  /** Keys that are held when the window loses the focus are not told of. */
+  #release() {
+    this.#up({ key: " " });
+    this.#up({ key: "b" });
+  }
+}

@@ -1,0 +1,146 @@
+// Poses while the hand moves: newest wins, one answer under way. The drag socket where it opens; where it does not, POST with the same rule.
+// What comes is the posed grid, or, where WebGL is missing, pictures.
+
+import * as api from "./api.js";
+
+/** Failures to open one after another before a session is served by POST. */
+const TRIES = 3;
+/** Bytes waiting to be sent beyond which a newer pose waits here. */
+const BACKLOG = 1 << 16;
+
+export class Live {
+  #id = null;
+  #socket = null;
+  #failures = 0;
+  #open = false;
+  #grid = null;
+  #seq = 0;
+  #revisions = new Map(); // seq of the socket to revision of the document
+  #waiting = null; // the newest pose that has not been sent
+  #asking = null; // AbortController of the POST under way
+  #report = null;
+
+  /** `kind`: mesh or png. `told`: { mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision), way() }. */
+  constructor(kind, allowSocket, told) {
+    this.kind = kind;
+    this.allowSocket = allowSocket;
+    this.told = told;
+  }
+
+  get way() {
+    return this.#id === null ? "off" : this.#open ? "socket" : "http";
+  }
+
+  /** `grid` and `nextSeq` serve the POST way: the session's grid, and numbers that its requests share with every other of the page. */
+  open(id, grid, nextSeq) {
+    this.nextSeq = nextSeq;
+    this.#grid = grid;
+    if (id === this.#id) return;
+    this.close();
+    this.#id = id;
+    this.#failures = 0;
+    this.#connect();
+  }
+
+  close() {
+    this.#asking?.abort();
+    this.#id = null;
+    this.#waiting = null;
+    this.#open = false;
+    const socket = this.#socket;
+    this.#socket = null;
+    socket?.close(1000);
+    this.told.way();
+  }
+
+  /** A pose; those before it that are not yet sent are forgotten. */
+  send(q, revision) {
+    if (this.#id === null) return;
+    this.#waiting = { q, revision };
+    if (!this.#socket) this.#connect();
+    this.#flush();
+  }
+
+  /** Nothing is to be sent any more. */
+  rest() {
+    this.#waiting = null;
+  }
+
+  #connect() {
+    if (!this.allowSocket || this.#failures >= TRIES) return this.told.way();
+    const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "" : "&width=auto"}`;
+    const socket = new WebSocket(api.socketAddress(this.#id, query));
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    const current = (then) => (event) => socket === this.#socket && then(event);
+    socket.onopen = current(() => {
+      this.#open = true;
+      this.#seq = 0;
+      this.#revisions.clear();
+      this.told.way();
+      this.#flush();
+    });
+    socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
+    socket.onclose = current(() => {
+      this.#failures = this.#open ? 0 : this.#failures + 1;
+      this.#open = false;
+      this.#socket = null;
+      this.told.way();
+      this.#flush();
+    });
+  }
+
+  #text(message) {
+    if (message.columns) this.#grid = message;
+    else if (message.code) this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
+    else if (message.timing) this.#report = message;
+  }
+
+  #binary(bytes) {
+    const seq = Number(new DataView(bytes).getBigUint64(0, true));
+    const revision = this.#revisions.get(seq);
+    for (const old of this.#revisions.keys()) if (old < seq) this.#revisions.delete(old);
+    const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
+    const shown = () => this.#socket?.readyState === WebSocket.OPEN && this.#socket.send(JSON.stringify({ ack: seq }));
+    if (revision === undefined) return shown();
+    if (this.kind === "mesh") this.told.mesh(api.floats(bytes, 8), this.#grid, revision, report, shown);
+    else this.told.frame(new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }), revision, report, shown);
+    this.#flush();
+  }
+
+  #flush() {
+    if (!this.#waiting || this.#id === null) return;
+    if (this.#open) {
+      if (this.#socket.bufferedAmount > BACKLOG) return;
+      const { q, revision } = this.#waiting;
+      this.#waiting = null;
+      this.#revisions.set(++this.#seq, revision);
+      this.#socket.send(JSON.stringify({ seq: this.#seq, q }));
+    } else if (!this.#asking) {
+      this.#post();
+    }
+  }
+
+  async #post() {
+    const { q, revision } = this.#waiting;
+    this.#waiting = null;
+    const asking = new AbortController();
+    this.#asking = asking;
+    try {
+      const body = { q, seq: this.nextSeq() };
+      if (this.kind === "mesh") {
+        const { places, report } = await api.mesh(this.#id, body, asking.signal);
+        if (!asking.signal.aborted) this.told.mesh(places, this.#grid, revision, report, () => {});
+      } else {
+        const output = { width: Math.min(1024, this.#grid.width) };
+        const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);
+        if (!asking.signal.aborted) this.told.frame(blob, revision, report, () => {});
+      }
+    } catch (error) {
+      if (!api.wasAborted(error)) this.told.problem(error, revision);
+    } finally {
+      if (this.#asking === asking) this.#asking = null;
+    }
+    this.#flush();
+  }
+}

@@ -1,0 +1,197 @@
+// Puts the page together: one store, the views that show it, the inputs that change it, and the state that can be observed from outside
+// (README.md lists it).
+
+import { Actions } from "./actions.js";
+import { Handles } from "./handles.js";
+import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
+import { Keys } from "./keys.js";
+import { Opener } from "./open.js";
+import { Panel } from "./panel.js";
+import { Pointer } from "./pointer.js";
+import { bentPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
+import { Store } from "./state.js";
+import { Sync } from "./sync.js";
+import { Table } from "./table.js";
+import { View } from "./view.js";
+import { limitWords } from "./words.js";
+
+const find = (id) => document.getElementById(id);
+const wishes = new URLSearchParams(location.search);
+const limits = Object.fromEntries(document.querySelector("meta[name=limits]").content.split(" ").map((pair) => pair.split("=")).map(([k, v]) => [k, Number(v)]));
+
+const stage = find("stage");
+const store = new Store();
+const view = new View(stage, wishes.get("webgl") !== "off");
+const sync = new Sync(store, view, wishes.get("socket") !== "off");
+const handles = new Handles(find("handles"), store, view);
+const actions = new Actions(store, sync, view, handles, say);
+const opener = new Opener(store, sync, view, actions, limits);
+const pointer = new Pointer(stage, store, view, handles, actions);
+
+/** For those who do not see: the newest words win. */
+function say(words) {
+  find("says").textContent = words;
+}
+
+let toasting = 0;
+function toast(words) {
+  const node = find("toast");
+  node.textContent = words;
+  node.classList.add("seen");
+  clearTimeout(toasting);
+  toasting = setTimeout(() => node.classList.remove("seen"), 2600);
+}
+
+const RETRIES = new Set(["network", "overloaded", "rate_limited", "timeout", "internal"]);
+
+/** What buttons and keys share. */
+const does = {
+  pick: () => find("file").click(),
+  help: () => find("help").showModal(),
+  tool: (tool) => store.do("tool", { tool }),
+  mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
+  compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
+  arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
+  full: () => view.zoomTo(1 / view.scale),
+  /** The name of what can be done about a problem. */
+  mending: ({ code, lasting }) => {
+    if (code === "no_such_session" || code === "session_expired") return "Open a picture";
+    if (RETRIES.has(code) && !lasting) return "Try again";
+    return !lasting && store.state.past.length ? "Undo" : null;
+  },
+  mend: (problem) => {
+    const action = does.mending(problem);
+    if (action === "Open a picture") does.pick();
+    else if (action === "Try again") sync.retry();
+    else actions.undo(true);
+  },
+};
+
+new Panel(store, sync, view, actions, does);
+new Table(find("handle-table"), store, actions);
+new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
+const keeper = new Keeper(
+  store,
+  () => sync.session && { session: sync.session.id, borrowed: sync.session.borrowed, file: opener.fileKey, link: opener.link },
+  observe,
+);
+
+// What the view shows of the state.
+store.subscribe((state, previous) => {
+  const { meshShown: lines, compare, compareAt: at, peek } = state;
+  if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
+  stage.classList.toggle("armed", Boolean(state.arm || state.draft.length));
+});
+
+/** `document.body.dataset`. */
+function observe() {
+  const { state } = store;
+  const { shown } = sync;
+  const told = {
+    state: sync.condition,
+    revision: state.revision,
+    shown: shown.revision ?? "",
+    source: view.source === "source" ? "source" : shown.source,
+    moving: state.before !== null,
+    live: sync.live.way,
+    webgl: view.webgl,
+    handles: state.document.handles.length,
+    selected: state.selection.length,
+    tool: state.tool,
+    draft: state.draft.length,
+    arm: state.arm,
+    undo: state.past.length,
+    redo: state.future.length,
+    folds: shown.folds,
+    zoom: view.zoom,
+    pan: view.pan.map((c) => c.toFixed(2)).join(),
+    progress: Math.round(state.progress),
+    session: sync.session?.id ?? "",
+    problem: state.problem?.code ?? "",
+    kept: keeper.kept,
+  };
+  for (const [name, value] of Object.entries(told)) if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = value;
+}
+store.subscribe(observe);
+sync.subscribe(observe);
+view.subscribe(observe);
+
+// Files
+
+find("file").addEventListener("change", ({ target }) => {
+  opener.files(target.files);
+  target.value = "";
+});
+for (const button of document.querySelectorAll("[data-sample]")) button.addEventListener("click", () => opener.sample(button.dataset.sample));
+find("upload-cancel").addEventListener("click", () => opener.cancel());
+
+const carriesFiles = (event) => event.dataTransfer?.types.includes("Files");
+let inside = 0;
+addEventListener("dragenter", (event) => carriesFiles(event) && (find("over").hidden = ++inside < 1));
+addEventListener("dragleave", (event) => carriesFiles(event) && (find("over").hidden = --inside < 1));
+addEventListener("dragover", (event) => carriesFiles(event) && event.preventDefault());
+addEventListener("drop", (event) => {
+  if (!carriesFiles(event)) return;
+  event.preventDefault();
+  inside = 0;
+  find("over").hidden = true;
+  opener.files(event.dataTransfer.files);
+});
+addEventListener("paste", (event) => event.clipboardData?.files.length && opener.files(event.clipboardData.files));
+
+// Taking it along
+
+/** An action on what is open; what the server refuses is told. */
+const taking = (act) => async () => {
+  try {
+    await act(store.state);
+  } catch (problem) {
+    store.do("problem", { problem });
+  }
+};
+const copying = (words, what) => taking(async (state) => toast((await copy(words(sync, state), find("copied"))) ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`));
+find("download").addEventListener("click", taking(async (state) => save(await bentPicture(sync, state), pictureName(state.picture.name))));
+find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
+find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
+find("copy-link").addEventListener("click", copying(linkTo, "Link"));
+
+// Theme, help, panel
+
+const THEMES = ["auto", "light", "dark"];
+function showTheme(theme) {
+  document.body.dataset.theme = theme;
+  const button = find("theme");
+  button.setAttribute("aria-label", `Theme: ${theme}`);
+  button.title = `Theme: ${theme}`;
+  button.querySelector("use").setAttribute("href", `#i-${theme}`);
+}
+showTheme(THEMES.includes(setting("theme")) ? setting("theme") : "auto");
+find("theme").addEventListener("click", () => {
+  const next = THEMES[(THEMES.indexOf(document.body.dataset.theme) + 1) % THEMES.length];
+  keepSetting("theme", next);
+  showTheme(next);
+});
+
+find("help-open").addEventListener("click", does.help);
+find("help-close").addEventListener("click", () => find("help").close());
+find("help").addEventListener("click", (event) => event.target === find("help") && find("help").close());
+find("keys").checked = setting("keys") !== "off";
+find("keys").addEventListener("change", ({ target }) => keepSetting("keys", target.checked ? "on" : "off"));
+
+find("panel-toggle").addEventListener("click", ({ currentTarget }) => {
+  const open = document.body.classList.toggle("panel-open");
+  currentTarget.setAttribute("aria-expanded", open);
+});
+
+// What was there before, or what the address names.
+
+find("limits").textContent = limitWords(limits);
+function begin() {
+  const before = kept();
+  const link = readLink(location.hash) && location.hash;
+  if (link && before?.link !== link) opener.openLink(link);
+  else if (before?.picture) opener.restore(before).then(() => store.state.phase === "empty" && forget());
+}
+addEventListener("hashchange", () => readLink(location.hash) && location.hash !== opener.link && opener.openLink(location.hash));
+observe();
+begin();

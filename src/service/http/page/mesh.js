@@ -1,0 +1,133 @@
+// The posed grid, as the server answers it: where a place of the source goes, where a place of the picture comes from, which cells fold.
+// Lines at rest lie at 0, c, 2c, ..., the last at the picture's edge. What is drawn is the bilinear patch of each cell; under folds the later
+// cell in row order is seen.
+
+export class Mesh {
+  /** `grid`: columns, rows, width, height, cell [w, h]; `places`: x, y of each vertex, row by row, picture px. */
+  constructor(grid, places) {
+    this.grid = grid;
+    this.places = places;
+  }
+
+  static identity(width, height) {
+    return new Mesh({ columns: 2, rows: 2, width, height, cell: [width, height] }, new Float32Array([0, 0, width, 0, 0, height, width, height]));
+  }
+
+  restX(i) {
+    return i === this.grid.columns - 1 ? this.grid.width : i * this.grid.cell[0];
+  }
+
+  restY(j) {
+    return j === this.grid.rows - 1 ? this.grid.height : j * this.grid.cell[1];
+  }
+
+  posed(i, j) {
+    const k = 2 * (j * this.grid.columns + i);
+    return [this.places[k], this.places[k + 1]];
+  }
+
+  corners(i, j) {
+    return [this.posed(i, j), this.posed(i + 1, j), this.posed(i + 1, j + 1), this.posed(i, j + 1)];
+  }
+
+  /** The place of the source that is seen at (x, y). Where the picture has nothing, the nearest vertex is carried along. */
+  inverse(x, y) {
+    const { columns, rows } = this.grid;
+    for (let j = rows - 2; j >= 0; j--) {
+      for (let i = columns - 2; i >= 0; i--) {
+        const at = this.#inCell(i, j, x, y);
+        if (at) {
+          const [left, top] = [this.restX(i), this.restY(j)];
+          return [left + at[0] * (this.restX(i + 1) - left), top + at[1] * (this.restY(j + 1) - top)];
+        }
+      }
+    }
+    return this.#carried(x, y);
+  }
+
+  /** Where in a cell (s, t in [0, 1]) a place lies, or null. */
+  #inCell(i, j, x, y) {
+    const { columns } = this.grid;
+    const m = this.places;
+    const a = 2 * (j * columns + i);
+    const d = a + 2 * columns;
+    const [ax, ay, bx, by] = [m[a], m[a + 1], m[a + 2], m[a + 3]];
+    const [dx, dy, cx, cy] = [m[d], m[d + 1], m[d + 2], m[d + 3]];
+    if (x < Math.min(ax, bx, cx, dx) || x > Math.max(ax, bx, cx, dx) || y < Math.min(ay, by, cy, dy) || y > Math.max(ay, by, cy, dy)) return null;
+    let [s, t] = [0.5, 0.5];
+    for (let step = 0; step < 12; step++) {
+      const fx = (1 - t) * ((1 - s) * ax + s * bx) + t * ((1 - s) * dx + s * cx) - x;
+      const fy = (1 - t) * ((1 - s) * ay + s * by) + t * ((1 - s) * dy + s * cy) - y;
+      const [sx, sy] = [(1 - t) * (bx - ax) + t * (cx - dx), (1 - t) * (by - ay) + t * (cy - dy)];
+      const [tx, ty] = [(1 - s) * (dx - ax) + s * (cx - bx), (1 - s) * (dy - ay) + s * (cy - by)];
+      const area = sx * ty - sy * tx;
+      if (area === 0) return null;
+      const [ds, dt] = [(fy * tx - fx * ty) / area, (fx * sy - fy * sx) / area];
+      [s, t] = [s + ds, t + dt];
+      if (Math.abs(ds) + Math.abs(dt) < 1e-9) break;
+    }
+    const near = 1e-6;
+    if (!(s >= -near && s <= 1 + near && t >= -near && t <= 1 + near)) return null;
+    return [Math.min(1, Math.max(0, s)), Math.min(1, Math.max(0, t))];
+  }
+
+  #carried(x, y) {
+    let [best, least] = [0, Infinity];
+    for (let k = 0; k < this.places.length; k += 2) {
+      const away = (this.places[k] - x) ** 2 + (this.places[k + 1] - y) ** 2;
+      if (away < least) [best, least] = [k, away];
+    }
+    const vertex = best / 2;
+    const [i, j] = [vertex % this.grid.columns, Math.floor(vertex / this.grid.columns)];
+    return [this.restX(i) + x - this.places[best], this.restY(j) + y - this.places[best + 1]];
+  }
+
+  /** Cells of which a corner's cross product is not positive, as [i, j]: the rule by which the server counts. */
+  folded() {
+    const { columns, rows } = this.grid;
+    const cells = [];
+    for (let j = 0; j < rows - 1; j++) {
+      for (let i = 0; i < columns - 1; i++) {
+        const [a, b, c, d] = this.corners(i, j);
+        const cross = (p, q, r, s) => (q[0] - p[0]) * (s[1] - r[1]) - (q[1] - p[1]) * (s[0] - r[0]);
+        if (!(cross(a, b, a, d) > 0 && cross(a, b, b, c) > 0 && cross(d, c, b, c) > 0 && cross(d, c, a, d) > 0)) cells.push([i, j]);
+      }
+    }
+    return cells;
+  }
+
+  /** Every cell as n x n smaller ones on its patch: posed places of (n (columns - 1) + 1) x (n (rows - 1) + 1) vertices. */
+  refined(n) {
+    if (n === 1) return this.places;
+    const { columns, rows } = this.grid;
+    const [wide, high] = [n * (columns - 1) + 1, n * (rows - 1) + 1];
+    const fine = new Float32Array(2 * wide * high);
+    for (let y = 0; y < high; y++) {
+      const j = Math.min(Math.floor(y / n), rows - 2);
+      const t = (y - j * n) / n;
+      for (let x = 0; x < wide; x++) {
+        const i = Math.min(Math.floor(x / n), columns - 2);
+        const s = (x - i * n) / n;
+        const a = 2 * (j * columns + i);
+        const d = a + 2 * columns;
+        const at = 2 * (y * wide + x);
+        for (let axis = 0; axis < 2; axis++) {
+          const top = this.places[a + axis] * (1 - s) + this.places[a + 2 + axis] * s;
+          const bottom = this.places[d + axis] * (1 - s) + this.places[d + 2 + axis] * s;
+          fine[at + axis] = top * (1 - t) + bottom * t;
+        }
+      }
+    }
+    return fine;
+  }
+
+  /** x or y at rest of the lines of `refined(n)`. */
+  refinedLines(n, along) {
+    const [count, rest] = along === 0 ? [this.grid.columns, (k) => this.restX(k)] : [this.grid.rows, (k) => this.restY(k)];
+    return Float32Array.from({ length: n * (count - 1) + 1 }, (_, k) => {
+      const cell = Math.min(Math.floor(k / n), count - 2);
+      const share = (k - cell * n) / n;
+      return rest(cell) * (1 - share) + rest(cell + 1) * share;
+    });
+  }
+}

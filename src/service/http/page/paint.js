@@ -1,0 +1,154 @@
+// The source drawn through the posed grid, in WebGL (2, else 1). Each cell is its bilinear patch, as 1, 4 or 16 pairs of triangles; cells are
+// drawn in row order without blending, so that under folds the later one is seen, as in the server's picture. Alpha is premultiplied.
+
+const VERTEX = `
+attribute vec2 place; attribute vec2 texture;
+uniform vec4 view; varying vec2 at;
+void main() { at = texture; gl_Position = vec4(place * view.xy + view.zw, 0.0, 1.0); }`;
+const FRAGMENT = `
+precision mediump float; uniform sampler2D source; varying vec2 at;
+void main() { gl_FragColor = texture2D(source, at); }`;
+
+/** A patch is divided until its parts are about so wide, picture px, and no more vertices than these. */
+const FINE = 6;
+const MOST_VERTICES = 300_000;
+
+export class Painter {
+  #gl;
+  #texture = null;
+  #source = null;
+  #size = [1, 1];
+  #buffers = null;
+  #shape = "";
+  #count = 0;
+  #wide;
+  #mipmaps;
+
+  /** `kind`: webgl2, webgl, or none when neither is there. */
+  constructor(canvas) {
+    const wish = { alpha: true, premultipliedAlpha: true, antialias: false, depth: false };
+    const second = canvas.getContext("webgl2", wish);
+    this.#gl = second ?? canvas.getContext("webgl", wish);
+    this.kind = second ? "webgl2" : this.#gl ? "webgl" : "none";
+    if (!this.#gl) return;
+    this.#mipmaps = Boolean(second);
+    this.#wide = Boolean(second ?? this.#gl.getExtension("OES_element_index_uint"));
+    this.#build();
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.#build();
+      if (this.#source) this.setSource(this.#source, ...this.#size);
+    });
+  }
+
+  #build() {
+    const gl = this.#gl;
+    const shader = (kind, text) => {
+      const made = gl.createShader(kind);
+      gl.shaderSource(made, text);
+      gl.compileShader(made);
+      return made;
+    };
+    const program = gl.createProgram();
+    gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
+    gl.attachShader(program, shader(gl.FRAGMENT_SHADER, FRAGMENT));
+    gl.bindAttribLocation(program, 0, "place");
+    gl.bindAttribLocation(program, 1, "texture");
+    gl.linkProgram(program);
+    gl.useProgram(program);
+    this.view = gl.getUniformLocation(program, "view");
+    this.#buffers = { places: gl.createBuffer(), rest: gl.createBuffer(), cells: gl.createBuffer() };
+    gl.enableVertexAttribArray(0);
+    gl.enableVertexAttribArray(1);
+    this.#shape = "";
+    this.#texture = null;
+  }
+
+  /** The largest side of a picture that fits into a texture. */
+  get longestSide() {
+    return this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE);
+  }
+
+  /** The picture, upright, as an ImageBitmap with premultiplied alpha; its size in picture px, which may be more than the bitmap's. */
+  setSource(bitmap, width, height) {
+    const gl = this.#gl;
+    this.#source = bitmap;
+    this.#size = [width, height];
+    if (this.#texture) gl.deleteTexture(this.#texture);
+    this.#texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.#texture);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, true);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, this.#mipmaps ? gl.LINEAR_MIPMAP_LINEAR : gl.LINEAR);
+    if (this.#mipmaps) gl.generateMipmap(gl.TEXTURE_2D);
+    this.#shape = "";
+  }
+
+  /** Draws a mesh; `place`: { zoom, x, y } in device px of the canvas, `crisp`: no smoothing of enlarged pixels. */
+  paint(mesh, { zoom, x, y }, crisp) {
+    const gl = this.#gl;
+    if (!this.#texture || gl.isContextLost()) return;
+    const { width, height } = gl.canvas;
+    const n = this.#parts(mesh);
+    this.#arrange(mesh, n);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
+    gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
+    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 0, 0);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, crisp ? gl.NEAREST : gl.LINEAR);
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    // The server's picture ends where the source did.
+    const [left, bottom] = [Math.round(x), Math.round(height - y - zoom * this.#size[1])];
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, Math.round(x + zoom * this.#size[0]) - left, Math.round(height - y) - bottom);
+    gl.uniform4f(this.view, (2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height);
+    gl.drawElements(gl.TRIANGLES, this.#count, this.#wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0);
+  }
+
+  #parts({ grid }) {
+    const most = this.#wide ? MOST_VERTICES : 1 << 16;
+    const vertices = (n) => (n * (grid.columns - 1) + 1) * (n * (grid.rows - 1) + 1);
+    return [4, 2].find((n) => Math.max(...grid.cell) > (FINE * n) / 2 && vertices(n) <= most) ?? 1;
+  }
+
+  /** Triangles and texture places, which depend on the grid alone: in the order of its cells. */
+  #arrange(mesh, n) {
+    const { columns, rows, cell, width, height } = mesh.grid;
+    const shape = [columns, rows, ...cell, n].join();
+    if (shape === this.#shape) return;
+    const gl = this.#gl;
+    const [xs, ys] = [mesh.refinedLines(n, 0), mesh.refinedLines(n, 1)];
+    const rest = new Float32Array(2 * xs.length * ys.length);
+    let at = 0;
+    for (const y of ys) {
+      for (const x of xs) {
+        rest[at++] = x / width;
+        rest[at++] = y / height;
+      }
+    }
+    const cells = new (this.#wide ? Uint32Array : Uint16Array)(6 * (xs.length - 1) * (ys.length - 1));
+    let end = 0;
+    for (let j = 0; j < rows - 1; j++) {
+      for (let i = 0; i < columns - 1; i++) {
+        for (let part = 0; part < n * n; part++) {
+          const a = (n * j + Math.floor(part / n)) * xs.length + n * i + (part % n);
+          const d = a + xs.length;
+          cells.set([a, a + 1, d + 1, a, d + 1, d], end);
+          end += 6;
+        }
+      }
+    }
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
+    gl.bufferData(gl.ARRAY_BUFFER, rest, gl.STATIC_DRAW);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.#buffers.cells);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, cells, gl.STATIC_DRAW);
+    this.#count = end;
+    this.#shape = shape;
+  }
+}

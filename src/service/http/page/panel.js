@@ -1,0 +1,218 @@
+// The controls around the picture: each shows the state and changes it.
+
+import { kindOf } from "./edits.js";
+import { HINTS, METHODS, STAGES, WARNINGS, bytes, count, foldWords, problemWords, reachWords } from "./words.js";
+
+const find = (id) => document.getElementById(id);
+const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
+const press = (id, pressed) => find(id).setAttribute("aria-pressed", pressed);
+
+/** What the server takes for alpha when nobody says: 2 with any line, else 1. */
+const defaultAlpha = ({ handles }) => (handles.some((h) => h.p.length > 1) ? 2 : 1);
+
+export class Panel {
+  constructor(store, sync, view, actions, does) {
+    Object.assign(this, { store, sync, view, actions, does });
+    this.#listen();
+    store.subscribe((state) => this.#draw(state));
+    sync.subscribe(() => this.#drawPicture());
+    view.subscribe(() => this.#drawZoom());
+    this.#draw(store.state);
+  }
+
+  #listen() {
+    const { store, view, actions, does } = this;
+    const click = (id, act) => find(id).addEventListener("click", act);
+    const state = () => store.state;
+    click("undo", () => actions.undo(true));
+    click("redo", () => actions.undo(false));
+    click("new", does.pick);
+    click("pick", does.pick);
+    click("mesh", does.mesh);
+    click("compare", does.compare);
+    click("zoom-in", () => view.zoomTo(view.zoom * 1.25));
+    click("zoom-out", () => view.zoomTo(view.zoom / 1.25));
+    click("zoom-fit", () => view.fit());
+    click("zoom-full", does.full);
+    for (const [id, dx, dy] of [["left", 1, 0], ["right", -1, 0], ["up", 0, 1], ["down", 0, -1]]) {
+      click(`pan-${id}`, () => view.panBy(...view.stageSize.map((side, axis) => Math.round((side / 3) * [dx, dy][axis]))));
+    }
+    click("move-to", does.arm);
+    click("put-back", () => actions.putBack());
+    click("rotate-left", () => actions.rotate(-5));
+    click("rotate-right", () => actions.rotate(5));
+    click("select-more", () => store.do("more", { more: !state().more }));
+    click("remove", () => actions.remove());
+    click("draft-finish", () => actions.finish());
+    click("draft-cancel", () => store.do("draft", { places: [] }));
+    click("add", () => actions.addInTheMiddle());
+    click("pin-border", () => actions.pinBorder());
+    click("select-all", () => actions.selectAll());
+    click("put-back-all", () => actions.putBack(actions.all));
+    click("clear", () => actions.clear());
+    click("problem-close", () => store.do("problem", { problem: null }));
+    click("problem-action", () => does.mend(state().problem));
+    for (const input of document.querySelectorAll("input[name=tool]")) input.addEventListener("change", () => does.tool(input.value));
+    for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#set({ method: input.value }));
+    find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : Number(target.value) }));
+    find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
+    find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : defaultAlpha(state().document) }));
+    find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
+    this.#holds(find("before"));
+  }
+
+  #set(what, tag = "") {
+    this.actions.edit({ ...this.store.state.document, ...what }, { tag });
+  }
+
+  /** The original is seen as long as the button is held, by whatever holds it. */
+  #holds(button) {
+    const peek = (on) => () => this.store.state.peek !== on && this.store.do("show", { what: { peek: on } });
+    const isPress = (event) => event.key === " " || event.key === "Enter";
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      peek(true)();
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, peek(false));
+    button.addEventListener("keydown", (event) => isPress(event) && (event.preventDefault(), peek(true)()));
+    button.addEventListener("keyup", (event) => isPress(event) && peek(false)());
+    button.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+
+  #draw(state) {
+    const open = state.phase === "open";
+    for (const node of document.querySelectorAll("[data-when=open]")) node.hidden = !open;
+    find("drop").hidden = state.phase !== "empty";
+    find("upload").hidden = state.phase !== "uploading";
+    find("work").hidden = find("panel").hidden = !state.picture || state.phase === "empty";
+    this.#drawUpload(state);
+    this.#drawBend(state.document);
+    this.#drawTools(state);
+    this.#drawProblem(state.problem);
+    text("title", state.picture ? `${state.picture.name}` : "");
+    document.title = state.picture ? `${state.picture.name} – mlswarp` : "mlswarp";
+    find("undo").disabled = !state.past.length;
+    find("redo").disabled = !state.future.length;
+    const none = !state.document.handles.length;
+    find("handles-none").hidden = !none;
+    for (const id of ["select-all", "put-back-all", "clear"]) find(id).disabled = none;
+    this.#drawPicture();
+  }
+
+  #drawUpload({ phase, progress, uploadName }) {
+    if (phase !== "uploading") return;
+    find("upload-bar").value = progress;
+    text("upload-text", progress < 100 ? `Sending ${uploadName}: ${Math.round(progress)} %` : `Reading ${uploadName}`);
+  }
+
+  #drawBend(document) {
+    find(`method-${document.method}`).checked = true;
+    text("method-note", METHODS[document.method]);
+    const alpha = document.alpha ?? defaultAlpha(document);
+    find("alpha").value = alpha;
+    find("alpha").setAttribute("aria-valuetext", `${alpha}. ${reachWords(alpha)}`);
+    text("alpha-value", `${alpha}`);
+    find("alpha-auto").checked = document.alpha === null;
+    text("alpha-note", reachWords(alpha));
+    const select = find("grid-size");
+    const value = String(document.grid);
+    if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
+    select.value = value;
+  }
+
+  #drawTools(state) {
+    find(`tool-${state.tool}`).checked = true;
+    press("mesh", state.meshShown);
+    press("compare", state.compare);
+    find("compare-bar").hidden = !state.compare;
+    find("compare-at").value = state.compareAt;
+    find("before").classList.toggle("held", state.peek);
+    const { selection, draft, arm, document: { handles } } = state;
+    const places = selection.length && this.#placesOf(state);
+    find("selection").hidden = !selection.length || draft.length > 0 || state.compare;
+    text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
+    press("move-to", arm === "move");
+    press("select-more", state.more);
+    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2;
+    find("draft").hidden = !draft.length;
+    find("draft-finish").disabled = draft.length < 2;
+    text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "place")}`);
+    this.#drawHint(state);
+  }
+
+  #nameOf(key, handles) {
+    const [id, vertex] = key.split(".");
+    const index = handles.findIndex((h) => h.id === Number(id));
+    const kind = { point: "Point", line: "Line", path: "Path" }[kindOf(handles[index])];
+    return `${kind} ${index + 1}${vertex === undefined ? "" : `.${Number(vertex) + 1}`}`;
+  }
+
+  #placesOf({ selection, document: { handles } }) {
+    return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
+  }
+
+  #drawHint({ document: { handles }, tool, arm, draft, compare, problem }) {
+    const kind = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
+    const which = arm ? "move" : draft.length || compare || problem ? null : tool !== "point" ? tool : handles.length ? null : "first";
+    find("hint").hidden = !which;
+    if (which) text("hint", HINTS[which][kind]);
+  }
+
+  #drawProblem(problem) {
+    find("problem").hidden = !problem;
+    if (!problem) return;
+    const { title, detail, advice } = problemWords(problem);
+    text("problem-title", title);
+    text("problem-detail", detail);
+    text("problem-advice", advice);
+    const action = this.does.mending(problem);
+    find("problem-action").hidden = !action;
+    text("problem-action", action ?? "");
+  }
+
+  #drawZoom() {
+    text("zoom-value", `${Math.round(100 * this.view.zoom * this.view.scale)} %`);
+    for (const [side, more] of Object.entries(this.view.beyond)) find(`pan-${side}`).hidden = !more;
+  }
+
+  /** What the last answer said of itself. */
+  #drawPicture() {
+    const { shown, session } = this.sync;
+    text("folds-note", foldWords(shown.folds));
+    const { grid } = session ?? {};
+    text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
+    const rows = timingRows(shown, this.view.size);
+    const list = find("timing");
+    list.replaceChildren(...rows.flatMap(([id, name, value]) => {
+      const [term, words] = [document.createElement("dt"), document.createElement("dd")];
+      Object.assign(words, { id: `timing-${id}`, textContent: value });
+      term.textContent = name;
+      return [term, words];
+    }));
+    this.#drawBar(shown.report?.timing ?? {});
+    const warning = (shown.warnings ?? []).map((w) => WARNINGS[w]).filter(Boolean).join(" ");
+    text("status", this.store.state.phase === "open" ? warning : "");
+  }
+
+  #drawBar(timing) {
+    const stages = Object.keys(STAGES).filter((name) => timing[name] > 0);
+    const bar = find("timing-bar");
+    bar.replaceChildren(...stages.map((name) => {
+      const part = document.createElement("span");
+      part.className = name;
+      part.style.flexGrow = timing[name];
+      return part;
+    }));
+  }
+}
+
+const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;
+
+function timingRows({ report, rate }, size) {
+  if (!report) return [];
+  const rows = Object.entries(STAGES).filter(([name]) => report.timing[name] !== undefined).map(([name, words]) => [name, words, ms(report.timing[name])]);
+  if (report.trip !== undefined) rows.push(["trip", "There and back", ms(report.trip)]);
+  rows.push(["size", "Size", `${size ? `${size[0]} × ${size[1]}, ` : ""}${bytes(report.size)}`]);
+  if (rate) rows.push(["rate", "While dragging", `${Math.round(rate)} frames/s`]);
+  return rows;
+}

@@ -1,0 +1,293 @@
+// Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until it is lifted or taken away; a second
+// finger ends it without a trace and begins a pinch.
+
+import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
+import { keyOf } from "./handles.js";
+
+/** A press that moves less is a click, CSS px. */
+const STILL = { mouse: 3, pen: 5, touch: 8 };
+/** A second click so soon and so near is a double click. */
+const DOUBLE = { time: 400, away: 8 };
+/** One notch of a wheel is about this factor. */
+const WHEEL = 1.0018;
+
+export class Pointer {
+  spaceHeld = false;
+
+  #gesture = null;
+  #fingers = new Map(); // pointerId to [x, y]
+  #pinch = null;
+  #lastClick = { time: 0, at: [0, 0] };
+
+  constructor(stage, store, view, handles, actions) {
+    Object.assign(this, { stage, store, view, handles, actions });
+    stage.addEventListener("pointerdown", (event) => this.#down(event));
+    stage.addEventListener("pointermove", (event) => this.#move(event));
+    stage.addEventListener("pointerup", (event) => this.#up(event));
+    stage.addEventListener("pointercancel", (event) => this.#lost(event));
+    stage.addEventListener("lostpointercapture", (event) => this.#gesture?.id === event.pointerId && this.#lost(event));
+    stage.addEventListener("pointerleave", () => this.#hover(null));
+    stage.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
+    stage.addEventListener("contextmenu", (event) => event.pointerType === "touch" && event.preventDefault());
+    // What assistive technology does to a handle is a click without a pointer.
+    stage.addEventListener("click", (event) => {
+      const named = event.detail === 0 && handles.named(event.target);
+      if (named) actions.choose(named, event.shiftKey);
+    });
+  }
+
+  /** A gesture is under way. */
+  get busy() {
+    return this.#gesture !== null || this.#pinch !== null;
+  }
+
+  cancel() {
+    this.#gesture?.cancel?.();
+    this.#end();
+  }
+
+  #at(event) {
+    const box = this.stage.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  #down(event) {
+    if (!this.view.size || event.button === 2) return;
+    const at = this.#at(event);
+    if (event.pointerType === "touch") {
+      this.#fingers.set(event.pointerId, at);
+      if (this.#fingers.size > 1) return this.#beginPinch(event);
+    }
+    if (this.#gesture || this.#pinch) return;
+    this.stage.setPointerCapture(event.pointerId);
+    event.preventDefault(); // no selection, no focus but the one given here
+    this.store.do("cross", { place: null });
+    this.#hover(null);
+    const gesture = this.#begin(event, at);
+    this.#gesture = { still: STILL[event.pointerType] ?? STILL.mouse, ...gesture, id: event.pointerId, begun: at, moved: false };
+    this.#gesture.press?.(at);
+  }
+
+  #begin(event, at) {
+    const { state } = this.store;
+    const kind = event.pointerType;
+    if (event.button === 1 || this.spaceHeld) return this.#panning();
+    if (state.compare) return this.#comparing();
+    if (state.arm || state.draft.length) return this.#placing(kind);
+    const hit = this.handles.hit(at, kind);
+    if (hit?.knob) return this.#turning();
+    if (hit) return this.#dragging(hit, event.shiftKey);
+    if (event.shiftKey || state.tool === "point") return this.#marquee(event.shiftKey);
+    return this.#placing(kind, state.tool === "line");
+  }
+
+  #move(event) {
+    const at = this.#at(event);
+    if (this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, at);
+    if (this.#pinch) return this.#movePinch();
+    const gesture = this.#gesture;
+    if (!gesture) return event.pointerType === "mouse" && this.#hover(at);
+    if (gesture.id !== event.pointerId) return;
+    if (!gesture.moved && Math.hypot(at[0] - gesture.begun[0], at[1] - gesture.begun[1]) < gesture.still) return;
+    if (!gesture.moved) {
+      gesture.moved = true;
+      gesture.begin?.();
+    }
+    gesture.last = at;
+    gesture.move?.(at, event);
+  }
+
+  #up(event) {
+    this.#fingers.delete(event.pointerId);
+    if (this.#pinch) {
+      if (this.#fingers.size < 2) this.#pinch = null;
+      return;
+    }
+    const gesture = this.#gesture;
+    if (gesture?.id !== event.pointerId) return;
+    this.#end();
+    if (gesture.moved) gesture.end?.(this.#at(event));
+    else gesture.click?.(this.#at(event), event);
+  }
+
+  #lost(event) {
+    this.#fingers.delete(event.pointerId);
+    if (this.#pinch && this.#fingers.size < 2) this.#pinch = null;
+    if (this.#gesture?.id !== event.pointerId) return;
+    this.cancel();
+  }
+
+  #end() {
+    this.#gesture = null;
+    this.handles.marquee = null;
+    this.handles.turning = null;
+    this.handles.draw();
+    delete this.stage.dataset.gesture;
+  }
+
+  // Gestures
+
+  #dragging(hit, adds) {
+    const key = keyOf(hit.handle, hit.vertex);
+    const selected = () => this.store.state.selection.includes(key) || this.store.state.selection.includes(String(hit.handle.id));
+    let before;
+    return {
+      press: () => this.handles.focus(hit.index, hit.handle.p.length === 1 ? null : hit.vertex),
+      begin: () => {
+        if (!selected()) this.store.do("select", { keys: [key] });
+        this.store.do("dragBegin");
+        before = this.store.state.document;
+        this.stage.dataset.gesture = "drag";
+      },
+      move: (at) => {
+        const [dx, dy] = at.map((c, axis) => (c - this.#gesture.begun[axis]) / this.view.zoom);
+        this.store.do("drag", { document: translated(before, this.store.state.selection, dx, dy) });
+      },
+      end: () => {
+        this.store.do("dragEnd");
+        this.actions.sayWhere();
+      },
+      cancel: () => this.store.do("dragCancel"),
+      click: () => this.actions.choose(hit, adds),
+    };
+  }
+
+  #turning() {
+    const { document, selection } = this.store.state;
+    const circle = circleOf(posedPlaces(document, selection));
+    const angleOf = (at) => {
+      const middle = this.view.toStage(circle.centre);
+      return Math.atan2(at[1] - middle[1], at[0] - middle[0]);
+    };
+    return {
+      still: 1,
+      press: () => this.handles.knob.focus({ preventScroll: true }),
+      begin: () => this.store.do("dragBegin"),
+      move: (at, { shiftKey }) => {
+        const turned = angleOf(at) - angleOf(this.#gesture.begun);
+        const angle = shiftKey ? Math.round(turned / (Math.PI / 12)) * (Math.PI / 12) : turned;
+        this.handles.turning = { ...circle, angle };
+        this.store.do("drag", { document: rotated(document, selection, circle.centre, angle) });
+      },
+      end: () => {
+        this.store.do("dragEnd");
+        this.actions.sayWhere();
+      },
+      cancel: () => this.store.do("dragCancel"),
+    };
+  }
+
+  /** On nothing: a click adds, a drag selects. */
+  #marquee(adds) {
+    const kept = adds ? this.store.state.selection : [];
+    return {
+      press: () => this.stage.focus({ preventScroll: true }),
+      move: (at) => {
+        this.handles.marquee = [this.#gesture.begun, at];
+        const inside = this.handles.inside(this.handles.marquee);
+        this.store.do("select", { keys: [...new Set([...kept, ...inside])] });
+        this.handles.draw();
+      },
+      cancel: () => this.store.do("select", { keys: kept }),
+      click: (at) => this.#clickOnNothing(at, adds),
+    };
+  }
+
+  #clickOnNothing(at, adds) {
+    const place = this.view.toPicture(at);
+    if (adds || !this.actions.inPicture(place)) return adds || this.store.do("select", { keys: [] });
+    this.actions.place(place);
+  }
+
+  /** The next place of a line or path, or where the selection goes. */
+  #placing(kind, drags = false) {
+    const isDouble = (at) => {
+      const { time, at: before } = this.#lastClick;
+      return performance.now() - time < DOUBLE.time && Math.hypot(at[0] - before[0], at[1] - before[1]) < DOUBLE.away;
+    };
+    const click = (at) => {
+      const { tool, draft, arm } = this.store.state;
+      const place = this.view.toPicture(at);
+      if (!arm && tool === "path" && draft.length && isDouble(at)) return this.actions.finish();
+      this.#lastClick = { time: performance.now(), at };
+      if (!draft.length && !arm && !this.actions.inPicture(place)) return this.store.do("select", { keys: [] });
+      this.actions.place(place);
+      if (kind === "mouse") this.#hover(at);
+    };
+    return {
+      press: () => this.stage.focus({ preventScroll: true }),
+      // A line may be drawn in one movement.
+      begin: () => drags && this.actions.place(this.view.toPicture(this.#gesture.begun)),
+      move: (at) => this.#hover(at),
+      end: (at) => (drags ? this.actions.place(this.view.toPicture(at)) : click(at)),
+      cancel: () => drags && this.store.do("draft", { places: [] }),
+      click,
+    };
+  }
+
+  #panning() {
+    let from = this.view.pan;
+    return {
+      still: 1,
+      press: () => {
+        from = this.view.pan;
+        this.stage.dataset.gesture = "pan";
+      },
+      move: (at) => {
+        const { begun } = this.#gesture;
+        this.view.panBy(from[0] + at[0] - begun[0] - this.view.pan[0], from[1] + at[1] - begun[1] - this.view.pan[1]);
+      },
+    };
+  }
+
+  #comparing() {
+    const to = ([x]) => {
+      const share = (100 * (x - this.view.pan[0])) / (this.view.zoom * this.view.size[0]);
+      this.store.do("show", { what: { compareAt: Math.min(100, Math.max(0, Math.round(share))) } });
+    };
+    return { still: 1, press: to, move: to };
+  }
+
+  // Two fingers
+
+  #beginPinch(event) {
+    event.preventDefault();
+    this.cancel();
+    const [a, b] = [...this.#fingers.values()];
+    this.#pinch = { zoom: this.view.zoom, pan: this.view.pan, apart: Math.hypot(a[0] - b[0], a[1] - b[1]), middle: middleOf(a, b) };
+    this.stage.setPointerCapture(event.pointerId);
+  }
+
+  #movePinch() {
+    const [a, b] = [...this.#fingers.values()];
+    if (!b) return;
+    const { zoom, pan, apart, middle } = this.#pinch;
+    const now = middleOf(a, b);
+    const next = (zoom * Math.hypot(a[0] - b[0], a[1] - b[1])) / Math.max(1, apart);
+    this.view.zoomTo(next, now);
+    const factor = this.view.zoom / zoom;
+    const wish = now.map((c, axis) => c - (middle[axis] - pan[axis]) * factor);
+    this.view.panBy(wish[0] - this.view.pan[0], wish[1] - this.view.pan[1]);
+  }
+
+  #wheel(event) {
+    if (!this.view.size) return;
+    event.preventDefault();
+    if (event.shiftKey && !event.ctrlKey) return this.view.panBy(-(event.deltaX || event.deltaY), 0);
+    const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
+    // A pinch on a touchpad comes as a wheel with Ctrl, in smaller steps.
+    const step = Math.max(-240, Math.min(240, event.deltaY * lines * (event.ctrlKey ? 5 : 1)));
+    this.view.zoomTo(this.view.zoom * WHEEL ** -step, this.#at(event));
+  }
+
+  /** Where a line that is being drawn would go on. */
+  #hover(at) {
+    const drawing = at && this.store.state.draft.length > 0;
+    const next = drawing ? at : null;
+    if (next === this.handles.pointer) return;
+    this.handles.pointer = next;
+    this.handles.draw();
+  }
+}
+
+const middleOf = (a, b) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];

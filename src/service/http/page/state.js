@@ -1,0 +1,160 @@
+// The document (handles, method, alpha, grid), what is selected, and the history. Reducers are pure: a state and an action give the next
+// state. Everything that shows something subscribes.
+
+/** Steps of undo that are kept. */
+const STEPS = 200;
+/** Steps with the same tag that follow each other within so many milliseconds are one. */
+const TOGETHER = 800;
+
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto" });
+
+export const initialState = () => ({
+  phase: "empty", // empty, uploading, open
+  progress: 0,
+  picture: null, // { name, width, height, sample, linked }
+  document: emptyDocument(),
+  revision: 0,
+  selection: [], // "7" is a whole handle, "7.2" a place of it
+  tool: "point",
+  draft: [],
+  arm: "",
+  more: false,
+  cross: null, // where the keyboard points, picture px
+  before: null, // the document at the start of a drag
+  past: [],
+  future: [],
+  tag: "",
+  tagged: 0,
+  problem: null,
+  meshShown: false,
+  compare: false,
+  compareAt: 50,
+  peek: false,
+});
+
+const idOf = (key) => Number(key.split(".")[0]);
+
+/** Whether a key of the selection still names something. */
+function exists(document, key) {
+  const handle = document.handles.find((h) => h.id === idOf(key));
+  if (!handle) return false;
+  const vertex = key.includes(".") ? Number(key.split(".")[1]) : 0;
+  return vertex < handle.p.length;
+}
+
+function withDocument(state, document) {
+  if (document === state.document) return state;
+  const kept = state.selection.filter((key) => exists(document, key));
+  const selection = kept.length === state.selection.length ? state.selection : kept;
+  return { ...state, document, selection, revision: state.revision + 1, problem: stillWrong(state.problem) };
+}
+
+/** A problem that the next answer will tell anew, if it persists, goes with the change that may mend it. */
+const stillWrong = (problem) => (problem?.lasting ? problem : null);
+
+const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [] });
+
+const reducers = {
+  uploading: (state, { name }) => ({ ...state, phase: "uploading", progress: 0, uploadName: name, problem: null }),
+  progress: (state, { percent }) => ({ ...state, progress: percent }),
+  uploadEnded: (state) => ({ ...state, phase: state.picture ? "open" : "empty" }),
+
+  /** Another picture, with its handles and history. */
+  opened: (state, { picture, document, past = [], future = [] }) => ({
+    ...initialState(),
+    phase: "open",
+    picture,
+    document,
+    past,
+    future,
+    revision: state.revision + 1,
+    tool: state.tool,
+    meshShown: state.meshShown,
+  }),
+
+  /** One step. Steps with one tag in quick succession are one. */
+  edit: (state, { document, select, tag = "", now = 0 }) => {
+    if (document === state.document) return state;
+    const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
+    const history = joins ? { future: [] } : remembered(state, state.document);
+    const next = withDocument({ ...state, ...history, tag, tagged: now }, document);
+    return select ? { ...next, selection: select } : next;
+  },
+
+  dragBegin: (state) => ({ ...state, before: state.document, tag: "" }),
+  drag: (state, { document }) => withDocument(state, document),
+  dragEnd: (state) => {
+    if (!state.before) return state;
+    const history = state.before === state.document ? {} : remembered(state, state.before);
+    return { ...state, ...history, before: null };
+  },
+  dragCancel: (state) => (state.before ? { ...withDocument(state, state.before), before: null } : state),
+
+  undo: (state) => {
+    if (!state.past.length || state.before) return state;
+    const next = { ...state, past: state.past.slice(0, -1), future: [state.document, ...state.future], draft: [], tag: "" };
+    return withDocument(next, state.past.at(-1));
+  },
+  redo: (state) => {
+    if (!state.future.length || state.before) return state;
+    const next = { ...state, past: [...state.past, state.document], future: state.future.slice(1), draft: [], tag: "" };
+    return withDocument(next, state.future[0]);
+  },
+
+  select: (state, { keys }) => {
+    const selection = keys.filter((key) => exists(state.document, key));
+    return { ...state, selection, arm: selection.length ? state.arm : "", more: selection.length ? state.more : false };
+  },
+  toggle: (state, { key }) => {
+    // The whole of a handle and a place of it do not stand beside each other.
+    const others = state.selection.filter((k) => idOf(k) !== idOf(key) || (k.includes(".") && key.includes(".")));
+    const selection = state.selection.includes(key) ? state.selection.filter((k) => k !== key) : [...others, key];
+    return { ...state, selection, arm: "" };
+  },
+
+  tool: (state, { tool }) => ({ ...state, tool, draft: [] }),
+  draft: (state, { places }) => ({ ...state, draft: places }),
+  arm: (state, { arm }) => ({ ...state, arm: state.selection.length ? arm : "", draft: [] }),
+  more: (state, { more }) => ({ ...state, more }),
+  cross: (state, { place }) => ({ ...state, cross: place }),
+  problem: (state, { problem }) => ({ ...state, problem }),
+  show: (state, { what }) => ({ ...state, ...what }),
+};
+
+export function reduce(state, action) {
+  return reducers[action.type](state, action);
+}
+
+export class Store {
+  #state = initialState();
+  #views = new Set();
+  #telling = false;
+  #previous = null;
+
+  get state() {
+    return this.#state;
+  }
+
+  /** Tells every view, once for what views themselves do while they are told. */
+  do(type, action = {}) {
+    const before = this.#state;
+    this.#state = reduce(before, { ...action, type });
+    if (this.#state === before) return;
+    this.#previous ??= before;
+    if (this.#telling) return;
+    this.#telling = true;
+    try {
+      while (this.#previous) {
+        const previous = this.#previous;
+        this.#previous = null;
+        for (const view of this.#views) view(this.#state, previous);
+      }
+    } finally {
+      this.#telling = false;
+    }
+  }
+
+  subscribe(view) {
+    this.#views.add(view);
+  }
+}

@@ -1,0 +1,282 @@
+// Keeps the server in step with the document, and the picture in step with the server. While the hand moves, poses travel through `live`
+// and what comes back is drawn at once; when the hand rests, the server's PNG is fetched. One loop decides what is next, so that an answer
+// that was overtaken is never shown.
+
+import * as api from "./api.js";
+import { restOf, wire } from "./edits.js";
+import { Live } from "./live.js";
+import { Mesh } from "./mesh.js";
+
+/** The hand rests when it has not moved for so long, ms. */
+const REST = 150;
+const TRANSIENT = new Set(["network", "overloaded", "rate_limited", "timeout"]);
+const LOST = new Set(["no_such_session", "session_expired"]);
+
+export class Sync {
+  /** The session: { id, grid, rest (JSON of what it was made with), borrowed (came by a link: its handles are someone else's) }. */
+  session = null;
+  /** The picture as a file: { blob, name }. */
+  file = null;
+  mesh = null;
+  /** The server's PNG that is seen: { blob, revision }. */
+  png = null;
+  shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+
+  #running = false;
+  #cancel = null;
+  #refused = -1;
+  #stalled = false;
+  #settled = -1;
+  #sent = -1;
+  #meshRevision = -1;
+  #seq = 0;
+  #changed = 0;
+  #burst = false;
+  #timer = 0;
+  #retries = 0;
+  #frames = [];
+  #views = new Set();
+
+  constructor(store, view, allowSocket) {
+    this.store = store;
+    this.view = view;
+    this.live = new Live(view.webgl === "none" ? "png" : "mesh", allowSocket, {
+      mesh: (places, grid, revision, report, done) => this.#liveMesh(new Mesh(grid, places), revision, report, done),
+      frame: (blob, revision, report, done) => this.#liveFrame(blob, revision, report, done),
+      problem: (problem, revision) => this.#liveProblem(problem, revision),
+      way: () => this.#tell(),
+    });
+    store.subscribe((state, previous) => this.#follow(state, previous));
+  }
+
+  subscribe(view) {
+    this.#views.add(view);
+  }
+
+  #tell() {
+    for (const view of this.#views) view();
+  }
+
+  /** What `data-state` says. */
+  get condition() {
+    const { phase, revision, before } = this.store.state;
+    if (phase !== "open") return phase;
+    if (this.#refused === revision || this.#stalled) return "error";
+    return this.#settled === revision && !before ? "ready" : "busy";
+  }
+
+  /** A session and its picture, before the store is told of the document. */
+  begin(object, rest, file, borrowed = false) {
+    this.#cancel?.abort();
+    this.file = file;
+    this.mesh = Mesh.identity(object.image.width, object.image.height);
+    this.png = null;
+    this.shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+    this.#settled = this.#sent = this.#meshRevision = this.#refused = -1;
+    this.#stalled = false;
+    this.#adopt(object, rest, borrowed);
+  }
+
+  end() {
+    this.#cancel?.abort();
+    this.session = null;
+    this.live.close();
+  }
+
+  #adopt(object, rest, borrowed = false) {
+    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), borrowed };
+    this.#seq = Math.max(this.#seq, object.seq ?? 0);
+    this.live.open(object.id, this.session.grid, () => this.#nextSeq());
+    this.#tell();
+  }
+
+  /** Numbers that grow over tabs and reloads too: the clock, or one more than the last. */
+  #nextSeq() {
+    this.#seq = Math.max(this.#seq + 1, Date.now());
+    return this.#seq;
+  }
+
+  #follow(state, previous) {
+    if (state.revision !== previous.revision) {
+      const now = performance.now();
+      this.#burst = !state.before && now - this.#changed < REST && state.phase === previous.phase;
+      this.#changed = now;
+      this.#stalled = false;
+      this.#cancel?.abort();
+      clearTimeout(this.#timer);
+      this.#timer = setTimeout(() => this.#run(), REST + 1);
+    }
+    if (state.before && !previous.before) this.#frames = [];
+    if (!state.before && previous.before) this.#burst = false;
+    this.#tell();
+    this.#run();
+  }
+
+  /** Asks again, after a problem. */
+  retry() {
+    this.#refused = -1;
+    this.#stalled = false;
+    this.store.do("problem", { problem: null });
+    this.#tell();
+    this.#run();
+  }
+
+  async #run() {
+    if (this.#running) return;
+    this.#running = true;
+    try {
+      let more = true;
+      while (more) {
+        try {
+          more = await this.#step();
+          if (more) this.#retries = 0;
+        } catch (error) {
+          more = await this.#after(error);
+        }
+      }
+    } finally {
+      this.#running = false;
+      this.#tell();
+    }
+  }
+
+  async #step() {
+    const { phase, document, revision, before } = this.store.state;
+    if (phase !== "open" || !this.session || this.#refused === revision || this.#stalled) return false;
+    const rest = restOf(document);
+    if (JSON.stringify(rest) !== this.session.rest) {
+      await this.#putRest(rest);
+      return true;
+    }
+    const moving = before || this.#burst;
+    if (moving && performance.now() - this.#changed < REST) {
+      if (this.#sent !== revision) this.live.send(wire(document, "q"), revision);
+      this.#sent = revision;
+      return false;
+    }
+    if (this.#settled === revision) return false;
+    await this.#settle(document, revision);
+    return true;
+  }
+
+  async #putRest(rest) {
+    if (this.session.borrowed) return this.#reopen(rest);
+    const { id } = this.session;
+    this.session.rest = null; // until the answer says otherwise, nobody knows
+    this.#adopt(await api.putHandles(id, rest), rest);
+  }
+
+  /** The same picture as a new session: the old one has ended, or is someone else's. */
+  async #reopen(rest) {
+    if (!this.file) throw new api.Problem({ code: "no_such_session", title: "The session has ended", detail: "" }, 404);
+    this.#adopt(await api.openSession(this.file.blob, this.file.name, rest, {}), rest);
+    this.#meshRevision = -1;
+  }
+
+  async #settle(document, revision) {
+    this.live.rest();
+    const cancel = new AbortController();
+    this.#cancel = cancel;
+    const { id, grid } = this.session;
+    const body = { q: wire(document, "q"), seq: this.#nextSeq() };
+    const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
+    const [{ blob, report }] = await Promise.all([api.picture(id, body, cancel.signal), meshing]);
+    if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
+    this.png = { blob, revision };
+    this.#settled = revision;
+    this.#show(revision, "png", { folds: report.folds, report, warnings: report.warnings });
+  }
+
+  async #fetchMesh(id, grid, body, revision, signal) {
+    const { places } = await api.mesh(id, body, signal);
+    if (signal.aborted) return;
+    this.#takeMesh(new Mesh(grid, places), revision);
+    if (this.view.webgl !== "none" && this.png?.revision !== revision) {
+      this.view.showMesh(this.mesh, () => {});
+      this.#show(revision, "mesh", { folds: this.view.folds });
+    }
+  }
+
+  #takeMesh(mesh, revision) {
+    this.mesh = mesh;
+    this.#meshRevision = revision;
+    this.view.setMesh(mesh);
+  }
+
+  #show(revision, source, more) {
+    this.shown = { ...this.shown, revision, source, ...more };
+    this.#tell();
+  }
+
+  #overtaken(revision) {
+    return this.shown.revision !== null && revision < this.shown.revision;
+  }
+
+  #liveMesh(mesh, revision, report, done) {
+    if (this.#overtaken(revision) || this.#settled === revision) return done();
+    this.#takeMesh(mesh, revision);
+    this.view.showMesh(mesh, done);
+    this.#show(revision, "mesh", { folds: this.view.folds, report: report ?? this.shown.report, rate: this.#rate() });
+  }
+
+  async #liveFrame(blob, revision, report, done) {
+    if (!this.#overtaken(revision) && this.#settled !== revision && (await this.view.showFrame(blob)) && this.#settled !== revision) {
+      this.#show(revision, "frame", { folds: report?.folds ?? 0, report: report ?? this.shown.report, rate: this.#rate() });
+    }
+    done();
+  }
+
+  /** Frames of the last second of this drag. */
+  #rate() {
+    const now = performance.now();
+    this.#frames = [...this.#frames.filter((t) => now - t < 1000), now];
+    const span = now - this.#frames[0];
+    return span < 200 ? 0 : ((this.#frames.length - 1) * 1000) / span;
+  }
+
+  /** Only a problem of the newest pose matters; a lost session is found again by the loop. */
+  #liveProblem(problem, revision) {
+    if (problem.code === "superseded" || TRANSIENT.has(problem.code) || LOST.has(problem.code)) return;
+    if (revision === this.store.state.revision) this.#refuse(problem);
+  }
+
+  #refuse(problem) {
+    this.#refused = this.store.state.revision;
+    this.store.do("problem", { problem });
+    this.#tell();
+  }
+
+  /** Whether to go on after an error. */
+  async #after(error) {
+    if (api.wasAborted(error)) return true;
+    if (!(error instanceof api.Problem)) throw error;
+    const { phase, document } = this.store.state;
+    if (phase !== "open" || !this.session) return false;
+    try {
+      if (error.code === "superseded") {
+        this.#seq = (await api.readSession(this.session.id)).seq ?? 0;
+        return true;
+      }
+      if (LOST.has(error.code) && this.file && this.#retries++ < 3) {
+        await this.#reopen(restOf(document));
+        return true;
+      }
+    } catch (second) {
+      error = second;
+    }
+    if (TRANSIENT.has(error.code)) {
+      this.#stalled = true;
+      this.store.do("problem", { problem: error });
+      const seconds = error.retry_after ?? Math.min(15, 2 ** this.#retries++);
+      setTimeout(() => this.#stalled && this.retry(), 1000 * seconds);
+    } else {
+      this.#refuse(error);
+    }
+    return false;
+  }
+}
+
+/** The grid of a session object, as a mesh has it. */
+function gridOf({ grid, image }) {
+  return { columns: grid.columns, rows: grid.rows, cell: grid.cell, width: image.width, height: image.height };
+}

@@ -1,0 +1,96 @@
+// The table of handles: every number of p and q can be typed.
+
+import { kindName, withNumber } from "./edits.js";
+
+export class Table {
+  #shape = "";
+  #body;
+
+  constructor(table, store, actions) {
+    Object.assign(this, { table, store, actions });
+    this.#body = table.tBodies[0];
+    table.addEventListener("change", (event) => this.#changed(event.target));
+    table.addEventListener("focusin", (event) => this.#entered(event));
+    table.addEventListener("keydown", (event) => event.key === "Enter" && event.target.matches("input") && this.#changed(event.target));
+    store.subscribe((state, previous) => this.#draw(state, previous));
+  }
+
+  #draw(state, previous) {
+    const shape = state.document.handles.map((h) => `${h.id}:${h.p.length}`).join();
+    if (shape !== this.#shape) this.#build(state.document, shape);
+    else if (state.document === previous.document && state.selection === previous.selection && state.problem === previous.problem) return;
+    this.#fill(state);
+  }
+
+  #build(document, shape) {
+    this.#shape = shape;
+    this.#body.replaceChildren(...document.handles.flatMap((handle, index) => handle.p.map((_, vertex) => this.#row(handle, index, vertex))));
+    this.table.closest(".scroll").hidden = document.handles.length === 0;
+  }
+
+  #row(handle, index, vertex) {
+    const row = document.createElement("tr");
+    Object.assign(row.dataset, { handle: index, vertex });
+    const head = document.createElement("th");
+    head.scope = "row";
+    const choose = document.createElement("button");
+    choose.type = "button";
+    const single = handle.p.length === 1;
+    choose.textContent = single ? `${index + 1}` : `${index + 1}.${vertex + 1}`;
+    choose.setAttribute("aria-label", `Select ${kindName(handle).toLowerCase()} ${index + 1}${single ? "" : `, place ${vertex + 1}`}`);
+    choose.addEventListener("click", (event) => this.actions.choose({ handle: this.store.state.document.handles[index], vertex: single ? null : vertex }, event.shiftKey));
+    head.append(choose);
+    row.append(head);
+    for (const which of ["p", "q"]) {
+      for (const axis of [0, 1]) {
+        const input = document.createElement("input");
+        Object.assign(input, { type: "number", step: "any", id: `${which}-${index}-${vertex}-${"xy"[axis]}` });
+        Object.assign(input.dataset, { which, axis });
+        const place = single ? "" : ` place ${vertex + 1}`;
+        input.setAttribute("aria-label", `Handle ${index + 1}${place} ${which === "p" ? "rest" : "posed"} ${"xy"[axis]}`);
+        const cell = document.createElement("td");
+        cell.append(input);
+        row.append(cell);
+      }
+    }
+    return row;
+  }
+
+  #fill({ document, selection, problem }) {
+    for (const row of this.#body.rows) {
+      const { index, vertex } = this.#where(row);
+      const handle = document.handles[index];
+      row.classList.toggle("selected", selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`));
+      row.toggleAttribute("data-fault", problem?.handle === index);
+      for (const input of row.querySelectorAll("input")) {
+        const value = String(handle[input.dataset.which][vertex][Number(input.dataset.axis)]);
+        if (input.value !== value) input.value = value;
+      }
+    }
+  }
+
+  #where(row) {
+    return { index: Number(row.dataset.handle), vertex: Number(row.dataset.vertex) };
+  }
+
+  #changed(input) {
+    if (!input.matches("input")) return;
+    const { index, vertex } = this.#where(input.closest("tr"));
+    const { document } = this.store.state;
+    const value = input.value.trim() === "" ? NaN : Number(input.value);
+    if (Number.isFinite(value)) this.actions.edit(withNumber(document, input.dataset.which, index, vertex, Number(input.dataset.axis), value));
+    // What was not taken, or was rounded, is seen as it is.
+    this.#fill(this.store.state);
+  }
+
+  /** A number that is entered shows which handle it belongs to. */
+  #entered({ target }) {
+    if (!target.matches("input")) return;
+    target.select();
+    const { index, vertex } = this.#where(target.closest("tr"));
+    const handle = this.store.state.document.handles[index];
+    const key = handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
+    const { selection } = this.store.state;
+    if (!selection.includes(key) && !selection.includes(String(handle.id))) this.store.do("select", { keys: [key] });
+  }
+}

@@ -1,0 +1,286 @@
+// What is seen: zoom and pan, and the layers of the stage. The server's PNG is an <img>; what follows the hand is a canvas of the stage's
+// size, so that a large picture costs no more than a small one.
+
+import { drawGrid } from "./grid.js";
+import { Painter } from "./paint.js";
+
+const LEAST_ZOOM = 0.02;
+const MOST_ZOOM = 32;
+/** From here on enlarged pixels are shown as squares. */
+const CRISP = 6;
+/** Fit leaves so much room around the picture, CSS px: a share of the stage's side, within bounds. */
+const MARGIN = { share: 0.075, least: 14, most: 76 };
+
+export class View {
+  zoom = 1;
+  pan = [0, 0];
+  size = null; // of the picture, px
+  source = "none"; // of what is seen
+  mesh = null;
+  folds = 0;
+
+  #folded = [];
+  #fitted = true;
+  #urls = new Map(); // element to object URL
+  #frame = null; // ImageBitmap of the server's preview
+  #afterPaint = [];
+  #due = false;
+  #views = new Set();
+  #show = { lines: false, compare: false, at: 50, peek: false };
+
+  constructor(stage, allowWebgl) {
+    this.stage = stage;
+    this.live = stage.querySelector("#live");
+    this.lines = stage.querySelector("#grid").getContext("2d");
+    this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
+    this.webgl = this.painter.kind;
+    this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
+    new ResizeObserver(() => this.#resized()).observe(stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
+  }
+
+  /** Told when zoom, pan or size of the stage have changed. */
+  subscribe(view) {
+    this.#views.add(view);
+  }
+
+  get scale() {
+    return devicePixelRatio || 1;
+  }
+
+  get stageSize() {
+    return [this.stage.clientWidth, this.stage.clientHeight];
+  }
+
+  toStage([x, y]) {
+    return [this.pan[0] + this.zoom * x, this.pan[1] + this.zoom * y];
+  }
+
+  toPicture([x, y]) {
+    return [(x - this.pan[0]) / this.zoom, (y - this.pan[1]) / this.zoom];
+  }
+
+  /** Another picture: its file is the texture and the "before". */
+  async setPicture(blob, width, height) {
+    this.size = [width, height];
+    this.#setMesh(null);
+    const original = await this.#load("original", blob, "The picture as it came");
+    this.#swap(original);
+    this.#swap(await this.#load("picture", blob, "The picture"));
+    if (this.webgl !== "none") {
+      const most = Math.min(1, this.painter.longestSide / Math.max(width, height));
+      const wish = { premultiplyAlpha: "premultiply", ...(most < 1 && { resizeWidth: Math.floor(width * most), resizeQuality: "high" }) };
+      this.painter.setSource(await createImageBitmap(original, wish), width, height);
+    }
+    this.source = "source";
+    this.fit();
+  }
+
+  clear() {
+    this.size = null;
+    this.source = "none";
+    this.#setMesh(null);
+    this.invalidate();
+  }
+
+  /** Loads a picture into an element that is not seen yet. */
+  async #load(id, blob, alt) {
+    const image = new Image();
+    const url = URL.createObjectURL(blob);
+    this.#urls.set(image, url);
+    Object.assign(image, { id, alt, src: url, draggable: false, decoding: "sync" });
+    try {
+      await image.decode();
+    } catch {
+      this.#release(image);
+      throw new DOMException("the browser does not read the picture", "EncodingError");
+    }
+    return image;
+  }
+
+  #swap(image) {
+    const old = this.stage.querySelector(`#${image.id}`);
+    old.replaceWith(image);
+    this.#release(old);
+    this.#place();
+  }
+
+  #release(image) {
+    URL.revokeObjectURL(this.#urls.get(image));
+    this.#urls.delete(image);
+  }
+
+  /** The server's PNG, decoded before it is seen; false when it was overtaken meanwhile. */
+  async showPng(blob, signal) {
+    const image = await this.#load("picture", blob, "The bent picture");
+    if (signal.aborted) {
+      this.#release(image);
+      return false;
+    }
+    this.source = "png";
+    this.#swap(image);
+    this.invalidate();
+    return true;
+  }
+
+  showMesh(mesh, done) {
+    this.#setMesh(mesh);
+    this.source = "mesh";
+    this.#afterPaint.push(done);
+    this.invalidate();
+  }
+
+  /** A preview of the server, where WebGL is missing. */
+  async showFrame(blob) {
+    const frame = await createImageBitmap(blob).catch(() => null);
+    if (!frame) return false;
+    this.#frame?.close();
+    this.#frame = frame;
+    this.source = "frame";
+    this.invalidate();
+    return true;
+  }
+
+  /** The posed grid of what is seen, for lines and folds. */
+  setMesh(mesh) {
+    this.#setMesh(mesh);
+    this.invalidate();
+  }
+
+  #setMesh(mesh) {
+    if (mesh === this.mesh) return;
+    this.mesh = mesh;
+    this.#folded = mesh ? mesh.folded() : [];
+    this.folds = this.#folded.length;
+  }
+
+  /** Mesh lines, comparison, the original while a key is held. */
+  show(what) {
+    this.#show = { ...this.#show, ...what };
+    this.#place();
+    this.invalidate();
+  }
+
+  // Zoom and pan
+
+  fit() {
+    if (!this.size) return;
+    const [width, height] = this.stageSize;
+    const margin = (side) => Math.min(MARGIN.most, Math.max(MARGIN.least, MARGIN.share * side));
+    const room = [width - 2 * margin(width), height - 2 * margin(height)];
+    this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
+    this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
+    this.#fitted = true;
+    this.#moved();
+  }
+
+  zoomTo(zoom, [x, y] = this.stageSize.map((side) => side / 2)) {
+    const next = clampZoom(zoom);
+    const factor = next / this.zoom;
+    this.pan = [x - (x - this.pan[0]) * factor, y - (y - this.pan[1]) * factor];
+    this.zoom = next;
+    this.#fitted = false;
+    this.#moved();
+  }
+
+  panBy(dx, dy) {
+    this.pan = [this.pan[0] + dx, this.pan[1] + dy];
+    this.#fitted = false;
+    this.#moved();
+  }
+
+  /** Brings a place of the picture into the stage. */
+  reveal(place) {
+    const at = this.toStage(place);
+    const shift = at.map((c, axis) => Math.max(0, 24 - c) - Math.max(0, c - (this.stageSize[axis] - 24)));
+    if (shift[0] || shift[1]) this.panBy(...shift);
+  }
+
+  /** Towards which sides the picture goes on beyond the stage. */
+  get beyond() {
+    if (!this.size) return {};
+    const [left, top] = this.pan;
+    const [right, bottom] = this.toStage(this.size);
+    const [width, height] = this.stageSize;
+    return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
+  }
+
+  #resized() {
+    if (this.#fitted) this.fit();
+    else this.#moved();
+  }
+
+  #moved() {
+    // Some of the picture stays in reach.
+    if (this.size) {
+      this.pan = this.pan.map((at, axis) => Math.min(this.stageSize[axis] - 40, Math.max(40 - this.zoom * this.size[axis], at)));
+    }
+    this.#place();
+    this.invalidate();
+    for (const view of this.#views) view();
+  }
+
+  // Drawing
+
+  invalidate() {
+    if (this.#due) return;
+    this.#due = true;
+    requestAnimationFrame(() => {
+      this.#due = false;
+      this.#draw();
+    });
+  }
+
+  /** Layers that the browser moves itself. */
+  #place() {
+    const [width, height] = this.size ?? [0, 0];
+    const { compare, at, peek } = this.#show;
+    for (const id of ["board", "picture", "original"]) {
+      const { style } = this.stage.querySelector(`#${id}`);
+      const [wide, high] = id === "board" ? [width * this.zoom, height * this.zoom] : [width, height];
+      style.width = `${wide}px`;
+      style.height = `${high}px`;
+      style.transform = `translate(${this.pan[0]}px, ${this.pan[1]}px)${id === "board" ? "" : ` scale(${this.zoom})`}`;
+      style.imageRendering = this.zoom >= CRISP ? "pixelated" : "auto";
+      if (id !== "board") style.visibility = "visible";
+    }
+    const original = this.stage.querySelector("#original");
+    original.style.visibility = this.size && (compare || peek) ? "visible" : "hidden";
+    original.style.clipPath = peek ? "none" : `inset(0 ${100 - at}% 0 0)`;
+    const divider = this.stage.querySelector("#divider");
+    divider.hidden = !(this.size && compare && !peek);
+    divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
+    divider.style.height = `${height * this.zoom}px`;
+    this.stage.querySelector("#picture").style.visibility = this.source === "png" || this.source === "source" ? "visible" : "hidden";
+  }
+
+  #draw() {
+    const { scale } = this;
+    const [width, height] = this.stageSize.map((side) => Math.max(1, Math.round(side * scale)));
+    for (const { canvas } of [{ canvas: this.live }, this.lines]) {
+      if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    }
+    const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
+    const following = this.source === "mesh" || this.source === "frame";
+    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP);
+    else if (this.source === "frame") this.#drawFrame(place);
+    this.live.style.visibility = following ? "visible" : "hidden";
+    this.#place();
+    const lines = this.mesh && !this.#show.peek && !this.#show.compare;
+    if (lines) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines);
+    else this.lines.clearRect(0, 0, width, height);
+    const done = this.#afterPaint;
+    this.#afterPaint = [];
+    for (const tell of done) tell();
+  }
+
+  #drawFrame({ zoom, x, y }) {
+    const context = this.plain;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, context.canvas.width, context.canvas.height);
+    context.imageSmoothingEnabled = this.zoom < CRISP;
+    if (this.#frame) context.drawImage(this.#frame, x, y, zoom * this.size[0], zoom * this.size[1]);
+  }
+}
+
+const clampZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, zoom));

@@ -1,0 +1,84 @@
+// Texts: what the page says of problems, methods, reach, folds and keys, in plain words.
+
+const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
+export const places = (list) => list.map(([x, y]) => `${number.format(x)}, ${number.format(y)}`).join(" to ");
+export const count = (n, one, many = `${one}s`) => `${n} ${n === 1 ? one : many}`;
+
+export function bytes(n) {
+  const [size, unit] = n >= 1 << 20 ? [n / (1 << 20), "MiB"] : n >= 1 << 10 ? [n / (1 << 10), "KiB"] : [n, "bytes"];
+  return `${size >= 100 || unit === "bytes" ? Math.round(size) : size.toFixed(1).replace(/\.0$/, "")} ${unit}`;
+}
+
+/** What is wrong and what to do, by code. The server's own title and detail stand where nothing is said here. */
+const PROBLEMS = {
+  network: ["The server does not answer", "Your handles are safe in this browser. Trying again by itself."],
+  overloaded: ["The server has its hands full", "Trying again by itself in a moment."],
+  rate_limited: ["Too many requests at once", "Trying again by itself in a moment."],
+  timeout: ["That took too long", "Trying again by itself. A smaller picture is quicker."],
+  no_such_session: ["The session has ended", "Open the picture again: the server keeps it for a while only, and this browser has no copy."],
+  session_expired: ["The session has ended", "Open the picture again: the server keeps it for a while only, and this browser has no copy."],
+  too_large: ["That is too large for this server", "Make it smaller, or ask whoever runs the server for a higher limit."],
+  unsupported_format: ["This is not a picture that can be read here", "Save it as PNG, JPEG or WebP and open that."],
+  bad_image: ["The picture cannot be read", "The file seems damaged or incomplete. See whether it opens elsewhere."],
+  contradictory_handles: ["Two handles want different things", "They rest on the same place but go to different ones. Put one of them back, or delete it."],
+  degenerate_line: ["A line has no length", "Its places rest on each other. Move one of them apart in the table, or delete it."],
+  alpha_out_of_range: ["Reach is out of range", "Choose a value on the slider, or Automatic."],
+  shape_mismatch: ["The handles do not match", "Reload the page; if it stays, delete the handle that is marked."],
+  not_finite: ["A number is too large", "Undo, or put the marked handle back."],
+  bad_value: ["A value is not taken", "Undo the last step."],
+  forbidden: ["This server does not take your key", "Ask whoever runs the server."],
+  unauthorized: ["This server wants a key", "Ask whoever runs the server."],
+  internal: ["Something went wrong on the server", "Undo the last step, or try again."],
+  unreadable: ["The browser cannot show this picture", "It can still be bent by the service; here, save it as PNG or JPEG first."],
+  not_a_picture: ["Nothing here is a picture", "PNG, JPEG and WebP files can be opened."],
+  bad_link: ["This link is incomplete", "Ask for it again, or open a picture yourself."],
+};
+
+export function problemWords({ code, title, detail, handle, request_id: id }) {
+  const [said, advice] = PROBLEMS[code] ?? [title || "That was refused", "Undo the last step, or try again."];
+  const more = code === "internal" && id ? ` Request ${id}.` : "";
+  const marked = handle === undefined ? "" : ` Handle ${handle + 1} is marked.`;
+  const sentence = detail ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}` : "";
+  return { title: said, detail: `${sentence}${more}`, advice: `${advice}${marked}` };
+}
+
+export const METHODS = {
+  rigid: "Keeps shapes as they are, like cardboard: it turns and shifts, nothing grows or shrinks.",
+  similarity: "May grow and shrink, but keeps angles: good for making something larger or smaller.",
+  affine: "May also stretch and slant: follows the handles most freely.",
+};
+
+export function reachWords(alpha) {
+  if (alpha < 0.95) return "Far: every handle is felt across the whole picture.";
+  if (alpha < 1.35) return "Balanced: handles are felt far away, but less and less.";
+  if (alpha < 2.25) return "Near: each handle mostly rules what is around it.";
+  return "Very near: each handle holds its own neighbourhood, with quick changes in between.";
+}
+
+export function foldWords(n) {
+  if (!n) return "";
+  return `${count(n, "cell")} of the mesh ${n === 1 ? "folds" : "fold"} over: the picture overlaps itself where it is red. Move the handles there less far, or add one between them.`;
+}
+
+export const WARNINGS = {
+  affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
+  translation_only: "One handle: the whole picture is shifted.",
+  rotation_undefined: "The handles say nothing of a turn: none is made.",
+  near_duplicate_handles: "Two handles lie almost on each other.",
+  line_alpha_below_one: "Reach below 1 lets lines slip between their ends.",
+};
+
+export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", deform: "Bending", render: "Drawing", encode: "Writing PNG" };
+
+export const HINTS = {
+  first: { mouse: "Click to pin a place, then drag it", touch: "Tap to pin a place, then drag it" },
+  line: { mouse: "Drag a line, or click its two ends", touch: "Drag a line, or tap its two ends" },
+  path: { mouse: "Click the places of the path; double-click the last", touch: "Tap the places of the path, then Finish" },
+  move: { mouse: "Click where it should go", touch: "Tap where it should go" },
+};
+
+export function limitWords({ body, pixels, idle }) {
+  const minutes = Math.round(idle / 60);
+  const kept = minutes >= 1 ? `${count(minutes, "minute")}` : `${idle} seconds`;
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. It stays in this server's memory for ${kept} of idling.`;
+}
