@@ -17,6 +17,7 @@ mod offline;
 mod openapi;
 mod oracle;
 mod overload;
+mod page;
 mod problems;
 mod revisions;
 mod sessions;

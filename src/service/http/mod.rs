@@ -11,6 +11,7 @@ mod fence;
 mod health;
 mod mesh;
 mod openapi;
+mod page;
 mod points;
 mod refuse;
 pub mod server;
@@ -28,7 +29,7 @@ use axum::routing::{MethodRouter, get, post, put};
 use super::App;
 use super::problem::{Code, Problem};
 
-/// Every route; the OpenAPI document lists the same (tested).
+/// Every route of the contract; the OpenAPI document lists the same (tested). The page's files are not of it.
 fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
     let computes = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
@@ -46,7 +47,7 @@ fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
     ]
 }
 
-/// The paths that are served.
+/// The paths of the contract.
 #[must_use]
 pub fn paths(app: &App) -> Vec<&'static str> {
     routes(app).into_iter().map(|(path, _)| path).collect()
@@ -56,7 +57,7 @@ pub fn paths(app: &App) -> Vec<&'static str> {
 pub fn router(app: App) -> Router {
     routes(&app)
         .into_iter()
-        .fold(Router::new(), |router, (path, route)| router.route(path, route))
+        .fold(page::routes(&app), |router, (path, route)| router.route(path, route))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
         .layer(from_fn_with_state(app.clone(), fence::fence))

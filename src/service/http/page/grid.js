@@ -1,32 +1,34 @@
 // Mesh lines and folded cells, on a 2D canvas over the picture.
 
 /** Lines are left out until those drawn are about so far apart, CSS px. */
-const APART = 9;
+const APART = 16;
 
 /** Seen on any picture: light lines on a dark edge, red that is no skin. */
-const COLOURS = { line: "rgb(255 255 255 / 0.85)", under: "rgb(10 20 40 / 0.3)", fold: "rgb(235 20 60 / 0.5)", foldEdge: "rgb(160 0 40 / 0.9)" };
+const COLOURS = { line: "rgb(255 255 255 / 0.8)", under: "rgb(10 20 40 / 0.22)", fold: "rgb(235 10 50 / 0.6)" };
 
 /** `place`: { zoom, x, y } in device px; `scale`: device px a CSS px. */
 export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines) {
   const { width, height } = context.canvas;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.clearRect(0, 0, width, height);
+  // As the picture, what is drawn over it ends at its edge.
+  context.beginPath();
+  context.rect(x, y, zoom * mesh.grid.width, zoom * mesh.grid.height);
+  context.save();
+  context.clip();
   const to = ([px, py]) => [x + zoom * px, y + zoom * py];
   if (lines) {
-    drawLines(context, mesh, to, zoom, scale, COLOURS.under, 3 * scale);
+    drawLines(context, mesh, to, zoom, scale, COLOURS.under, 2.5 * scale);
     drawLines(context, mesh, to, zoom, scale, COLOURS.line, scale);
   }
-  if (!folded.length) return;
   context.beginPath();
   for (const [i, j] of folded) {
     mesh.corners(i, j).forEach((corner, k) => (k ? context.lineTo(...to(corner)) : context.moveTo(...to(corner))));
     context.closePath();
   }
   context.fillStyle = COLOURS.fold;
-  context.strokeStyle = COLOURS.foldEdge;
-  context.lineWidth = scale;
   context.fill("nonzero");
-  context.stroke();
+  context.restore();
 }
 
 function drawLines(context, mesh, to, zoom, scale, colour, thick) {

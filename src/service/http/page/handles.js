@@ -67,7 +67,7 @@ export class Handles {
       const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
       this.#update(nodes, handle, index, state);
       // A handle that an undo brings back stands where it stood.
-      if (nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
+      if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
     });
     this.#drawRing(state);
@@ -122,9 +122,9 @@ export class Handles {
 
   /** Circle around a selection with two or more places, stage px; null without. */
   ringAt() {
-    const { document, selection } = this.store.state;
+    const { document, selection, draft } = this.store.state;
     const places = posedPlaces(document, selection);
-    if (places.length < 2) return null;
+    if (places.length < 2 || draft.length) return null;
     const { centre, radius } = this.turning ?? circleOf(places);
     const r = radius * this.view.zoom + RING_OFF;
     const middle = this.view.toStage(centre);

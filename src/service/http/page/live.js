@@ -61,9 +61,11 @@ export class Live {
     this.#flush();
   }
 
-  /** Nothing is to be sent any more. */
+  /** The hand rests: nothing is to be sent any more, and what is under way is not waited for. */
   rest() {
     this.#waiting = null;
+    this.#asking?.abort();
+    this.#asking = null;
   }
 
   #connect() {

@@ -25,7 +25,7 @@ const view = new View(stage, wishes.get("webgl") !== "off");
 const sync = new Sync(store, view, wishes.get("socket") !== "off");
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say);
-const opener = new Opener(store, sync, view, actions, limits);
+const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state));
 const pointer = new Pointer(stage, store, view, handles, actions);
 
 /** For those who do not see: the newest words win. */
@@ -54,10 +54,10 @@ const does = {
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
   full: () => view.zoomTo(1 / view.scale),
   /** The name of what can be done about a problem. */
-  mending: ({ code, lasting }) => {
+  mending: ({ code, opening }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
-    if (RETRIES.has(code) && !lasting) return "Try again";
-    return !lasting && store.state.past.length ? "Undo" : null;
+    if (RETRIES.has(code) && !opening) return "Try again";
+    return !opening && store.state.past.length ? "Undo" : null;
   },
   mend: (problem) => {
     const action = does.mending(problem);

@@ -15,8 +15,9 @@ export class Opener {
 
   #cancel = null;
 
-  constructor(store, sync, view, actions, limits) {
-    Object.assign(this, { store, sync, view, actions, limits });
+  /** `told`: a file has been kept. */
+  constructor(store, sync, view, actions, limits, told) {
+    Object.assign(this, { store, sync, view, actions, limits, told });
   }
 
   cancel() {
@@ -89,7 +90,7 @@ export class Opener {
 
   #refuse(error) {
     const problem = error instanceof api.Problem ? error : new api.Problem({ code: error?.name === "EncodingError" ? "unreadable" : "internal" }, 0);
-    problem.lasting = true;
+    problem.opening = true;
     this.store.do("problem", { problem });
     if (!(error instanceof api.Problem) && error?.name !== "EncodingError") throw error;
   }
@@ -107,7 +108,9 @@ export class Opener {
     }
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
-    this.fileKey = fileKey ?? (await keepFile(source.blob, source.name));
+    this.fileKey = fileKey ?? null;
+    this.fileKey ??= await keepFile(source.blob, source.name);
+    this.told();
   }
 
   /** The session's picture as it came: q = p. */

@@ -151,9 +151,9 @@ export class Panel {
     return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
   }
 
-  #drawHint({ document: { handles }, tool, arm, draft, compare, problem }) {
+  #drawHint({ document: { handles }, tool, arm, draft, compare, problem, selection }) {
     const kind = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
-    const which = arm ? "move" : draft.length || compare || problem ? null : tool !== "point" ? tool : handles.length ? null : "first";
+    const which = arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
     find("hint").hidden = !which;
     if (which) text("hint", HINTS[which][kind]);
   }
@@ -179,6 +179,8 @@ export class Panel {
   #drawPicture() {
     const { shown, session } = this.sync;
     text("folds-note", foldWords(shown.folds));
+    find("folds").hidden = !shown.folds;
+    text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"} over`);
     const { grid } = session ?? {};
     text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
     const rows = timingRows(shown, this.view.size);
@@ -190,8 +192,7 @@ export class Panel {
       return [term, words];
     }));
     this.#drawBar(shown.report?.timing ?? {});
-    const warning = (shown.warnings ?? []).map((w) => WARNINGS[w]).filter(Boolean).join(" ");
-    text("status", this.store.state.phase === "open" ? warning : "");
+    text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
   }
 
   #drawBar(timing) {
@@ -204,6 +205,14 @@ export class Panel {
       return part;
     }));
   }
+}
+
+/** The same in one line, under the picture. */
+function statusWords({ report, rate, source, warnings }) {
+  if (!report) return "";
+  const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
+  const speed = source === "png" ? [`there and back ${ms(report.trip)}`, bytes(report.size)] : rate ? [`${Math.round(rate)} frames/s`] : [];
+  return [`Server ${ms(server)}`, ...speed].join(", ") + warnings.map((w) => `. ${WARNINGS[w] ?? ""}`).join("");
 }
 
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;

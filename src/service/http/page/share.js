@@ -21,7 +21,13 @@ export async function bentPicture(sync, state) {
   return (await api.picture(sync.session.id, { q: wire(state.document, "q") })).blob;
 }
 
-export const handlesText = (document) => `${JSON.stringify(warpOf(document), null, 1).replace(/\n\s+(?=[-\d[\]])|\n\s+(?=\])/g, " ")}\n`;
+/** The warp object, a handle a line. */
+export function handlesText(document) {
+  const { p, q, ...others } = warpOf(document);
+  const list = (handles) => (handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]");
+  const parts = [["p", list(p)], ["q", list(q)], ...Object.entries(others).map(([name, value]) => [name, JSON.stringify(value)])];
+  return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;
+}
 
 /** In single quotes, for a POSIX shell. */
 const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`);

@@ -46,11 +46,8 @@ function withDocument(state, document) {
   if (document === state.document) return state;
   const kept = state.selection.filter((key) => exists(document, key));
   const selection = kept.length === state.selection.length ? state.selection : kept;
-  return { ...state, document, selection, revision: state.revision + 1, problem: stillWrong(state.problem) };
+  return { ...state, document, selection, revision: state.revision + 1, problem: null };
 }
-
-/** A problem that the next answer will tell anew, if it persists, goes with the change that may mend it. */
-const stillWrong = (problem) => (problem?.lasting ? problem : null);
 
 const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [] });
 

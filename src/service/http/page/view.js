@@ -8,8 +8,8 @@ const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 32;
 /** From here on enlarged pixels are shown as squares. */
 const CRISP = 6;
-/** Fit leaves so much room around the picture, CSS px: a share of the stage's side, within bounds. */
-const MARGIN = { share: 0.075, least: 14, most: 76 };
+/** Fit leaves so much room at the sides and above and below, CSS px: beside the tools on a wide stage, hardly any on a narrow one. */
+const MARGINS = { wide: [92, 64], narrow: [16, 16], from: 640 };
 
 export class View {
   zoom = 1;
@@ -166,8 +166,8 @@ export class View {
   fit() {
     if (!this.size) return;
     const [width, height] = this.stageSize;
-    const margin = (side) => Math.min(MARGIN.most, Math.max(MARGIN.least, MARGIN.share * side));
-    const room = [width - 2 * margin(width), height - 2 * margin(height)];
+    const [aside, above] = width < MARGINS.from ? MARGINS.narrow : MARGINS.wide;
+    const room = [width - 2 * aside, height - 2 * above];
     this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
     this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
     this.#fitted = true;

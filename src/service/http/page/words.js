@@ -34,7 +34,14 @@ const PROBLEMS = {
   bad_link: ["This link is incomplete", "Ask for it again, or open a picture yourself."],
 };
 
-export function problemWords({ code, title, detail, handle, request_id: id }) {
+/** The server counts handles from 0 and gives every digit; people do neither. */
+const plain = (detail) =>
+  detail
+    .replace(/\b(handles?) (\d+)(?: and (\d+))?/gi, (_, word, a, b) => `${word} ${Number(a) + 1}${b === undefined ? "" : ` and ${Number(b) + 1}`}`)
+    .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
+
+export function problemWords({ code, title, detail: told, handle, request_id: id }) {
+  const detail = plain(told ?? "");
   const [said, advice] = PROBLEMS[code] ?? [title || "That was refused", "Undo the last step, or try again."];
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marked = handle === undefined ? "" : ` Handle ${handle + 1} is marked.`;
@@ -49,10 +56,10 @@ export const METHODS = {
 };
 
 export function reachWords(alpha) {
-  if (alpha < 0.95) return "Far: every handle is felt across the whole picture.";
-  if (alpha < 1.35) return "Balanced: handles are felt far away, but less and less.";
-  if (alpha < 2.25) return "Near: each handle mostly rules what is around it.";
-  return "Very near: each handle holds its own neighbourhood, with quick changes in between.";
+  if (alpha < 0.95) return "Far: each handle is felt across the picture.";
+  if (alpha < 1.35) return "Balanced: felt far away, but less and less.";
+  if (alpha < 2.25) return "Near: each handle rules mostly its surroundings.";
+  return "Very near: each handle holds its own place, with quick changes in between.";
 }
 
 export function foldWords(n) {
