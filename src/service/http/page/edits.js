@@ -125,14 +125,21 @@ export function borderPath(width, height) {
 /** What the server calls p and q: a point is [x, y], a line a list of places. */
 export const wire = (document, which) => document.handles.map((h) => (h[which].length === 1 ? h[which][0] : h[which]));
 
-/** The session's part of a warp object. */
+/** What the server takes for alpha when nobody says: 2 with any line, else 1. */
+export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
+
+/** The session's part of a warp object. Alpha is always said: a field that is left out keeps what the session had. */
 export function restOf(document) {
-  const { method, alpha, grid } = document;
-  return { p: wire(document, "p"), method, ...(alpha === null ? {} : { alpha }), grid: grid === "auto" ? grid : { cell: grid } };
+  const { handles, method, grid } = document;
+  const weights = handles.some((h) => h.weight !== undefined) ? { weights: handles.map((h) => h.weight ?? 1) } : {};
+  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), grid: grid === "auto" ? grid : { cell: grid } };
 }
 
-/** The whole warp object. */
-export const warpOf = (document) => ({ ...restOf(document), q: wire(document, "q") });
+/** The whole warp object, as it is taken along. */
+export function warpOf(document) {
+  const { alpha, ...rest } = restOf(document);
+  return { ...rest, ...(document.alpha === null ? {} : { alpha }), q: wire(document, "q") };
+}
 
 /** The document of a warp object, `null` when it is none that this page can show. */
 export function documentOf(warp) {
@@ -141,7 +148,9 @@ export function documentOf(warp) {
   if (!warp || !Array.isArray(warp.p)) return null;
   const q = warp.q ?? warp.p;
   if (!Array.isArray(q) || q.length !== warp.p.length || (warp.units ?? "px") !== "px") return null;
-  const handles = warp.p.map((p, i) => ({ id: i + 1, p: places(p), q: places(q[i]) }));
+  const { weights } = warp;
+  if (weights && !(Array.isArray(weights) && weights.length === q.length && weights.every((w) => w > 0))) return null;
+  const handles = warp.p.map((p, i) => ({ id: i + 1, p: places(p), q: places(q[i]), ...(weights && { weight: weights[i] }) }));
   if (!handles.every((h) => h.p.length && h.p.length === h.q.length && sound(h.p) && sound(h.q))) return null;
   const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
   const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;

@@ -79,12 +79,13 @@ export class Handles {
     const focusable = (...parts) => element("g", { role: "button", tabindex: 0 }, ...parts);
     const place = (small) => {
       const label = element("text", { class: "number", y: -15, "text-anchor": "middle" });
+      const rim = small ? element("rect", { class: "rim", x: -7.5, y: -7.5, width: 15, height: 15, rx: 5 }) : element("circle", { class: "rim", r: 9.5 });
       const shape = small ? element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }) : element("circle", { class: "dot", r: 7 });
-      return focusable(element("circle", { class: "hit", r: 12 }), element("circle", { class: "halo", r: 12 }), shape, label);
+      return focusable(element("circle", { class: "hit", r: 12 }), element("circle", { class: "halo", r: 12 }), rim, shape, label);
     };
-    const line = () => focusable(...["hit", "halo", "under", "over"].map((name) => element("polyline", { class: name })));
+    const line = () => focusable(...["hit", "halo", "rim", "under", "over"].map((name) => element("polyline", { class: name })));
     const single = handle.p.length === 1;
-    const ghosts = handle.p.map(() => element("g", {}, element("line"), element("circle", { r: 3.2 })));
+    const ghosts = handle.p.map(() => element("g", {}, element("line", { class: "rim" }), element("line"), element("circle", { r: 3.2 })));
     const nodes = { count: handle.p.length, whole: single ? place(false) : line(), places: single ? [] : handle.p.map(() => place(true)), ghosts };
     this.ghosts.append(...ghosts);
     this.#drawn.set(handle.id, nodes);
@@ -110,7 +111,7 @@ export class Handles {
       const [x, y] = this.view.toStage(handle.p[k]);
       const away = Math.hypot(posed[k][0] - x, posed[k][1] - y) > 4;
       set(ghost, { visibility: away ? "visible" : "hidden" });
-      set(ghost.firstChild, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
+      for (const line of ghost.querySelectorAll("line")) set(line, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
       set(ghost.lastChild, { cx: x, cy: y });
     });
   }
@@ -126,9 +127,11 @@ export class Handles {
     const places = posedPlaces(document, selection);
     if (places.length < 2 || draft.length) return null;
     const { centre, radius } = this.turning ?? circleOf(places);
-    const r = radius * this.view.zoom + RING_OFF;
     const middle = this.view.toStage(centre);
     const angle = -Math.PI / 4 + (this.turning?.angle ?? 0);
+    // The knob stays in the stage, however large the selection is.
+    const room = [Math.cos(angle), Math.sin(angle)].map((way, axis) => ((way > 0 ? this.view.stageSize[axis] - RING_OFF : RING_OFF) - middle[axis]) / way);
+    const r = Math.max(RING_OFF, Math.min(radius * this.view.zoom + RING_OFF, ...room));
     return { centre, middle, r, knob: [middle[0] + r * Math.cos(angle), middle[1] + r * Math.sin(angle)] };
   }
 

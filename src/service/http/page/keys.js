@@ -62,6 +62,7 @@ export class Keys {
     const [dx, dy] = arrow;
     const coarse = event.shiftKey ? 1 : 0;
     if (event.altKey) this.view.panBy(-dx * PAN, -dy * PAN);
+    else if (this.store.state.compare) this.store.do("show", { what: { compareAt: Math.min(100, Math.max(0, this.store.state.compareAt + dx * (coarse ? 10 : 1))) } });
     else if (event.target === this.handles.knob) this.actions.rotate((dx || dy) * NUDGE[coarse]);
     else if (this.#focused(event) && this.#adopts(event)) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
     else if (this.store.state.selection.length && !this.store.state.draft.length && !this.store.state.arm) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);

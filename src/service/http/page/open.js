@@ -46,20 +46,13 @@ export class Opener {
     else this.#refuse(new api.Problem({ code: "bad_value", detail: `${file.name} holds no handles that can be shown here` }, 0));
   }
 
-  file(blob, name, { document = emptyDocument(), sample = null } = {}) {
+  file(file, name) {
     return this.#attempt(name, async (signal) => {
-      if (blob.size > this.limits.body) {
-        throw new api.Problem({ code: "too_large", detail: `${name} has ${bytes(blob.size)}; at most ${bytes(this.limits.body)} are taken` }, 413);
+      if (file.size > this.limits.body) {
+        throw new api.Problem({ code: "too_large", detail: `${name} has ${bytes(file.size)}; at most ${bytes(this.limits.body)} are taken` }, 413);
       }
-      const object = await this.#upload(blob, name, document, signal);
-      await this.#use(object, document, { blob, name }, { picture: { name, sample } });
-      this.link = null;
+      await this.#fresh(await copyOf(file), name, emptyDocument(), null, signal);
     });
-  }
-
-  #upload(blob, name, document, signal) {
-    const progress = (percent) => this.store.do("progress", { percent });
-    return api.openSession(blob, name, restOf(document), { progress, signal });
   }
 
   sample(which) {
@@ -67,10 +60,19 @@ export class Opener {
     return this.#attempt(name, async (signal) => {
       const response = await fetch(file, { signal }).catch(() => null);
       if (!response?.ok) throw api.Problem.network();
-      const [blob, document] = [await response.blob(), documentOf(warp)];
-      await this.#use(await this.#upload(blob, name, document, signal), document, { blob, name }, { picture: { name, sample: file } });
-      this.link = null;
+      await this.#fresh(await response.blob(), name, documentOf(warp), file, signal);
     });
+  }
+
+  async #fresh(blob, name, document, sample, signal) {
+    const object = await this.#upload(blob, name, document, signal);
+    this.link = null;
+    await this.#use(object, document, { blob, name }, { picture: { name, sample } });
+  }
+
+  #upload(blob, name, document, signal) {
+    const progress = (percent) => this.store.do("progress", { percent });
+    return api.openSession(blob, name, restOf(document), { progress, signal });
   }
 
   /** Opens something; what fails leaves the page as it was, and is told. */
@@ -148,10 +150,18 @@ export class Opener {
   }
 }
 
+/** A file as it is now: the one on disk may change or go before it is needed again. */
+async function copyOf(file) {
+  try {
+    return new Blob([await file.arrayBuffer()], { type: file.type });
+  } catch {
+    throw new api.Problem({ code: "unreadable_file" }, 0);
+  }
+}
+
 /** Whether a session has the handles at rest, and the rest, of a document. */
 function sameRest(object, document) {
-  const { p, method, alpha, grid } = restOf(document);
-  const usual = document.handles.some((h) => h.p.length > 1) ? 2 : 1;
+  const { p, weights, method, alpha, grid } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  return object.units === "px" && same(object.p, p) && object.method === method && object.alpha === (alpha ?? usual) && same(object.grid.requested, grid);
+  return object.units === "px" && [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid]].every(([a, b]) => same(a, b));
 }

@@ -1,16 +1,15 @@
 // The controls around the picture: each shows the state and changes it.
 
-import { kindOf } from "./edits.js";
+import { alphaOf, kindName } from "./edits.js";
 import { HINTS, METHODS, STAGES, WARNINGS, bytes, count, foldWords, problemWords, reachWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
 const press = (id, pressed) => find(id).setAttribute("aria-pressed", pressed);
 
-/** What the server takes for alpha when nobody says: 2 with any line, else 1. */
-const defaultAlpha = ({ handles }) => (handles.some((h) => h.p.length > 1) ? 2 : 1);
-
 export class Panel {
+  #timing = "";
+
   constructor(store, sync, view, actions, does) {
     Object.assign(this, { store, sync, view, actions, does });
     this.#listen();
@@ -56,7 +55,7 @@ export class Panel {
     for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#set({ method: input.value }));
     find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : Number(target.value) }));
     find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
-    find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : defaultAlpha(state().document) }));
+    find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
     find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
     this.#holds(find("before"));
   }
@@ -102,13 +101,13 @@ export class Panel {
   #drawUpload({ phase, progress, uploadName }) {
     if (phase !== "uploading") return;
     find("upload-bar").value = progress;
-    text("upload-text", progress < 100 ? `Sending ${uploadName}: ${Math.round(progress)} %` : `Reading ${uploadName}`);
+    text("upload-text", progress === 0 ? `Opening ${uploadName}` : progress < 100 ? `Sending ${uploadName}: ${Math.round(progress)} %` : `Reading ${uploadName}`);
   }
 
   #drawBend(document) {
     find(`method-${document.method}`).checked = true;
     text("method-note", METHODS[document.method]);
-    const alpha = document.alpha ?? defaultAlpha(document);
+    const alpha = alphaOf(document);
     find("alpha").value = alpha;
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${reachWords(alpha)}`);
     text("alpha-value", `${alpha}`);
@@ -143,8 +142,7 @@ export class Panel {
   #nameOf(key, handles) {
     const [id, vertex] = key.split(".");
     const index = handles.findIndex((h) => h.id === Number(id));
-    const kind = { point: "Point", line: "Line", path: "Path" }[kindOf(handles[index])];
-    return `${kind} ${index + 1}${vertex === undefined ? "" : `.${Number(vertex) + 1}`}`;
+    return `${kindName(handles[index])} ${index + 1}${vertex === undefined ? "" : `.${Number(vertex) + 1}`}`;
   }
 
   #placesOf({ selection, document: { handles } }) {
@@ -184,15 +182,17 @@ export class Panel {
     const { grid } = session ?? {};
     text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
     const rows = timingRows(shown, this.view.size);
-    const list = find("timing");
-    list.replaceChildren(...rows.flatMap(([id, name, value]) => {
+    text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
+    const key = rows.join();
+    if (key === this.#timing) return;
+    this.#timing = key;
+    find("timing").replaceChildren(...rows.flatMap(([id, name, value]) => {
       const [term, words] = [document.createElement("dt"), document.createElement("dd")];
       Object.assign(words, { id: `timing-${id}`, textContent: value });
       term.textContent = name;
       return [term, words];
     }));
     this.#drawBar(shown.report?.timing ?? {});
-    text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
   }
 
   #drawBar(timing) {
@@ -201,7 +201,7 @@ export class Panel {
     bar.replaceChildren(...stages.map((name) => {
       const part = document.createElement("span");
       part.className = name;
-      part.style.flexGrow = timing[name];
+      part.style.flexGrow = 1000 * timing[name];
       return part;
     }));
   }
@@ -212,7 +212,9 @@ function statusWords({ report, rate, source, warnings }) {
   if (!report) return "";
   const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
   const speed = source === "png" ? [`there and back ${ms(report.trip)}`, bytes(report.size)] : rate ? [`${Math.round(rate)} frames/s`] : [];
-  return [`Server ${ms(server)}`, ...speed].join(", ") + warnings.map((w) => `. ${WARNINGS[w] ?? ""}`).join("");
+  // A large picture is on its way before it is drawn: then its head does not know what that takes.
+  const what = source === "png" && report.timing.encode === undefined ? "First byte after" : "Server";
+  return [`${what} ${ms(server)}`, ...speed].join(", ") + warnings.map((w) => `. ${WARNINGS[w] ?? ""}`).join("");
 }
 
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;

@@ -3,7 +3,7 @@
 import { kindName, withNumber } from "./edits.js";
 
 export class Table {
-  #shape = "";
+  #shape = null;
   #body;
 
   constructor(table, store, actions) {

@@ -30,6 +30,7 @@ const PROBLEMS = {
   unauthorized: ["This server wants a key", "Ask whoever runs the server."],
   internal: ["Something went wrong on the server", "Undo the last step, or try again."],
   unreadable: ["The browser cannot show this picture", "It can still be bent by the service; here, save it as PNG or JPEG first."],
+  unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
   not_a_picture: ["Nothing here is a picture", "PNG, JPEG and WebP files can be opened."],
   bad_link: ["This link is incomplete", "Ask for it again, or open a picture yourself."],
 };
