@@ -231,7 +231,7 @@ class Visit:
         """The picture as it is seen on the stage, without the handles on it."""
         svg = "document.querySelector('#handles').style.opacity"
         self.page.evaluate(f"{svg} = 0")
-        shot = self.page.screenshot()
+        shot = self.page.screenshot(scale="css")
         self.page.evaluate(f"{svg} = ''")
         width, height = self.page.evaluate("(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))")
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
@@ -325,6 +325,11 @@ class Fingers:
         for name in names or [chr(id) for id in list(self.down)]:
             del self.down[ord(name[0])]
             self._send("touchEnd")
+
+    def take_away(self):
+        """What the system does when it wants the touch for itself."""
+        self.down = {}
+        self._send("touchCancel")
 
     def tap(self, x, y):
         self.put(a=(x, y))

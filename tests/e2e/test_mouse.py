@@ -56,7 +56,7 @@ def test_the_picture_follows_the_hand_and_the_server_has_the_last_word(pinned):
     still = pinned.look()
     # The server's pictures are held back: what is seen meanwhile is drawn here, through the posed grid.
     held = []
-    pinned.page.route("**/sessions/*/warp", held.append)
+    pinned.page.route("**/sessions/*/warp", lambda route: held.append(route))
     pinned.press(RED, (130, 120))
     assert pinned["moving"] == "true"
     pinned.body(f"[data-moving=true][data-source=mesh][data-shown='{pinned['revision']}']")
