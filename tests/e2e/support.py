@@ -26,8 +26,12 @@ DEADLINE = 60.0
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-sync", "--disable-accelerated-2d-canvas", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]
+
+
+# The stage has its size one frame after the picture came; until then the zoom is the least that there is.
+LAID_OUT = ":not([data-zoom='0.02'])"
 
 
 class Server:
@@ -143,7 +147,7 @@ class Visit:
 
     def ready(self):
         """Waits for the server's PNG of the newest pose, and tells the page's state."""
-        self.body("[data-state=ready][data-source=png]")
+        self.body(f"[data-state=ready][data-source=png]{LAID_OUT}")
         data = self.data
         assert data["shown"] == data["revision"] and data["problem"] == "", data
         return data
@@ -156,7 +160,7 @@ class Visit:
     def open(self, picture):
         """A picture file through the chooser."""
         self.page.set_input_files("#file", picture)
-        self.body("[data-state=ready]")
+        self.body(f"[data-state=ready]{LAID_OUT}")
         return self
 
     def sample(self, name):
@@ -250,6 +254,9 @@ class Look:
         self.image = whole.crop((*corner, *(min(side, round(c)) for side, c in zip(whole.size, last))))
         self.pan = [a - b for a, b in zip(first, corner)]
         self.zoom = zoom
+
+    def colour(self, x, y):
+        return self.image.getpixel(tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y))))
 
     def mask(self, name):
         """255 where a colour of `discs` prevails."""
