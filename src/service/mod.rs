@@ -3,6 +3,7 @@
 
 pub mod cache;
 pub mod config;
+pub mod drag;
 pub mod formats;
 pub mod health;
 pub mod http;
@@ -17,16 +18,18 @@ pub mod walk;
 pub mod wire;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use cache::Shelf;
 use config::Config;
+use drag::seats::Seats;
 use pool::{Pool, PoolError};
 use problem::{Code, Problem};
 use session::Lanes;
 use store::memory::{Bounds, MemoryStore};
 use store::{Store, StoreError};
+use tokio::sync::watch;
 
 use crate::warp::{Image, Plan, Setup};
 
@@ -50,8 +53,10 @@ struct Shared {
     setups: Shelf<Known>,
     store: Arc<dyn Store>,
     lanes: Lanes,
-    draining: AtomicBool,
+    draining: watch::Sender<bool>,
     pictures: Pictures,
+    seats: Seats,
+    drags: Drags,
 }
 
 /// A session's setup and what it weighs.
@@ -70,6 +75,13 @@ struct Pictures {
     superseded: AtomicU64,
 }
 
+/// What the drag sockets did.
+#[derive(Debug, Default)]
+struct Drags {
+    frames: AtomicU64,
+    superseded: AtomicU64,
+}
+
 /// What has happened so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
@@ -85,6 +97,12 @@ pub struct Counters {
     pub pictures_abandoned: u64,
     /// Requests answered 409 because a newer pose had been seen.
     pub superseded: u64,
+    /// Drag sockets that are open now.
+    pub sockets_open: u64,
+    /// Frames that were handed to drag sockets.
+    pub frames_sent: u64,
+    /// Poses of drag sockets of which no frame was sent, because a newer one was there.
+    pub poses_superseded: u64,
 }
 
 impl App {
@@ -109,8 +127,11 @@ impl App {
             setups: Shelf::new("setups", config.plan_cache_bytes / SETUP_SHARE, |known: &Known| known.bytes),
             store,
             lanes: Lanes::default(),
-            draining: AtomicBool::new(false),
+            draining: watch::Sender::new(false),
             pictures: Pictures::default(),
+            // Half of the places: the others are left to requests.
+            seats: Seats::new(config.max_sockets, config.workers.max(config.queue / 2)),
+            drags: Drags::default(),
             config,
         })))
     }
@@ -139,6 +160,9 @@ impl App {
             pictures_finished: read(&pictures.finished),
             pictures_abandoned: read(&pictures.abandoned),
             superseded: read(&pictures.superseded),
+            sockets_open: self.0.seats.taken() as u64,
+            frames_sent: read(&self.0.drags.frames),
+            poses_superseded: read(&self.0.drags.superseded),
         }
     }
 
@@ -151,7 +175,18 @@ impl App {
 
     /// The service is stopping: it is not ready for new work any more.
     pub fn drain(&self) {
-        self.0.draining.store(true, Ordering::Relaxed);
+        self.0.draining.send_replace(true);
+    }
+
+    /// Waits until the service is stopping.
+    pub async fn draining(&self) {
+        // The sender lives as long as `self`, so waiting cannot fail.
+        let _ = self.0.draining.subscribe().wait_for(|draining| *draining).await;
+    }
+
+    /// Waits until no drag socket is open.
+    pub async fn drags_ended(&self) {
+        self.0.seats.empty().await;
     }
 
     /// Whether work that arrives now would be admitted.
@@ -159,10 +194,16 @@ impl App {
     /// # Errors
     /// [`Code::Overloaded`], with the reason.
     pub fn ready(&self) -> Result<(), Problem> {
-        if self.0.draining.load(Ordering::Relaxed) {
+        self.ready_for_drags()?;
+        self.admits()
+    }
+
+    /// Whether a drag may begin: unless the service is stopping.
+    fn ready_for_drags(&self) -> Result<(), Problem> {
+        if *self.0.draining.borrow() {
             return Err(Problem::new(Code::Overloaded, "the service is stopping").retry_after(RETRY_QUEUE));
         }
-        self.admits()
+        Ok(())
     }
 
     /// Whether the queue has a place.

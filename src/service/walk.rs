@@ -20,7 +20,7 @@ use crate::codec::{CodecError, Format};
 use crate::deform::Handle;
 use crate::geometry::Point;
 use crate::pixmap::Extent;
-use crate::warp::{Digest, GridSpec, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, WarpError};
+use crate::warp::{Digest, Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
 const PLACES_PER_STEP: usize = 4096;
@@ -78,6 +78,35 @@ impl Material {
 struct Turn {
     record: Arc<Record>,
     place: Option<(Place, u64)>,
+}
+
+/// What a mesh is posed with.
+pub(super) struct Walked {
+    setup: Arc<Setup>,
+    plan: Arc<Plan>,
+    timing: Timing,
+    plan_built: bool,
+}
+
+/// What a picture is drawn with, and the right to draw it.
+pub(super) struct Warm {
+    ticket: Ticket,
+    image: Arc<Image>,
+    walked: Walked,
+}
+
+impl Walked {
+    /// The grid over its picture.
+    pub(super) fn shape(&self, extent: Extent) -> MeshShape {
+        MeshShape::new(&self.setup, extent)
+    }
+}
+
+impl Warm {
+    /// The grid over its picture.
+    pub(super) fn shape(&self, extent: Extent) -> MeshShape {
+        self.walked.shape(extent)
+    }
 }
 
 /// How a mesh is written.
@@ -266,19 +295,8 @@ impl App {
         let record = Arc::clone(&turn.record);
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.over(&record.output) };
-        let walk = async {
-            let setup = self.session_setup(&record).await?;
-            let ticket = self.0.pool.admit().await?;
-            let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-            let began = Instant::now();
-            let image = self.session_image(&ticket, &record).await?;
-            timing.decode = began.elapsed();
-            let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
-            Ok::<_, Problem>((setup, ticket, timing, image, plan, plan_built))
-        };
-        let (setup, ticket, timing, image, plan, plan_built) = self.unless_superseded(&turn, walk).await?;
-        let sitting = Sitting { image, setup, plan, q: drag.q, folds: record.folds, output };
-        self.draw(ticket, sitting, timing, plan_built).await
+        let warm = self.unless_superseded(&turn, self.warm(&record)).await?;
+        self.draw_warm(warm, drag.q, record.folds, output).await
     }
 
     /// The posed grid of a step of a drag; no picture is decoded or drawn.
@@ -288,23 +306,57 @@ impl App {
     pub async fn mesh(&self, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let turn = self.turn(id, drag.seq).await?;
         let record = Arc::clone(&turn.record);
-        let walk = async {
-            let setup = self.session_setup(&record).await?;
-            form.bounded(setup.grid())?;
-            let ticket = self.0.pool.admit().await?;
-            let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-            let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
-            Ok::<_, Problem>((setup, ticket, timing, plan, plan_built))
-        };
-        let (setup, ticket, mut timing, plan, plan_built) = self.unless_superseded(&turn, walk).await?;
+        let (ticket, walked) = self.unless_superseded(&turn, self.walk(&record, form)).await?;
+        self.pose_walked(ticket, walked, drag.q, &record, form).await
+    }
+
+    /// All that a picture of the session is made of, under a ticket.
+    pub(super) async fn warm(&self, record: &Arc<Record>) -> Result<Warm, Problem> {
+        let setup = self.session_setup(record).await?;
+        let ticket = self.0.pool.admit().await?;
+        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let began = Instant::now();
+        let image = self.session_image(&ticket, record).await?;
+        timing.decode = began.elapsed();
+        let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+        Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
+    }
+
+    /// Poses and draws.
+    pub(super) async fn draw_warm(&self, warm: Warm, q: Vec<Handle>, folds: Folds, output: OutputSpec) -> Result<Drawn, Problem> {
+        let Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } } = warm;
+        self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await
+    }
+
+    /// All that a mesh of the session is made of, under a ticket.
+    pub(super) async fn walk(&self, record: &Arc<Record>, form: MeshForm) -> Result<(Ticket, Walked), Problem> {
+        let setup = self.session_setup(record).await?;
+        form.bounded(setup.grid())?;
+        let ticket = self.0.pool.admit().await?;
+        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+        Ok((ticket, Walked { setup, plan, timing, plan_built }))
+    }
+
+    /// Poses the grid and writes it.
+    pub(super) async fn pose_walked(
+        &self,
+        ticket: Ticket,
+        walked: Walked,
+        q: Vec<Handle>,
+        record: &Record,
+        form: MeshForm,
+    ) -> Result<PosedMesh, Problem> {
         let pool = self.0.pool.clone();
+        let (folds, extent) = (record.folds, record.extent);
         let pose = move |cancel: &Cancel| {
+            let Walked { setup, plan, mut timing, plan_built } = walked;
             let began = Instant::now();
             let gone = || cancel.is_cancelled();
-            let pose = || Posed::new(&setup, &plan, &setup.pose(&drag.q)?, record.folds, &gone);
+            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
             let posed = if setup.is_wide() { pool.spread(pose) } else { pose() }?;
             timing.deform = began.elapsed();
-            let body = form.write(&posed, MeshShape::new(&setup, record.extent));
+            let body = form.write(&posed, MeshShape::new(&setup, extent));
             Ok::<_, WarpError>(PosedMesh { report: posed.into_report(), timing, plan_built, body })
         };
         Ok(self.0.pool.run(&ticket, pose).await??)

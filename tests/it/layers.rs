@@ -16,10 +16,11 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("http", &["service", "geometry", "pixmap", "deform", "render", "codec", "warp"]),
 ];
 /// Crates that only some rooms may name.
-const CRATES: [(&str, &[&str]); 6] = [
+const CRATES: [(&str, &[&str]); 7] = [
     ("axum", &["http"]),
     ("axum_server", &["http"]),
     ("tokio", &["service", "http"]),
+    ("tokio_tungstenite", &["http"]),
     ("rayon", &["deform", "render", "warp", "service"]),
     ("image", &["codec"]),
     ("png", &["codec"]),

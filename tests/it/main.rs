@@ -21,4 +21,6 @@ mod page;
 mod problems;
 mod revisions;
 mod sessions;
+mod socket;
+mod socket_abuse;
 mod support;

@@ -93,6 +93,15 @@ pub struct Options {
     /// Memory for the sessions' picture files; one more is answered 503.
     #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
     store_bytes: String,
+    /// Most drag sockets; one more is answered 503.
+    #[arg(long, env = "MLSWARP_MAX_SOCKETS", value_name = "N", default_value = "256", global = true)]
+    max_sockets: String,
+    /// How long a drag socket may be silent before it is pinged; silent for as long again, it is closed.
+    #[arg(long, env = "MLSWARP_SOCKET_IDLE", value_name = "TIME", default_value = "20s", global = true)]
+    socket_idle: String,
+    /// Longest time for a drag socket's client to take what it is sent, and to acknowledge a frame.
+    #[arg(long, env = "MLSWARP_SOCKET_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
+    socket_timeout: String,
     /// Longest time from a request's head to its answer's head.
     #[arg(long, env = "MLSWARP_REQUEST_TIMEOUT", value_name = "TIME", default_value = "60s", global = true)]
     request_timeout: String,
@@ -147,6 +156,12 @@ pub struct Config {
     pub max_sessions: usize,
     /// Memory for the sessions' picture files.
     pub store_bytes: u64,
+    /// Most drag sockets.
+    pub max_sockets: usize,
+    /// How long a drag socket may be silent before it is pinged, and then before it is closed.
+    pub socket_idle: Duration,
+    /// Longest time for a drag socket's client to take what it is sent, and to acknowledge a frame.
+    pub socket_timeout: Duration,
     /// Longest time from a request's head to its answer's head.
     pub request_timeout: Duration,
     /// Longest time for a connection's first byte, a request's head, and between two requests.
@@ -214,6 +229,9 @@ impl Options {
             session_idle: m.read("session-idle", &self.session_idle, units::span),
             max_sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
             store_bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
+            max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
+            socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
+            socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
             request_timeout: m.read("request-timeout", &self.request_timeout, units::span),
             header_timeout: m.read("header-timeout", &self.header_timeout, units::span),
             body_timeout: m.read("body-timeout", &self.body_timeout, units::span),

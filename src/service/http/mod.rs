@@ -8,7 +8,9 @@ mod accept;
 mod answer;
 mod body;
 mod fence;
+mod handshake;
 mod health;
+mod line;
 mod mesh;
 mod openapi;
 mod page;
@@ -16,6 +18,7 @@ mod points;
 mod refuse;
 pub mod server;
 mod sessions;
+mod socket;
 mod upload;
 mod warp;
 
@@ -39,6 +42,7 @@ fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
         ("/sessions/{id}/handles", computes(put(sessions::handles))),
         ("/sessions/{id}/warp", computes(post(warp::drag))),
         ("/sessions/{id}/mesh", computes(post(mesh::mesh))),
+        ("/sessions/{id}/drag", get(socket::drag)),
         ("/sessions/{id}/points", computes(post(points::of_session))),
         ("/points", computes(post(points::once))),
         ("/healthz", get(health::alive)),

@@ -21,6 +21,9 @@ use crate::service::pool::NoThreads;
 /// Streams that one HTTP/2 connection may have open.
 const STREAMS: u32 = 64;
 
+/// Longest time for drag sockets to close when the service stops.
+const FAREWELL: Duration = Duration::from_secs(3);
+
 /// Why the server did not start, or ended.
 #[derive(Debug, Error)]
 pub enum ServeError {
@@ -88,7 +91,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         .keep_alive_interval(config.header_timeout)
         .keep_alive_timeout(config.header_timeout);
     tracing::info!(workers = config.workers, queue = config.queue, "listening on http://{address}");
-    let service = router(app.clone()).into_make_service();
+    let (service, sockets) = (router(app.clone()).into_make_service(), app.clone());
     tokio::spawn(async move {
         stop.await;
         app.drain();
@@ -96,6 +99,8 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         handle.graceful_shutdown(Some(config.shutdown_grace));
     });
     server.serve(service).await?;
+    // Their connections are no longer the server's; each says that it closes and waits for no one.
+    let _ = tokio::time::timeout(FAREWELL, sockets.drags_ended()).await;
     tracing::info!("stopped");
     Ok(())
 }

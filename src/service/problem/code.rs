@@ -44,8 +44,8 @@ codes! {
     MalformedRequest = 400, "malformed_request", "Malformed request";
     /// A key is configured and the request has none.
     Unauthorized = 401, "unauthorized", "Key missing";
-    /// A key is configured and the request has another.
-    Forbidden = 403, "forbidden", "Key refused";
+    /// A key is configured and the request has another; a page of another site opens a socket.
+    Forbidden = 403, "forbidden", "Forbidden";
     /// No route has this path.
     NotFound = 404, "not_found", "No such route";
     /// No session has this id.
@@ -86,6 +86,8 @@ codes! {
     AlphaOutOfRange = 422, "alpha_out_of_range", "Alpha out of range";
     /// `folds: reject` and the result folds.
     Folded = 422, "folded", "The warp folds";
+    /// The route is a WebSocket.
+    UpgradeRequired = 426, "upgrade_required", "Upgrade required";
     /// One client asks too often.
     RateLimited = 429, "rate_limited", "Rate limited";
     /// A bug; the log has more.

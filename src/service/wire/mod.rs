@@ -10,6 +10,7 @@ mod number;
 mod output;
 mod rest;
 mod session;
+mod socket;
 mod word;
 mod write;
 
@@ -31,6 +32,7 @@ use number::{count, whole};
 pub use output::OutputPatch;
 pub use rest::WarpPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
+pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use write::Wire;
 
 const HANDLES: &str = "an array of handles";

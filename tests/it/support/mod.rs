@@ -1,9 +1,11 @@
 //! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and the program itself.
 
+pub(crate) mod hand;
 pub(crate) mod picture;
 pub(crate) mod program;
 pub(crate) mod server;
 
+pub(crate) use hand::Hand;
 pub(crate) use picture::photo;
 pub(crate) use server::Server;
 

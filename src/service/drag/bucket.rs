@@ -1,0 +1,63 @@
+//! A token bucket: how many messages a peer may send in a second, and how many at once. No clock inside: times are handed in.
+
+use std::time::Instant;
+
+/// Tokens that come back with time. One message takes one.
+#[derive(Clone, Copy, Debug)]
+pub struct Bucket {
+    tokens: f64,
+    most: f64,
+    a_second: f64,
+    seen: Instant,
+}
+
+impl Bucket {
+    /// A full bucket.
+    #[must_use]
+    pub const fn new(a_second: f64, most: f64, now: Instant) -> Self {
+        Self { tokens: most, most, a_second, seen: now }
+    }
+
+    /// Takes one; false when there is none.
+    pub fn take(&mut self, now: Instant) -> bool {
+        let passed = now.saturating_duration_since(self.seen).as_secs_f64();
+        self.tokens = (self.tokens + passed * self.a_second).min(self.most);
+        self.seen = self.seen.max(now);
+        let enough = self.tokens >= 1.0;
+        if enough {
+            self.tokens -= 1.0;
+        }
+        enough
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_steady_hand_loses_nothing_and_a_flood_is_seen() {
+        let start = Instant::now();
+        let at = |n: u32, a_second: u32| start + Duration::from_secs(1) * n / a_second;
+        let lasts = |a_second: u32| {
+            let mut bucket = Bucket::new(1000.0, 2000.0, start);
+            (0..60 * a_second).take_while(|n| bucket.take(at(*n, a_second))).count()
+        };
+        assert_eq!(lasts(125), 60 * 125);
+        assert_eq!(lasts(990), 60 * 990);
+        let flood = lasts(10_000);
+        assert!((2000..2300).contains(&flood), "{flood}");
+    }
+
+    #[test]
+    fn a_pause_fills_it_no_further_than_full() {
+        let start = Instant::now();
+        let mut bucket = Bucket::new(10.0, 5.0, start);
+        let later = start + Duration::from_secs(3600);
+        assert_eq!((0..100).take_while(|_| bucket.take(later)).count(), 5);
+        // A clock that is behind gives nothing back.
+        assert!(!bucket.take(start));
+        assert!(bucket.take(later + Duration::from_millis(150)));
+    }
+}

@@ -1,0 +1,273 @@
+//! How wide a preview may be: as wide as about sixty frames a second allow. What is measured is the time that a frame takes to be made and
+//! the time until its client has it on the screen; the longer of the two is the period, because the next frame is made while one is under way.
+//! A controller without a clock: times are handed in. O(1) a frame.
+//!
+//! A model of what a step would cost (all of the period grows with the pixels) is right where pixels are the cost and wrong where a long way
+//! or a slow screen is. So every step is a trial: a narrower picture that is hardly faster is taken back, a wider one that is hardly slower
+//! is kept, and a trial that failed is not repeated soon.
+
+use std::time::{Duration, Instant};
+
+/// Widths in eighths of the full one, widest first.
+const EIGHTHS: [u32; 6] = [8, 6, 4, 3, 2, 1];
+/// Narrower previews show nothing.
+const LEAST_WIDTH: u32 = 256;
+/// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits on the way.
+const FIRST_PIXELS: f64 = 1.2e6;
+/// A longer period is too long: sixty frames a second.
+const LONGEST: f64 = 1.0 / 60.0;
+/// A step is taken when the period after it should be at most this share of the longest.
+const AIM: f64 = 0.75;
+/// A step that changes the period by less than this changes nothing.
+const HARDLY: f64 = 1.15;
+/// Share of the newest frame in the averages, once there are a few.
+const NEWEST: f64 = 0.2;
+/// So many frames of a width are judged, or fewer when they have taken so long.
+const JUDGED: u32 = 8;
+const JUDGED_SLOW: Duration = Duration::from_millis(250);
+/// A width is kept for so long before a wider one is tried although the model is against it.
+const PROBE: Duration = Duration::from_secs(2);
+/// The pause after a trial that failed doubles up to this.
+const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+
+/// The width of the previews, and what they take.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    /// Widest first; the first is the full picture.
+    widths: Vec<u32>,
+    at: usize,
+    /// Averages at this width, seconds.
+    make: f64,
+    ack: f64,
+    frames: u32,
+    since: Option<Instant>,
+    trial: Option<Trial>,
+    narrower: Pause,
+    wider: Pause,
+}
+
+/// A step that may be taken back.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    from: usize,
+    period: f64,
+}
+
+/// When a trial may be repeated.
+#[derive(Clone, Copy, Debug)]
+struct Pause {
+    until: Option<Instant>,
+    next: Duration,
+}
+
+impl Pause {
+    const NONE: Self = Self { until: None, next: PROBE };
+
+    fn is_over(self, now: Instant) -> bool {
+        self.until.is_none_or(|until| now >= until)
+    }
+
+    fn begin(&mut self, now: Instant) {
+        self.until = Some(now + self.next);
+        self.next = (2 * self.next).min(LONGEST_PAUSE);
+    }
+}
+
+impl Pace {
+    /// A pace that finds its width for a picture of this size.
+    #[must_use]
+    pub fn adaptive((width, height): (u32, u32)) -> Self {
+        let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
+        widths[0] = width;
+        widths.retain(|w| *w >= LEAST_WIDTH.min(width));
+        widths.dedup();
+        let pixels = |w: u32| f64::from(w) * f64::from(w) * f64::from(height) / f64::from(width);
+        let first = widths.iter().position(|w| pixels(*w) <= FIRST_PIXELS).unwrap_or(widths.len() - 1);
+        Self { at: first, ..Self::of(widths) }
+    }
+
+    /// Always this width.
+    #[must_use]
+    pub fn fixed(width: u32) -> Self {
+        Self::of(vec![width])
+    }
+
+    fn of(widths: Vec<u32>) -> Self {
+        Self { widths, at: 0, make: 0.0, ack: 0.0, frames: 0, since: None, trial: None, narrower: Pause::NONE, wider: Pause::NONE }
+    }
+
+    /// The width of the next preview.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.widths[self.at]
+    }
+
+    /// How long a frame takes to be made; zero when nothing is known yet.
+    #[must_use]
+    pub fn make_time(&self) -> Duration {
+        Duration::from_secs_f64(self.make)
+    }
+
+    /// How long a frame takes to be shown once it is sent; zero when nothing is known yet.
+    #[must_use]
+    pub fn ack_time(&self) -> Duration {
+        Duration::from_secs_f64(self.ack)
+    }
+
+    /// A preview of this width was shown: how long it was made, and how long it was under way.
+    pub fn shown(&mut self, now: Instant, width: u32, make: Duration, ack: Duration) {
+        if width != self.width() {
+            return;
+        }
+        self.frames += 1;
+        let since = *self.since.get_or_insert_with(|| now.checked_sub(make.max(ack)).unwrap_or(now));
+        let share = NEWEST.max(1.0 / f64::from(self.frames));
+        self.make += share * (make.as_secs_f64() - self.make);
+        self.ack += share * (ack.as_secs_f64() - self.ack);
+        let passed = now.saturating_duration_since(since);
+        if self.frames >= JUDGED || passed >= JUDGED_SLOW {
+            self.judge(now, passed);
+        }
+    }
+
+    fn judge(&mut self, now: Instant, passed: Duration) {
+        let period = self.make.max(self.ack);
+        match self.trial.take() {
+            Some(Trial { from, period: before }) if from < self.at && period * HARDLY > before => {
+                self.narrower.begin(now);
+                return self.step(from, None);
+            }
+            Some(Trial { from, period: before }) if from > self.at && period > LONGEST && period > before * HARDLY => {
+                self.wider.begin(now);
+                return self.step(from, None);
+            }
+            Some(Trial { from, .. }) if from > self.at => self.wider = Pause::NONE,
+            Some(_) => self.narrower = Pause::NONE,
+            None => {}
+        }
+        let after = |to: usize| period * (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
+        let trial = Some(Trial { from: self.at, period });
+        if period > LONGEST && self.narrower.is_over(now) && self.at + 1 < self.widths.len() {
+            let fits = (self.at + 1..self.widths.len()).find(|to| after(*to) <= AIM * LONGEST);
+            self.step(fits.unwrap_or(self.widths.len() - 1), trial);
+        } else if self.at > 0 && self.wider.is_over(now) && (after(self.at - 1) <= AIM * LONGEST || passed >= PROBE) {
+            self.step(self.at - 1, trial);
+        }
+    }
+
+    /// The averages go along, as the model has them, until there are measured ones.
+    fn step(&mut self, to: usize, trial: Option<Trial>) {
+        let scale = (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
+        self.make *= scale;
+        self.ack *= scale;
+        self.at = to;
+        self.frames = 0;
+        self.since = None;
+        self.trial = trial;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UHD: (u32, u32) = (3840, 2160);
+
+    /// A machine and a way to the client: seconds that a frame of so many pixels takes to be made and to be shown.
+    struct World {
+        make: fn(f64) -> f64,
+        ack: fn(f64) -> f64,
+    }
+
+    /// Widths over the frames of so many seconds.
+    fn run(pace: &mut Pace, start: Instant, seconds: f64, world: &World) -> Vec<u32> {
+        let mut widths = Vec::new();
+        let mut time = 0.0;
+        while time < seconds {
+            let width = pace.width();
+            let pixels = f64::from(width) * f64::from(width) * 9.0 / 16.0;
+            let (make, ack) = ((world.make)(pixels), (world.ack)(pixels));
+            time += make.max(ack).max(0.008);
+            pace.shown(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack));
+            widths.push(width);
+        }
+        widths
+    }
+
+    /// The share of the later half of the frames that has the width.
+    fn share(widths: &[u32], width: u32) -> f64 {
+        let half = &widths[widths.len() / 2..];
+        half.iter().filter(|w| **w == width).count() as f64 / half.len() as f64
+    }
+
+    #[test]
+    fn widths_are_a_few_steps_down_to_a_least_one() {
+        assert_eq!(Pace::adaptive(UHD).widths, [3840, 2880, 1920, 1440, 960, 480]);
+        assert_eq!(Pace::adaptive((512, 512)).widths, [512, 384, 256]);
+        assert_eq!(Pace::adaptive((511, 90)).widths, [511, 384, 256]);
+        assert_eq!(Pace::adaptive((100, 5000)).widths, [100]);
+        assert_eq!(Pace::adaptive((1, 1)).widths, [1]);
+        assert_eq!(Pace::adaptive((512, 512)).width(), 512, "a small picture begins whole");
+        assert_eq!(Pace::adaptive(UHD).width(), 1440, "a large one does not");
+    }
+
+    #[test]
+    fn a_fast_machine_gets_the_whole_picture_and_keeps_it() {
+        let mut pace = Pace::adaptive(UHD);
+        let widths = run(&mut pace, Instant::now(), 10.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.3e-9 });
+        assert!(share(&widths, 3840) == 1.0, "{widths:?}");
+    }
+
+    #[test]
+    fn a_machine_that_cannot_hold_it_gets_the_widest_that_it_can() {
+        // 2.4 ns a pixel: the whole picture takes 20 ms, three quarters of its width 11 ms.
+        let mut pace = Pace::adaptive(UHD);
+        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| 0.5e-3 + px * 2.4e-9, ack: |_| 1e-3 });
+        assert!(share(&widths, 2880) > 0.95, "{}", share(&widths, 2880));
+    }
+
+    #[test]
+    fn a_slow_connection_narrows_within_a_few_frames() {
+        // 20 Mbit/s at 1.5 bytes a pixel.
+        let mut pace = Pace::adaptive(UHD);
+        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.6e-6 });
+        assert!(widths[1] == 480, "{:?}", &widths[..5]);
+        assert!(share(&widths, 480) > 0.9, "{}", share(&widths, 480));
+    }
+
+    #[test]
+    fn a_long_way_does_not_narrow_the_picture_for_long() {
+        // 100 ms there and back, whatever the size.
+        let mut pace = Pace::adaptive((1024, 768));
+        let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
+        assert!(share(&widths, 1024) > 0.9, "{}", share(&widths, 1024));
+        // Neither does it keep a large one narrow.
+        let mut pace = Pace::adaptive((2048, 1536));
+        let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
+        assert!(share(&widths, 2048) > 0.9, "{}", share(&widths, 2048));
+    }
+
+    #[test]
+    fn a_screen_that_shows_sixty_frames_a_second_is_no_slow_connection() {
+        let mut pace = Pace::adaptive((1920, 1080));
+        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 2e-9, ack: |_| 0.014 });
+        assert!(share(&widths, 1920) > 0.95, "{}", share(&widths, 1920));
+    }
+
+    #[test]
+    fn a_machine_that_is_free_again_widens_again() {
+        let mut pace = Pace::adaptive(UHD);
+        let start = Instant::now();
+        run(&mut pace, start, 10.0, &World { make: |px| px * 10e-9, ack: |_| 1e-3 });
+        assert!(pace.width() < 1920);
+        run(&mut pace, start + Duration::from_secs(10), 70.0, &World { make: |px| px * 1e-9, ack: |_| 1e-3 });
+        assert_eq!(pace.width(), 3840);
+    }
+
+    #[test]
+    fn a_fixed_width_stays() {
+        let mut pace = Pace::fixed(1024);
+        run(&mut pace, Instant::now(), 5.0, &World { make: |_| 1.0, ack: |_| 1.0 });
+        assert_eq!(pace.width(), 1024);
+    }
+}

@@ -1,0 +1,101 @@
+//! The opening handshake of a WebSocket (RFC 6455, section 4.2) and who may open one.
+
+use axum::body::Body;
+use axum::extract::Request;
+use axum::http::header::{CONNECTION, HOST, HeaderName, ORIGIN, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Version};
+use axum::response::{IntoResponse as _, Response};
+use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
+
+use crate::service::problem::{Code, Problem};
+
+const WEBSOCKET: HeaderValue = HeaderValue::from_static("websocket");
+const THIRTEEN: HeaderValue = HeaderValue::from_static("13");
+
+/// The answer to a request that opens a WebSocket.
+///
+/// # Errors
+/// What to answer instead: 426 to who asks for something else, 400 to who asks wrongly, 403 to a page of another site.
+pub(super) fn accept(request: &Request) -> Result<Response, Response> {
+    let headers = request.headers();
+    if request.version() != Version::HTTP_11 || !names(headers, &CONNECTION, "upgrade") || !names(headers, &UPGRADE, "websocket") {
+        return Err(required("this route is a WebSocket: it takes an upgrade of an HTTP/1.1 connection"));
+    }
+    if headers.get(SEC_WEBSOCKET_VERSION) != Some(&THIRTEEN) {
+        return Err(required("this route is a WebSocket of version 13"));
+    }
+    // 16 bytes in base64.
+    let Some(key) = headers.get(SEC_WEBSOCKET_KEY).filter(|key| key.len() == 24) else {
+        return Err(Problem::new(Code::MalformedRequest, "Sec-WebSocket-Key is no key of 16 bytes").into_response());
+    };
+    same_site(headers).map_err(axum::response::IntoResponse::into_response)?;
+    let accept = HeaderValue::from_str(&derive_accept_key(key.as_bytes())).expect("base64 is visible ASCII");
+    let headers = [(CONNECTION, HeaderValue::from_static("upgrade")), (UPGRADE, WEBSOCKET), (SEC_WEBSOCKET_ACCEPT, accept)];
+    Ok((StatusCode::SWITCHING_PROTOCOLS, headers, Body::empty()).into_response())
+}
+
+fn required(detail: &str) -> Response {
+    let headers = [(UPGRADE, WEBSOCKET), (CONNECTION, HeaderValue::from_static("upgrade")), (SEC_WEBSOCKET_VERSION, THIRTEEN)];
+    (headers, Problem::new(Code::UpgradeRequired, detail)).into_response()
+}
+
+/// Whether a header's list holds this word.
+fn names(headers: &HeaderMap, name: &HeaderName, word: &str) -> bool {
+    let mut words = headers.get_all(name).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
+    words.any(|w| w.trim().eq_ignore_ascii_case(word))
+}
+
+/// A browser lets the page of any site open a WebSocket to any other, and says where the page is from.
+fn same_site(headers: &HeaderMap) -> Result<(), Problem> {
+    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
+    let ours = headers.get(HOST).and_then(|host| host.to_str().ok());
+    let theirs = origin.to_str().ok().and_then(|origin| origin.split_once("://"));
+    let same = ours.zip(theirs).is_some_and(|(ours, (scheme, theirs))| authority(ours, scheme) == authority(theirs, scheme));
+    if same {
+        return Ok(());
+    }
+    Err(Problem::new(Code::Forbidden, "a page of another site may not open this socket: Origin and Host differ"))
+}
+
+/// Host and port in lower case; a scheme's own port need not be written.
+fn authority(text: &str, scheme: &str) -> String {
+    let own = if scheme == "https" { ":443" } else { ":80" };
+    text.strip_suffix(own).unwrap_or(text).to_ascii_lowercase()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_of_the_same_host_and_clients_without_a_page_may() {
+        let may = |host: &str, origin: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(HOST, host.parse().unwrap());
+            if let Some(origin) = origin {
+                headers.insert(ORIGIN, origin.parse().unwrap());
+            }
+            same_site(&headers).is_ok()
+        };
+        assert!(may("bend.example", None));
+        for (host, origin) in [
+            ("127.0.0.1:8080", "http://127.0.0.1:8080"),
+            ("bend.example", "https://bend.example"),
+            ("Bend.example:443", "https://bend.example"),
+            ("bend.example", "http://bend.example:80"),
+            ("[::1]:8080", "http://[::1]:8080"),
+        ] {
+            assert!(may(host, Some(origin)), "{host} {origin}");
+        }
+        for (host, origin) in [
+            ("127.0.0.1:8080", "http://127.0.0.1:8081"),
+            ("bend.example", "https://bend.example.evil"),
+            ("bend.example", "https://evil"),
+            ("bend.example:443", "http://bend.example"),
+            ("bend.example", "null"),
+            ("bend.example", "bend.example"),
+        ] {
+            assert!(!may(host, Some(origin)), "{host} {origin}");
+        }
+    }
+}

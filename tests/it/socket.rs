@@ -1,0 +1,360 @@
+//! The drag socket: poses in, frames out.
+
+use std::time::Duration;
+
+use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
+use serde_json::{Value, json};
+
+use crate::support::hand::Said;
+use crate::support::picture::decoded;
+use crate::support::program::Program;
+use crate::support::server::{form, header, png, problem};
+use crate::support::{Hand, Server, eventually, photo};
+
+fn rest() -> Value {
+    json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]]]})
+}
+
+/// Pose `n` of a hand that circles.
+fn posed(n: u64) -> Value {
+    #[expect(clippy::cast_precision_loss, reason = "a small number")]
+    let angle = n as f64 / 9.0;
+    json!([[20.0 + 7.0 * angle.cos(), 20.0 + 5.0 * angle.sin()], [100, 24], [[30, 70], [90, 80]]])
+}
+
+/// The picture that a request gets for the pose.
+async fn requested(server: &Server, id: &str, q: &Value, output: &Value) -> Vec<u8> {
+    png(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": q, "output": output})).send().await.unwrap()).await
+}
+
+#[tokio::test]
+async fn frames_are_the_pictures_of_requests() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "").await;
+    let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
+    let grid = &session["grid"];
+    assert_eq!(hand.hello, json!({"columns": grid["columns"], "rows": grid["rows"], "width": 128, "height": 96, "cell": grid["cell"]}));
+    for seq in [1, 2, 5, 1 << 40] {
+        hand.pose(seq, &posed(seq % 7)).await;
+        let (of, frame) = hand.frame().await;
+        assert_eq!(of, seq);
+        assert!(frame == requested(&server, &id, &posed(seq % 7), &json!({})).await, "seq {seq}");
+        hand.ack(seq).await;
+    }
+    // A picture large enough to come in strips, and in fragments.
+    let id = server.session(&photo(700, 500), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?frames=png&width=auto").await;
+    hand.pose(0, &posed(3)).await;
+    assert!(hand.frame().await.1 == requested(&server, &id, &posed(3), &json!({})).await);
+    assert_eq!(server.app.counters().sockets_open, 2);
+}
+
+#[tokio::test]
+async fn frames_are_of_the_format_that_the_socket_asks_for_or_of_the_sessions() {
+    let server = Server::start(&[]).await;
+    let mut warp = rest();
+    warp["output"] = json!({"format": "webp"});
+    let id = server.session(&photo(128, 96), &warp).await;
+    for (query, format) in [("?frames=png", "png"), ("?frames=jpeg", "jpeg"), ("?frames=webp", "webp"), ("", "webp")] {
+        let mut hand = Hand::open(server.address, &id, query).await;
+        hand.pose(0, &posed(1)).await;
+        let request = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(1), "output": {"format": format}}));
+        let response = request.send().await.unwrap();
+        assert_eq!(header(&response, "content-type"), format!("image/{format}"));
+        assert!(hand.frame().await.1 == response.bytes().await.unwrap(), "{query}");
+    }
+}
+
+#[tokio::test]
+async fn handles_that_are_replaced_during_a_drag_are_told_before_their_first_frame() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
+    hand.pose(1, &posed(1)).await;
+    hand.ack_of_next_frame(1).await;
+    let body = json!({"p": [[20, 20], [100, 70]], "grid": {"columns": 7, "rows": 5}});
+    let put = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send().await.unwrap();
+    assert_eq!(put.status(), 200);
+    // The client has not heard of it yet: one handle too many.
+    hand.pose(2, &posed(2)).await;
+    assert_eq!(hand.problem("shape_mismatch").await["seq"], 2);
+    hand.pose(3, &json!([[22, 20], [100, 72]])).await;
+    let hello = hand.text().await;
+    assert_eq!((&hello["columns"], &hello["rows"]), (&json!(7), &json!(5)));
+    let (of, frame) = hand.frame().await;
+    assert_eq!((of, frame.len()), (3, 8 * 7 * 5));
+    hand.ack(3).await;
+    hand.pose(4, &json!([[22, 20], [100, 72]])).await;
+    assert_eq!(hand.frame().await.0, 4, "once");
+}
+
+#[tokio::test]
+async fn mesh_frames_are_the_meshes_of_requests() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
+    for seq in 0..5 {
+        hand.pose(seq, &posed(seq)).await;
+        let (of, frame) = hand.frame().await;
+        let request = server.post(&format!("/sessions/{id}/mesh")).header("accept", "application/octet-stream");
+        let response = request.json(&json!({"q": posed(seq)})).send().await.unwrap();
+        assert_eq!((of, response.status().as_u16()), (seq, 200));
+        assert!(frame == response.bytes().await.unwrap());
+        assert_eq!(frame.len() as u64, 8 * hand.hello["columns"].as_u64().unwrap() * hand.hello["rows"].as_u64().unwrap());
+        hand.ack(seq).await;
+    }
+    assert_eq!(server.app.counters().pictures_begun, 0, "no picture is drawn for a mesh");
+}
+
+#[tokio::test]
+async fn of_a_burst_the_last_pose_is_shown_and_the_overtaken_are_counted() {
+    let server = Server::start(&["--workers", "1"]).await;
+    let id = server.session(&photo(600, 400), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?width=600").await;
+    for seq in 0..500 {
+        hand.pose(seq, &posed(seq)).await;
+    }
+    let frames = hand.show_until(499).await;
+    assert!(frames.is_sorted_by(|a, b| a.0 < b.0), "frames go forward");
+    assert!(frames.last().unwrap().1 == requested(&server, &id, &posed(499), &json!({})).await);
+    let counters = server.app.counters();
+    assert_eq!(counters.frames_sent, frames.len() as u64);
+    assert_eq!(counters.poses_superseded, 500 - frames.len() as u64, "every pose is shown or counted");
+}
+
+#[tokio::test]
+async fn the_next_frame_waits_for_the_acknowledgement() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "").await;
+    hand.pose(1, &posed(1)).await;
+    assert_eq!(hand.frame().await.0, 1);
+    for seq in 2..20 {
+        hand.pose(seq, &posed(seq)).await;
+    }
+    assert!(hand.next_within(Duration::from_millis(400)).await.is_none(), "nothing before the acknowledgement");
+    let begun = server.app.counters().pictures_begun;
+    assert!(begun <= 2, "one sent and one ahead, not {begun}");
+    hand.ack(1).await;
+    // The one that was made ahead has grown old meanwhile.
+    let (seq, _) = hand.frame().await;
+    assert_eq!(seq, 19);
+    assert!(hand.next_within(Duration::from_millis(300)).await.is_none());
+    hand.ack(19).await;
+    assert!(hand.next_within(Duration::from_millis(300)).await.is_none(), "a full frame is made once");
+}
+
+#[tokio::test]
+async fn a_preview_is_followed_by_the_full_frame_when_the_hand_rests() {
+    let server = Server::start(&[]).await;
+    let mut warp = rest();
+    warp["output"] = json!({"compression": "best"});
+    let id = server.session(&photo(640, 480), &warp).await;
+    let mut hand = Hand::open(server.address, &id, "?width=256&report=true").await;
+    for seq in 0..4 {
+        hand.pose(seq, &posed(seq)).await;
+        let report = hand.text().await;
+        let (of, frame) = hand.frame().await;
+        assert_eq!((of, &report["seq"], &report["full"]), (seq, &json!(seq), &json!(false)));
+        assert_eq!((&report["width"], &report["height"]), (&json!(256), &json!(192)));
+        assert!(frame == requested(&server, &id, &posed(seq), &json!({"width": 256, "compression": "fast"})).await);
+        hand.ack(seq).await;
+    }
+    let report = hand.text().await;
+    let (of, frame) = hand.frame().await;
+    assert_eq!((of, &report["full"], &report["width"]), (3, &json!(true), &json!(640)));
+    assert!(frame == requested(&server, &id, &posed(3), &json!({})).await);
+    for name in ["queue", "deform", "render", "encode"] {
+        assert!(report["timing"][name].as_f64().is_some_and(|ms| (0.0..60_000.0).contains(&ms)), "{report}");
+    }
+    assert!(report["folds"].is_u64() && report["residual"].is_f64() && report["warnings"].is_array(), "{report}");
+    hand.ack(3).await;
+    assert!(hand.next_within(Duration::from_millis(400)).await.is_none(), "once");
+    // A hand that moves on before it has rested gets previews.
+    hand.pose(4, &posed(4)).await;
+    assert_eq!(hand.text().await["full"], false);
+}
+
+#[tokio::test]
+async fn a_width_beyond_the_picture_is_kept() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "?width=200").await;
+    hand.pose(0, &posed(1)).await;
+    let (_, frame) = hand.frame().await;
+    assert_eq!(decoded(&frame).width, 200);
+    hand.ack(0).await;
+    assert!(hand.next_within(Duration::from_millis(400)).await.is_none());
+}
+
+#[tokio::test]
+async fn a_bad_message_is_a_problem_and_the_socket_stays_open() {
+    let server = Server::start(&[]).await;
+    let mut warp = rest();
+    warp["folds"] = json!("reject");
+    let id = server.session(&photo(128, 96), &warp).await;
+    let mut hand = Hand::open(server.address, &id, "").await;
+    hand.socket_text("{").await;
+    assert!(hand.problem("malformed_request").await.get("seq").is_none());
+    hand.say(&json!({"seq": 3, "q": posed(1), "output": {}})).await;
+    hand.problem("unknown_field").await;
+    hand.pose(4, &json!([[1, 2]])).await;
+    assert_eq!(hand.problem("shape_mismatch").await["seq"], 4);
+    hand.pose(5, &json!([[100, 24], [20, 20], [[90, 80], [30, 70]]])).await;
+    assert_eq!(hand.problem("folded").await["seq"], 5);
+    hand.pose(5, &posed(1)).await;
+    let grows = hand.problem("bad_value").await;
+    assert_eq!((&grows["seq"], &grows["pointer"]), (&json!(5), &json!("/seq")));
+    hand.ack(99).await;
+    assert_eq!(hand.problem("bad_value").await["pointer"], "/ack");
+    hand.socket_binary(vec![1, 2, 3]).await;
+    hand.problem("malformed_request").await;
+    hand.pose(6, &posed(1)).await;
+    assert_eq!(hand.frame().await.0, 6);
+}
+
+#[tokio::test]
+async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
+    let server = Server::start(&["--max-sockets", "1"]).await;
+    let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
+    let path = format!("/sessions/{id}/drag");
+    let plain = server.get(&path).send().await.unwrap();
+    assert_eq!(header(&plain, "upgrade"), "websocket");
+    problem(plain, 426, "upgrade_required").await;
+    let ask = |path: &str, origin: Option<&str>| {
+        let mut request = server.get(path).header(CONNECTION, "keep-alive, Upgrade").header(UPGRADE, "websocket");
+        request = request.header(SEC_WEBSOCKET_VERSION, "13").header(SEC_WEBSOCKET_KEY, "dGhlIHNhbXBsZSBub25jZQ==");
+        if let Some(origin) = origin {
+            request = request.header(ORIGIN, origin);
+        }
+        request.send()
+    };
+    let old = server.get(&path).header(CONNECTION, "upgrade").header(UPGRADE, "websocket").header(SEC_WEBSOCKET_VERSION, "8");
+    problem(old.send().await.unwrap(), 426, "upgrade_required").await;
+    let keyless = server.get(&path).header(CONNECTION, "upgrade").header(UPGRADE, "websocket").header(SEC_WEBSOCKET_VERSION, "13");
+    problem(keyless.send().await.unwrap(), 400, "malformed_request").await;
+    problem(ask(&format!("{path}?frames=gif"), None).await.unwrap(), 422, "bad_value").await;
+    problem(ask(&format!("{path}?frame=png"), None).await.unwrap(), 422, "unknown_field").await;
+    problem(ask(&path, Some("https://elsewhere.example")).await.unwrap(), 403, "forbidden").await;
+    problem(ask("/sessions/00000000-0000-4000-8000-000000000000/drag", None).await.unwrap(), 404, "no_such_session").await;
+    let same = ask(&path, Some(&format!("http://{}", server.address))).await.unwrap();
+    assert_eq!(same.status(), 101);
+    assert_eq!(header(&same, "sec-websocket-accept"), "s3pPLMBiTxaQ9kYGzzhZRbK+xOo=");
+    let full = ask(&path, None).await.unwrap();
+    assert!(header(&full, "retry-after").parse::<u32>().unwrap() >= 1);
+    problem(full, 503, "overloaded").await;
+    drop(same);
+    eventually("the seat is free again", || server.app.counters().sockets_open == 0).await;
+    let host = server.get(&path).header(HOST, "x").send().await.unwrap();
+    problem(host, 426, "upgrade_required").await;
+}
+
+#[tokio::test]
+async fn a_session_that_is_deleted_ends_its_sockets_with_a_reason() {
+    let server = Server::start(&["--socket-idle", "300ms"]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut moving = Hand::open(server.address, &id, "").await;
+    let mut resting = Hand::open(server.address, &id, "").await;
+    moving.pose(1, &posed(1)).await;
+    moving.frame().await;
+    moving.ack(1).await;
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap().status(), 204);
+    moving.pose(2, &posed(2)).await;
+    assert_eq!(moving.problem("no_such_session").await["seq"], 2);
+    assert_eq!(moving.closed().await, 1000);
+    resting.problem("no_such_session").await;
+    assert_eq!(resting.closed().await, 1000);
+    eventually("no seat is taken", || server.app.counters().sockets_open == 0).await;
+}
+
+#[tokio::test]
+async fn a_client_that_leaves_during_a_frame_ends_the_work() {
+    let server = Server::start(&["--workers", "1"]).await;
+    let mut warp = rest();
+    warp["output"] = json!({"compression": "best"});
+    let id = server.session(&photo(3000, 2000), &warp).await;
+    let mut hand = Hand::open(server.address, &id, "?width=3000").await;
+    hand.pose(1, &posed(1)).await;
+    eventually("the frame is being drawn", || server.app.counters().pictures_begun == 1).await;
+    drop(hand);
+    eventually("the work ends", || server.app.counters().pictures_abandoned == 1 && server.app.pool().running() == 0).await;
+    assert_eq!(server.app.counters().frames_sent, 0);
+    eventually("the seat is free", || server.app.counters().sockets_open == 0).await;
+    server.is_well().await;
+}
+
+#[tokio::test]
+async fn a_full_queue_delays_frames_and_loses_none() {
+    let server = Server::start(&["--workers", "1", "--queue", "0"]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "").await;
+    eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full()).await;
+    let ticket = server.app.pool().admit().await.unwrap();
+    hand.pose(1, &posed(1)).await;
+    assert!(hand.next_within(Duration::from_millis(100)).await.is_none());
+    hand.pose(2, &posed(2)).await;
+    assert!(hand.next_within(Duration::from_millis(100)).await.is_none(), "no complaint: the hand cannot help it");
+    drop(ticket);
+    assert_eq!(hand.frame().await.0, 2);
+}
+
+#[tokio::test]
+async fn a_stopping_server_closes_its_sockets_and_is_not_held_up() {
+    let program = Program::start(&["--log-format", "json"]);
+    let url = format!("http://{}/sessions", program.address);
+    let upload = reqwest::Client::new().post(url).multipart(form(&photo(128, 96), rest().to_string()));
+    let session: Value = upload.send().await.unwrap().json().await.unwrap();
+    let id = session["id"].as_str().unwrap();
+    let mut dragging = Hand::open(program.address, id, "").await;
+    // This one will not even read the close.
+    let mut deaf = Hand::open(program.address, id, "").await;
+    deaf.pose(1, &posed(1)).await;
+    dragging.pose(1, &posed(1)).await;
+    assert_eq!(dragging.frame().await.0, 1);
+    program.terminate();
+    assert_eq!(dragging.closed().await, 1012);
+    let began = std::time::Instant::now();
+    let (status, log) = tokio::task::spawn_blocking(move || program.wait()).await.unwrap();
+    assert_eq!(status.code(), Some(0), "{log}");
+    assert!(began.elapsed() < Duration::from_secs(15), "sockets hold up a stop for a second, not for the grace period");
+    assert!(log.contains("drag ended") && log.contains("1012"), "{log}");
+    drop(deaf);
+}
+
+#[tokio::test]
+async fn eight_hands_on_one_session_see_their_own_poses() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let hands = (0..8_u64).map(|n| {
+        let (server, id) = (&server, &id);
+        async move {
+            let mut hand = Hand::open(server.address, id, "").await;
+            for seq in 0..20 {
+                hand.pose(seq, &posed(20 * n + seq)).await;
+                let (of, frame) = hand.frame().await;
+                assert_eq!(of, seq);
+                assert!(frame == requested(server, id, &posed(20 * n + seq), &json!({})).await, "hand {n}");
+                hand.ack(seq).await;
+            }
+        }
+    });
+    futures_util::future::join_all(hands).await;
+    // Poses of sockets are numbered by themselves: the session has seen none.
+    let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
+    assert_eq!(session["seq"], Value::Null);
+}
+
+#[tokio::test]
+async fn a_drag_keeps_its_session_alive() {
+    let server = Server::start(&["--session-idle", "1s"]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut hand = Hand::open(server.address, &id, "").await;
+    for seq in 0..8 {
+        tokio::time::sleep(Duration::from_millis(250)).await;
+        hand.pose(seq, &posed(seq)).await;
+        assert!(matches!(hand.next().await, Said::Frame(..)));
+        hand.ack(seq).await;
+    }
+    assert_eq!(server.get(&format!("/sessions/{id}")).send().await.unwrap().status(), 200);
+}
