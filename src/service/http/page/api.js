@@ -107,8 +107,11 @@ function reportOf(response, size) {
   return { timing, size, folds: Number(response.headers.get("Warp-Folds") ?? 0), residual: Number(response.headers.get("Warp-Residual") ?? 0), warnings };
 }
 
-/** Little-endian f32 from a byte on, on any machine. */
+const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
+
+/** Little-endian f32 from a byte on (a multiple of 4), on any machine. */
 export function floats(bytes, from) {
+  if (LITTLE_ENDIAN) return new Float32Array(bytes, from);
   const view = new DataView(bytes, from);
   return Float32Array.from({ length: view.byteLength >> 2 }, (_, k) => view.getFloat32(4 * k, true));
 }

@@ -6,8 +6,8 @@ const APART = 16;
 /** Seen on any picture: light lines on a dark edge, red that is no skin. */
 const COLOURS = { line: "rgb(255 255 255 / 0.8)", under: "rgb(10 20 40 / 0.22)", fold: "rgb(235 10 50 / 0.6)" };
 
-/** `place`: { zoom, x, y } in device px; `scale`: device px a CSS px. */
-export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines) {
+/** `place`: { zoom, x, y } in device px; `scale`: device px a CSS px; `quick`: while the hand moves, without the dark edge. */
+export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, quick) {
   const { width, height } = context.canvas;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.clearRect(0, 0, width, height);
@@ -18,7 +18,7 @@ export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines) {
   context.clip();
   const to = ([px, py]) => [x + zoom * px, y + zoom * py];
   if (lines) {
-    drawLines(context, mesh, to, zoom, scale, COLOURS.under, 2.5 * scale);
+    if (!quick) drawLines(context, mesh, to, zoom, scale, COLOURS.under, 2.5 * scale);
     drawLines(context, mesh, to, zoom, scale, COLOURS.line, scale);
   }
   context.beginPath();
@@ -36,13 +36,12 @@ function drawLines(context, mesh, to, zoom, scale, colour, thick) {
   const every = (size) => Math.max(1, Math.round((APART * scale) / (zoom * size)));
   const [acrossStep, downStep] = [every(cell[0]), every(cell[1])];
   const chosen = (count, step) => Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
+  // Places along a line are left out where it would not be seen.
+  const [alongX, alongY] = [acrossStep, downStep].map((step) => Math.max(1, Math.floor(step / 2)));
+  const line = (places) => places.forEach((place, k) => (k ? context.lineTo(...to(place)) : context.moveTo(...to(place))));
   context.beginPath();
-  for (const i of chosen(columns, acrossStep)) {
-    for (let j = 0; j < rows; j++) j ? context.lineTo(...to(mesh.posed(i, j))) : context.moveTo(...to(mesh.posed(i, j)));
-  }
-  for (const j of chosen(rows, downStep)) {
-    for (let i = 0; i < columns; i++) i ? context.lineTo(...to(mesh.posed(i, j))) : context.moveTo(...to(mesh.posed(i, j)));
-  }
+  for (const i of chosen(columns, acrossStep)) line(chosen(rows, alongY).map((j) => mesh.posed(i, j)));
+  for (const j of chosen(rows, downStep)) line(chosen(columns, alongX).map((i) => mesh.posed(i, j)));
   context.strokeStyle = colour;
   context.lineWidth = thick;
   context.stroke();

@@ -123,12 +123,10 @@ export class Keys {
       if (!inStage) return false;
       this.#enter(event);
     } else if (key === " ") {
-      const named = this.#focused(event);
-      if (named) this.actions.choose(named, event.shiftKey);
-      else {
-        this.pointer.spaceHeld = true;
-        this.stage.dataset.space = "";
-      }
+      if (event.repeat) return true;
+      this.pointer.spaceHeld = true;
+      this.pointer.spaceUsed = false;
+      this.stage.dataset.space = "";
     } else {
       return this.singleKeys() && this.#single(key, event.repeat);
     }
@@ -162,6 +160,9 @@ export class Keys {
 
   #up(event) {
     if (event.key === " ") {
+      // Space that panned nothing chooses the handle that has the focus.
+      const named = this.pointer.spaceHeld && !this.pointer.spaceUsed && event.target && this.#focused(event);
+      if (named) this.actions.choose(named, event.shiftKey);
       this.pointer.spaceHeld = false;
       delete this.stage.dataset.space;
     }

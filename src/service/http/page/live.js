@@ -5,6 +5,8 @@ import * as api from "./api.js";
 
 /** Failures to open one after another before a session is served by POST. */
 const TRIES = 3;
+/** A socket that lived shorter, ms, has failed. */
+const LIVED = 2000;
 /** Bytes waiting to be sent beyond which a newer pose waits here. */
 const BACKLOG = 1 << 16;
 
@@ -13,6 +15,7 @@ export class Live {
   #socket = null;
   #failures = 0;
   #open = false;
+  #opened = 0;
   #grid = null;
   #seq = 0;
   #revisions = new Map(); // seq of the socket to revision of the document
@@ -49,7 +52,9 @@ export class Live {
     this.#open = false;
     const socket = this.#socket;
     this.#socket = null;
-    socket?.close(1000);
+    // One that is not open yet would complain.
+    if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close(1000);
+    else socket?.close(1000);
     this.told.way();
   }
 
@@ -77,6 +82,7 @@ export class Live {
     const current = (then) => (event) => socket === this.#socket && then(event);
     socket.onopen = current(() => {
       this.#open = true;
+      this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
       this.told.way();
@@ -84,7 +90,7 @@ export class Live {
     });
     socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
     socket.onclose = current(() => {
-      this.#failures = this.#open ? 0 : this.#failures + 1;
+      this.#failures = this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1;
       this.#open = false;
       this.#socket = null;
       this.told.way();

@@ -116,6 +116,16 @@ store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
+// A tool that was clicked does not keep the focus: the keys go on to the stage. Who came by keyboard stays.
+for (const bar of document.querySelectorAll("#work > .tools, #work > .zoom, #selection, #draft, #undo, #redo")) {
+  const giveBack = () => bar.contains(document.activeElement) && stage.focus({ preventScroll: true });
+  bar.addEventListener("click", ({ detail }) => {
+    if (detail === 0) return;
+    giveBack();
+    setTimeout(giveBack); // a label gives its radio button the focus after this
+  });
+}
+
 // Files
 
 find("file").addEventListener("change", ({ target }) => {
@@ -150,7 +160,7 @@ const taking = (act) => async () => {
   }
 };
 const copying = (words, what) => taking(async (state) => toast((await copy(words(sync, state), find("copied"))) ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`));
-find("download").addEventListener("click", taking(async (state) => save(await bentPicture(sync, state), pictureName(state.picture.name))));
+find("download").addEventListener("click", taking(async (state) => save(await bentPicture(sync, store), pictureName(state.picture.name))));
 find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
 find("copy-link").addEventListener("click", copying(linkTo, "Link"));

@@ -85,12 +85,18 @@ export class Mesh {
   /** Cells of which a corner's cross product is not positive, as [i, j]: the rule by which the server counts. */
   folded() {
     const { columns, rows } = this.grid;
+    const m = this.places;
     const cells = [];
     for (let j = 0; j < rows - 1; j++) {
       for (let i = 0; i < columns - 1; i++) {
-        const [a, b, c, d] = this.corners(i, j);
-        const cross = (p, q, r, s) => (q[0] - p[0]) * (s[1] - r[1]) - (q[1] - p[1]) * (s[0] - r[0]);
-        if (!(cross(a, b, a, d) > 0 && cross(a, b, b, c) > 0 && cross(d, c, b, c) > 0 && cross(d, c, a, d) > 0)) cells.push([i, j]);
+        const a = 2 * (j * columns + i);
+        const d = a + 2 * columns;
+        const [topX, topY] = [m[a + 2] - m[a], m[a + 3] - m[a + 1]];
+        const [bottomX, bottomY] = [m[d + 2] - m[d], m[d + 3] - m[d + 1]];
+        const [leftX, leftY] = [m[d] - m[a], m[d + 1] - m[a + 1]];
+        const [rightX, rightY] = [m[d + 2] - m[a + 2], m[d + 3] - m[a + 3]];
+        const sound = topX * leftY > topY * leftX && topX * rightY > topY * rightX && bottomX * rightY > bottomY * rightX && bottomX * leftY > bottomY * leftX;
+        if (!sound) cells.push([i, j]);
       }
     }
     return cells;

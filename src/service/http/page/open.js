@@ -1,7 +1,7 @@
 // How a picture comes in: a file (dropped, pasted, picked), a sample, a link, or what was kept before a reload.
 
 import * as api from "./api.js";
-import { documentOf, restOf } from "./edits.js";
+import { alphaOf, documentOf, restOf } from "./edits.js";
 import { keepFile, keptFile } from "./keep.js";
 import { SAMPLES } from "./samples.js";
 import { emptyDocument } from "./state.js";
@@ -110,6 +110,7 @@ export class Opener {
     }
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
+    this.view.resized(); // only now the stage is seen, and has a size
     this.fileKey = fileKey ?? null;
     this.fileKey ??= await keepFile(source.blob, source.name);
     this.told();
@@ -126,7 +127,7 @@ export class Opener {
     return this.#attempt(name, async () => {
       if (warp === null) throw new api.Problem({ code: "bad_link" }, 0);
       const object = await api.readSession(session);
-      const document = documentOf(warp ?? { ...object, alpha: undefined, grid: object.grid.requested });
+      const document = documentOf(warp ?? warpOfSession(object));
       if (!document) throw new api.Problem({ code: "bad_link" }, 0);
       this.link = hash;
       await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true });
@@ -157,6 +158,13 @@ async function copyOf(file) {
   } catch {
     throw new api.Problem({ code: "unreadable_file" }, 0);
   }
+}
+
+/** What a link without handles means: the session's own, put back. An alpha that is the usual one was not asked for. */
+function warpOfSession({ p, weights, method, alpha, units, grid }) {
+  const warp = { p, weights, method, units, grid: grid.requested };
+  const usual = documentOf(warp);
+  return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
 }
 
 /** Whether a session has the handles at rest, and the rest, of a document. */

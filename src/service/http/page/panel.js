@@ -149,9 +149,9 @@ export class Panel {
     return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
   }
 
-  #drawHint({ document: { handles }, tool, arm, draft, compare, problem, selection }) {
+  #drawHint({ phase, document: { handles }, tool, arm, draft, compare, problem, selection }) {
     const kind = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
-    const which = arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
+    const which = phase !== "open" ? null : arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
     find("hint").hidden = !which;
     if (which) text("hint", HINTS[which][kind]);
   }
@@ -207,14 +207,12 @@ export class Panel {
   }
 }
 
-/** The same in one line, under the picture. */
+/** The same in a few words, under the picture. */
 function statusWords({ report, rate, source, warnings }) {
   if (!report) return "";
   const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
-  const speed = source === "png" ? [`there and back ${ms(report.trip)}`, bytes(report.size)] : rate ? [`${Math.round(rate)} frames/s`] : [];
-  // A large picture is on its way before it is drawn: then its head does not know what that takes.
-  const what = source === "png" && report.timing.encode === undefined ? "First byte after" : "Server";
-  return [`${what} ${ms(server)}`, ...speed].join(", ") + warnings.map((w) => `. ${WARNINGS[w] ?? ""}`).join("");
+  const speed = source === "png" ? `Picture in ${ms(report.trip)}, ${bytes(report.size)}` : rate ? `${Math.round(rate)} frames/s, server ${ms(server)}` : `Server ${ms(server)}`;
+  return [speed, ...warnings.map((w) => WARNINGS[w]).filter(Boolean)].join(". ");
 }
 
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;

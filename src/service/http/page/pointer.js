@@ -13,8 +13,11 @@ const WHEEL = 1.0018;
 
 export class Pointer {
   spaceHeld = false;
+  /** Something was panned since Space went down. */
+  spaceUsed = false;
 
   #gesture = null;
+  #box = null;
   #fingers = new Map(); // pointerId to [x, y]
   #pinch = null;
   #lastClick = { time: 0, at: [0, 0] };
@@ -46,9 +49,10 @@ export class Pointer {
     this.#end();
   }
 
+  /** Where in the stage. Its own place cannot change under a gesture, so it is looked up once. */
   #at(event) {
-    const box = this.stage.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
+    const { left, top } = (this.#gesture || this.#pinch) && this.#box ? this.#box : (this.#box = this.stage.getBoundingClientRect());
+    return [event.clientX - left, event.clientY - top];
   }
 
   #down(event) {
@@ -179,7 +183,8 @@ export class Pointer {
 
   /** On nothing: a click adds, a drag selects. */
   #marquee(adds) {
-    const kept = adds ? this.store.state.selection : [];
+    const { selection } = this.store.state;
+    const kept = adds ? selection : [];
     return {
       press: () => this.stage.focus({ preventScroll: true }),
       move: (at) => {
@@ -188,7 +193,7 @@ export class Pointer {
         this.store.do("select", { keys: [...new Set([...kept, ...inside])] });
         this.handles.draw();
       },
-      cancel: () => this.store.do("select", { keys: kept }),
+      cancel: () => this.store.do("select", { keys: selection }),
       click: (at) => this.#clickOnNothing(at, adds),
     };
   }
@@ -231,6 +236,7 @@ export class Pointer {
       still: 1,
       press: () => {
         from = this.view.pan;
+        this.spaceUsed = true;
         this.stage.dataset.gesture = "pan";
       },
       move: (at) => {

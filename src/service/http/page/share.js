@@ -16,9 +16,11 @@ export function save(blob, name) {
 }
 
 /** The server's bytes of the document as it stands: those that are seen, else asked for. */
-export async function bentPicture(sync, state) {
-  if (sync.png?.revision === state.revision) return sync.png.blob;
-  return (await api.picture(sync.session.id, { q: wire(state.document, "q") })).blob;
+export async function bentPicture(sync, store) {
+  await sync.settled();
+  const { revision, document } = store.state;
+  if (sync.png?.revision === revision) return sync.png.blob;
+  return (await api.picture(sync.session.id, { q: wire(document, "q") })).blob;
 }
 
 /** The warp object, a handle a line. */

@@ -160,16 +160,20 @@ export class Sync {
   }
 
   async #putRest(rest) {
-    if (this.session.borrowed) return this.#reopen(rest);
-    const { id } = this.session;
-    this.session.rest = null; // until the answer says otherwise, nobody knows
-    this.#adopt(await api.putHandles(id, rest), rest);
+    const { session } = this;
+    if (session.borrowed) return this.#reopen(rest);
+    session.rest = null; // until the answer says otherwise, nobody knows
+    const object = await api.putHandles(session.id, rest);
+    if (this.session === session) this.#adopt(object, rest);
   }
 
   /** The same picture as a new session: the old one has ended, or is someone else's. */
   async #reopen(rest) {
     if (!this.file) throw new api.Problem({ code: "no_such_session", title: "The session has ended", detail: "" }, 404);
-    this.#adopt(await api.openSession(this.file.blob, this.file.name, rest, {}), rest);
+    const { session } = this;
+    const object = await api.openSession(this.file.blob, this.file.name, rest, {});
+    if (this.session !== session) return; // another picture was opened meanwhile
+    this.#adopt(object, rest);
     this.#meshRevision = -1;
   }
 
@@ -246,9 +250,24 @@ export class Sync {
     this.#tell();
   }
 
+  /** Resolves when the newest pose has its picture, or none to be expected. */
+  settled() {
+    const done = () => this.condition === "ready" || this.condition === "error";
+    return new Promise((resolve) => {
+      const look = () => {
+        if (!done()) return;
+        this.#views.delete(look);
+        resolve();
+      };
+      this.#views.add(look);
+      look();
+    });
+  }
+
   /** Whether to go on after an error. */
   async #after(error) {
     if (api.wasAborted(error)) return true;
+    if (error?.name === "EncodingError") error = new api.Problem({ code: "unreadable" }, 0);
     if (!(error instanceof api.Problem)) throw error;
     const { phase, document } = this.store.state;
     if (phase !== "open" || !this.session) return false;

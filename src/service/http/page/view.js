@@ -14,6 +14,7 @@ const MARGINS = { wide: [92, 64], narrow: [16, 16], from: 640 };
 export class View {
   zoom = 1;
   pan = [0, 0];
+  stageSize = [0, 0]; // CSS px, as it was laid out last: asking for it anew would lay out the page in every move
   size = null; // of the picture, px
   source = "none"; // of what is seen
   mesh = null;
@@ -25,6 +26,7 @@ export class View {
   #frame = null; // ImageBitmap of the server's preview
   #afterPaint = [];
   #due = false;
+  #gridSeen = false;
   #views = new Set();
   #show = { lines: false, compare: false, at: 50, peek: false };
 
@@ -35,7 +37,7 @@ export class View {
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
-    new ResizeObserver(() => this.#resized()).observe(stage);
+    new ResizeObserver(() => this.resized()).observe(stage);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
   }
 
@@ -48,9 +50,6 @@ export class View {
     return devicePixelRatio || 1;
   }
 
-  get stageSize() {
-    return [this.stage.clientWidth, this.stage.clientHeight];
-  }
 
   toStage([x, y]) {
     return [this.pan[0] + this.zoom * x, this.pan[1] + this.zoom * y];
@@ -73,7 +72,7 @@ export class View {
       this.painter.setSource(await createImageBitmap(original, wish), width, height);
     }
     this.source = "source";
-    this.fit();
+    this.#fitted = true;
   }
 
   clear() {
@@ -205,7 +204,9 @@ export class View {
     return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
   }
 
-  #resized() {
+  /** The stage has another size, or has come into sight. */
+  resized() {
+    this.stageSize = [this.stage.clientWidth, this.stage.clientHeight];
     if (this.#fitted) this.fit();
     else this.#moved();
   }
@@ -267,8 +268,10 @@ export class View {
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
     const lines = this.mesh && !this.#show.peek && !this.#show.compare;
-    if (lines) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines);
-    else this.lines.clearRect(0, 0, width, height);
+    const drawn = lines && (this.#show.lines || this.folds > 0);
+    if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
+    else if (this.#gridSeen) this.lines.clearRect(0, 0, width, height);
+    this.#gridSeen = drawn;
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
