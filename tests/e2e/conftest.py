@@ -37,7 +37,7 @@ def visits(browser, server):
     """Makes visits; at the end none of them may have had trouble."""
     made = []
 
-    def visit(of=server, **options):
+    def visit(of=server, browser=browser, **options):
         made.append(Visit(browser, of, **options))
         return made[-1]
 

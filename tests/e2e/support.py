@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image, ImageChops, ImageDraw
@@ -30,9 +31,8 @@ FLAGS = [
 ]
 
 
-# The stage has its size one frame after the picture came; until then the zoom is the least that there is.
-LAID_OUT = ":not([data-zoom='0.02'])"
-
+# What the browser says of a drag socket that does not open.
+SOCKET = re.compile("WebSocket connection to .* failed")
 
 class Server:
     """The program on a loopback port of its own. It keeps the port when it is started again, with an empty store."""
@@ -147,7 +147,7 @@ class Visit:
 
     def ready(self):
         """Waits for the server's PNG of the newest pose, and tells the page's state."""
-        self.body(f"[data-state=ready][data-source=png]{LAID_OUT}")
+        self.body("[data-state=ready][data-source=png]")
         data = self.data
         assert data["shown"] == data["revision"] and data["problem"] == "", data
         return data
@@ -160,7 +160,7 @@ class Visit:
     def open(self, picture):
         """A picture file through the chooser."""
         self.page.set_input_files("#file", picture)
-        self.body(f"[data-state=ready]{LAID_OUT}")
+        self.body("[data-state=ready]")
         return self
 
     def sample(self, name):
@@ -193,6 +193,16 @@ class Visit:
         self.page.mouse.down()
         for spot in spots[1:]:
             self.page.mouse.move(*spot, steps=steps)
+
+    @contextmanager
+    def without_pictures(self):
+        """Holds the server's pictures back: what is seen meanwhile is what follows the hand."""
+        held = []
+        self.page.route("**/sessions/*/warp", lambda route: held.append(route))
+        yield
+        for route in held:
+            route.continue_()
+        self.page.unroute("**/sessions/*/warp")
 
     def keys(self, *presses):
         for key in presses:

@@ -54,24 +54,19 @@ def test_a_handle_put_on_a_bent_picture_holds_what_is_under_the_cursor(pinned):
 
 def test_the_picture_follows_the_hand_and_the_server_has_the_last_word(pinned):
     still = pinned.look()
-    # The server's pictures are held back: what is seen meanwhile is drawn here, through the posed grid.
-    held = []
-    pinned.page.route("**/sessions/*/warp", lambda route: held.append(route))
-    pinned.press(RED, (130, 120))
-    assert pinned["moving"] == "true"
-    pinned.body(f"[data-moving=true][data-source=mesh][data-shown='{pinned['revision']}']")
-    followed = pinned.look()
-    assert followed.differs(still) > 500
-    assert near(followed.centre("red"), (130, 120), 2.5)
-    pinned.page.mouse.move(*pinned.at(150, 140), steps=3)
-    pinned.body(f"[data-moving=true][data-source=mesh][data-shown='{pinned['revision']}']")
-    drawn_here = pinned.look()
-    assert near(drawn_here.centre("red"), (150, 140), 2.5)
-    pinned.page.mouse.up()
-    pinned.body("[data-moving=false][data-source=mesh][data-state=busy]")
-    pinned.page.unroute("**/sessions/*/warp")
-    for route in held:
-        route.continue_()
+    with pinned.without_pictures():
+        pinned.press(RED, (130, 120))
+        assert pinned["moving"] == "true"
+        pinned.body(f"[data-moving=true][data-source=mesh][data-shown='{pinned['revision']}']")
+        followed = pinned.look()
+        assert followed.differs(still) > 500
+        assert near(followed.centre("red"), (130, 120), 2.5)
+        pinned.page.mouse.move(*pinned.at(150, 140), steps=3)
+        pinned.body(f"[data-moving=true][data-source=mesh][data-shown='{pinned['revision']}']")
+        drawn_here = pinned.look()
+        assert near(drawn_here.centre("red"), (150, 140), 2.5)
+        pinned.page.mouse.up()
+        pinned.body("[data-moving=false][data-source=mesh][data-state=busy]")
     pinned.ready()
     seen = pinned.look()
     for name, place in (("red", (150, 140)), ("green", GREEN), ("blue", BLUE)):
