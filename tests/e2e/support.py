@@ -94,9 +94,9 @@ class Server:
 class Visit:
     """One person at the page: a browser context of its own and what went wrong in it."""
 
-    def __init__(self, browser, server, *, query="", path="", **options):
+    def __init__(self, browser, server, *, query="", path="", expects=(), **options):
         self.server = server
-        self.expected = set()
+        self.expected = set(expects)
         self.trouble = []
         options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
         self.context = browser.new_context(permissions=["clipboard-read", "clipboard-write"], **options)

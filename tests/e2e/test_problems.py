@@ -207,8 +207,7 @@ def test_a_server_that_is_full(visits, picture):
     ("session=00000000-0000-4000-8000-000000000000&warp=%25%25", "bad_link", "404"),
 ])
 def test_a_link_that_leads_nowhere(visits, picture, fragment, code, refusal):
-    visit = visits(path=f"#{fragment}")
-    visit.expects(refusal)
+    visit = visits(path=f"#{fragment}", expects=[refusal])
     told(visit, code)
     assert visit["state"] == "empty"
     visit.open(picture)
