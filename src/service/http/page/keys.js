@@ -113,8 +113,8 @@ export class Keys {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const { state } = this.store;
     if (key === "Escape") {
-      this.pointer.cancel();
-      this.actions.escape();
+      if (this.pointer.busy) this.pointer.cancel();
+      else this.actions.escape();
     } else if (key === "Delete" || key === "Backspace") {
       const named = this.#focused(event);
       if (!state.selection.length && named) this.actions.choose(named, false);

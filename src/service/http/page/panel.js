@@ -149,11 +149,10 @@ export class Panel {
     return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
   }
 
-  #drawHint({ phase, document: { handles }, tool, arm, draft, compare, problem, selection }) {
-    const kind = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse";
-    const which = phase !== "open" ? null : arm ? "move" : draft.length || compare || problem || selection.length ? null : tool !== "point" ? tool : handles.length ? null : "first";
+  #drawHint(state) {
+    const which = hintFor(state);
     find("hint").hidden = !which;
-    if (which) text("hint", HINTS[which][kind]);
+    if (which) text("hint", HINTS[which][matchMedia("(pointer: coarse)").matches ? "touch" : "mouse"]);
   }
 
   #drawProblem(problem) {
@@ -213,6 +212,16 @@ function statusWords({ report, rate, source, warnings }) {
   const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
   const speed = source === "png" ? `Picture in ${ms(report.trip)}, ${bytes(report.size)}` : rate ? `${Math.round(rate)} frames/s, server ${ms(server)}` : `Server ${ms(server)}`;
   return [speed, ...warnings.map((w) => WARNINGS[w]).filter(Boolean)].join(". ");
+}
+
+/** What helps now: a key of HINTS, or null. */
+function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before }) {
+  if (phase !== "open" || draft.length || compare || problem) return null;
+  if (arm) return "move";
+  if (tool !== "point") return selection.length ? null : tool;
+  if (!handles.length) return "first";
+  if (handles.length === 1 && handles[0].p.length === 1 && !before) return "one";
+  return past.length || selection.length ? null : "sample";
 }
 
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;

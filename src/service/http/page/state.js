@@ -8,7 +8,7 @@ const TOGETHER = 800;
 
 export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto" });
 
-export const initialState = () => ({
+const initialState = () => ({
   phase: "empty", // empty, uploading, open
   progress: 0,
   picture: null, // { name, width, height, sample, linked }
@@ -118,7 +118,7 @@ const reducers = {
   show: (state, { what }) => ({ ...state, ...what }),
 };
 
-export function reduce(state, action) {
+function reduce(state, action) {
   return reducers[action.type](state, action);
 }
 

@@ -23,6 +23,7 @@ export class Sync {
   shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
 
   #running = false;
+  #again = false; // something has changed since the last step began
   #cancel = null;
   #refused = -1;
   #stalled = false;
@@ -77,12 +78,6 @@ export class Sync {
     this.#adopt(object, rest, borrowed);
   }
 
-  end() {
-    this.#cancel?.abort();
-    this.session = null;
-    this.live.close();
-  }
-
   #adopt(object, rest, borrowed = false) {
     this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), borrowed };
     this.#seq = Math.max(this.#seq, object.seq ?? 0);
@@ -122,16 +117,18 @@ export class Sync {
   }
 
   async #run() {
+    this.#again = true;
     if (this.#running) return;
     this.#running = true;
     try {
-      let more = true;
-      while (more) {
+      while (this.#again) {
+        this.#again = false;
         try {
-          more = await this.#step();
-          if (more) this.#retries = 0;
+          if (!(await this.#step())) continue;
+          this.#again = true;
+          this.#retries = 0;
         } catch (error) {
-          more = await this.#after(error);
+          if (await this.#after(error)) this.#again = true;
         }
       }
     } finally {

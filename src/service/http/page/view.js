@@ -9,7 +9,7 @@ const MOST_ZOOM = 32;
 /** From here on enlarged pixels are shown as squares. */
 const CRISP = 6;
 /** Fit leaves so much room at the sides and above and below, CSS px: beside the tools on a wide stage, hardly any on a narrow one. */
-const MARGINS = { wide: [92, 64], narrow: [16, 16], from: 640 };
+const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
   zoom = 1;
@@ -26,14 +26,13 @@ export class View {
   #frame = null; // ImageBitmap of the server's preview
   #afterPaint = [];
   #due = false;
-  #gridSeen = false;
   #views = new Set();
   #show = { lines: false, compare: false, at: 50, peek: false };
 
   constructor(stage, allowWebgl) {
     this.stage = stage;
     this.live = stage.querySelector("#live");
-    this.lines = stage.querySelector("#grid").getContext("2d");
+    this.lines = stage.querySelector("#grid").getContext("2d", { willReadFrequently: true }); // many short lines are drawn faster by the processor
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
@@ -73,13 +72,6 @@ export class View {
     }
     this.source = "source";
     this.#fitted = true;
-  }
-
-  clear() {
-    this.size = null;
-    this.source = "none";
-    this.#setMesh(null);
-    this.invalidate();
   }
 
   /** Loads a picture into an element that is not seen yet. */
@@ -165,7 +157,7 @@ export class View {
   fit() {
     if (!this.size) return;
     const [width, height] = this.stageSize;
-    const [aside, above] = width < MARGINS.from ? MARGINS.narrow : MARGINS.wide;
+    const [aside, above] = width < MARGINS.from[0] || height < MARGINS.from[1] ? MARGINS.narrow : MARGINS.wide;
     const room = [width - 2 * aside, height - 2 * above];
     this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
     this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
@@ -270,8 +262,7 @@ export class View {
     const lines = this.mesh && !this.#show.peek && !this.#show.compare;
     const drawn = lines && (this.#show.lines || this.folds > 0);
     if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
-    else if (this.#gridSeen) this.lines.clearRect(0, 0, width, height);
-    this.#gridSeen = drawn;
+    this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();

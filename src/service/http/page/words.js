@@ -80,6 +80,8 @@ export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", defor
 
 export const HINTS = {
   first: { mouse: "Click to pin a place, then drag it", touch: "Tap to pin a place, then drag it" },
+  sample: { mouse: "Drag a handle, or click to pin another place", touch: "Drag a handle, or tap to pin another place" },
+  one: { mouse: "One handle moves everything. Click to pin what should stay", touch: "One handle moves everything. Tap to pin what should stay" },
   line: { mouse: "Drag a line, or click its two ends", touch: "Drag a line, or tap its two ends" },
   path: { mouse: "Click the places of the path; double-click the last", touch: "Tap the places of the path, then Finish" },
   move: { mouse: "Click where it should go", touch: "Tap where it should go" },
