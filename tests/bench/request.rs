@@ -24,6 +24,8 @@ mod harness;
 mod in_process;
 #[path = "request/loopback.rs"]
 mod loopback;
+#[path = "request/service.rs"]
+mod service;
 
 use std::path::Path;
 

@@ -349,8 +349,8 @@ mod tests {
         }
 
         /// Ages of what was shown but the first few frames: when shown less when sent.
-        fn ages(&self) -> Vec<u32> {
-            let mut ages: Vec<u32> = self.shown.iter().skip(8).map(|(seq, at, _)| at - 8 * (*seq as u32)).collect();
+        fn ages(&self) -> Vec<u64> {
+            let mut ages: Vec<u64> = self.shown.iter().skip(8).map(|(seq, at, _)| u64::from(*at) - 8 * seq).collect();
             ages.sort_unstable();
             ages
         }
@@ -362,7 +362,7 @@ mod tests {
         world.drag(100);
         world.rest(300);
         assert_eq!(world.shown.len(), 100);
-        assert!(world.shown.iter().all(|(seq, at, again)| *at == 8 * (*seq as u32) + 3 && !again), "{:?}", world.shown);
+        assert!(world.shown.iter().all(|(seq, at, again)| u64::from(*at) == 8 * seq + 3 && !again), "{:?}", world.shown);
         assert_eq!(world.desk.take_superseded(), 0);
     }
 

@@ -1,18 +1,16 @@
 //! `POST /sessions/{id}/warp` over loopback: the service in a process of its own, the clients in this one, on the same cores. In between the
 //! same drags are made in process, so that both come from the same minutes.
 
-use std::io::{BufRead as _, BufReader, Read as _};
 use std::net::SocketAddr;
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use mlswarp::deform::Handle;
 use mlswarp::pixmap::Channels;
 
 use crate::client::{Client, Load};
 use crate::drag::{Drag, GRID, file};
 use crate::harness::pictures::{FULL_HD, SMALL, UHD, VERTICES, extent, photograph, size};
 use crate::harness::{self, Goal, Report, Times, inside, pool, time};
+use crate::service::{Service, places};
 
 const HANDLES: usize = 12;
 /// Rounds of: in process, then each number of connections.
@@ -33,7 +31,7 @@ fn table(report: &mut Report, title: &str, sides: (u32, u32), connections: &[usi
     let mut drags = [Drag::of_file(&file, HANDLES, GRID), Drag::of_file(&file, HANDLES, GRID)];
     // A session a connection, as of so many users; they share the picture and the plan.
     let most = connections.iter().copied().max().unwrap_or(1);
-    let mut clients: Vec<_> = (0..most).map(|_| service.open(&file, &drags[0])).collect();
+    let mut clients: Vec<_> = (0..most).map(|_| open(&service, &file, &drags[0])).collect();
     check(&mut clients, &mut drags[0]);
 
     let (one, two) = (pool(1), pool(2));
@@ -94,70 +92,11 @@ fn ready(address: SocketAddr) -> Vec<u8> {
     format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\n\r\n").into_bytes()
 }
 
-/// The program, on a free port; it ends with this value.
-struct Service {
-    address: SocketAddr,
-    child: Child,
-}
-
-impl Service {
-    fn start() -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_mlswarp"));
-        command.args(["serve", "--listen", "127.0.0.1:0", "--log", "info"]);
-        // What is set for this process is not meant for it, but for the level.
-        let ours = std::env::vars_os().map(|(name, _)| name).filter(|name| name.to_string_lossy().starts_with("MLSWARP_"));
-        for name in ours.filter(|name| name != "MLSWARP_LEVEL") {
-            command.env_remove(name);
-        }
-        let mut child = command.stderr(Stdio::piped()).spawn().expect("the program starts");
-        let mut log = BufReader::new(child.stderr.take().expect("piped"));
-        let mut line = String::new();
-        let address = loop {
-            line.clear();
-            assert_ne!(log.read_line(&mut line).expect("a log"), 0, "the service ended before it listened");
-            if let Some((_, address)) = line.split_once("http://") {
-                let end = address.find(|c: char| !"0123456789.:".contains(c)).unwrap_or(address.len());
-                break address[..end].parse().expect("an address");
-            }
-        };
-        std::thread::spawn(move || log.read_to_end(&mut Vec::new()));
-        Self { address, child }
-    }
-
-    /// A connection, and the drags of a session of its own.
-    fn open(&self, file: &[u8], drag: &Drag) -> (Client, Vec<Vec<u8>>) {
-        let warp = format!(r#"{{"p": {}, "grid": {{"columns": {VERTICES}, "rows": {VERTICES}}}}}"#, places(&drag.rest));
-        let mut body = Vec::new();
-        body.extend_from_slice(b"--boundary\r\nContent-Disposition: form-data; name=\"image\"; filename=\"picture.png\"\r\n\r\n");
-        body.extend_from_slice(file);
-        let part = format!("\r\n--boundary\r\nContent-Disposition: form-data; name=\"warp\"\r\n\r\n{warp}\r\n--boundary--\r\n");
-        body.extend_from_slice(part.as_bytes());
-        let mut client = Client::connect(self.address);
-        let mut answer = Vec::new();
-        client.send(&self.post("/sessions", "multipart/form-data; boundary=boundary", &body), |bytes| answer.extend_from_slice(bytes));
-        let session: serde_json::Value = serde_json::from_slice(&answer).expect("the session");
-        let path = format!("/sessions/{}/warp", session["id"].as_str().expect("an id"));
-        let drags = drag.poses.iter().map(|q| self.post(&path, "application/json", format!(r#"{{"q":{}}}"#, places(q)).as_bytes()));
-        (client, drags.collect())
-    }
-
-    fn post(&self, path: &str, media_type: &str, body: &[u8]) -> Vec<u8> {
-        let (address, length) = (self.address, body.len());
-        let head = format!("POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n");
-        [head.as_bytes(), body].concat()
-    }
-}
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// `[[x, y], ...]`
-fn places(handles: &[Handle]) -> String {
-    let places = handles.iter().flat_map(Handle::places).map(|p| format!("[{},{}]", p.x, p.y));
-    format!("[{}]", places.collect::<Vec<_>>().join(","))
+/// A connection, and the drags of a session of its own.
+fn open(service: &Service, file: &[u8], drag: &Drag) -> (Client, Vec<Vec<u8>>) {
+    let warp = format!(r#"{{"p": {}, "grid": {{"columns": {VERTICES}, "rows": {VERTICES}}}}}"#, places(&drag.rest));
+    let mut client = Client::connect(service.address);
+    let path = format!("{}/warp", service.session(&mut client, file, &warp));
+    let drags = drag.poses.iter().map(|q| service.post(&path, "application/json", format!(r#"{{"q":{}}}"#, places(q)).as_bytes()));
+    (client, drags.collect())
 }

@@ -158,3 +158,10 @@ export function documentOf(warp) {
   if (method === null || alpha === undefined || !(grid === "auto" || grid > 0)) return null;
   return { handles, method, alpha, grid };
 }
+
+/** Whether a session has the handles at rest, and the rest, of a document. */
+export function sameRest(object, document) {
+  const { p, weights, method, alpha, grid } = restOf(document);
+  const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+  return object.units === "px" && [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid]].every(([a, b]) => same(a, b));
+}

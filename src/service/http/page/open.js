@@ -1,7 +1,7 @@
 // How a picture comes in: a file (dropped, pasted, picked), a sample, a link, or what was kept before a reload.
 
 import * as api from "./api.js";
-import { alphaOf, documentOf, restOf } from "./edits.js";
+import { alphaOf, documentOf, restOf, sameRest } from "./edits.js";
 import { keepFile, keptFile } from "./keep.js";
 import { SAMPLES } from "./samples.js";
 import { emptyDocument } from "./state.js";
@@ -165,11 +165,4 @@ function warpOfSession({ p, weights, method, alpha, units, grid }) {
   const warp = { p, weights, method, units, grid: grid.requested };
   const usual = documentOf(warp);
   return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
-}
-
-/** Whether a session has the handles at rest, and the rest, of a document. */
-function sameRest(object, document) {
-  const { p, weights, method, alpha, grid } = restOf(document);
-  const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  return object.units === "px" && [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid]].every(([a, b]) => same(a, b));
 }

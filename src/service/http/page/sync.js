@@ -13,7 +13,7 @@ const TRANSIENT = new Set(["network", "overloaded", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Sync {
-  /** The session: { id, grid, rest (JSON of what it was made with), borrowed (came by a link: its handles are someone else's) }. */
+  /** The session: { id, grid, rest (JSON of what it was made with), setup (the same in the server's words), borrowed (came by a link: its handles are someone else's) }. */
   session = null;
   /** The picture as a file: { blob, name }. */
   file = null;
@@ -79,7 +79,7 @@ export class Sync {
   }
 
   #adopt(object, rest, borrowed = false) {
-    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), borrowed };
+    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), setup: setupOf(object), borrowed };
     this.#seq = Math.max(this.#seq, object.seq ?? 0);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
     this.#tell();
@@ -181,7 +181,10 @@ export class Sync {
     const { id, grid } = this.session;
     const body = { q: wire(document, "q"), seq: this.#nextSeq() };
     const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
-    const [{ blob, report }] = await Promise.all([api.picture(id, body, cancel.signal), meshing]);
+    const [{ blob, report }, object] = await Promise.all([api.picture(id, body, cancel.signal), api.readSession(id), meshing]);
+    if (cancel.signal.aborted) return;
+    // Another tab, or whoever has the link, may have given the session other handles: then this page has one of its own from now on.
+    if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision };
     this.#settled = revision;
@@ -273,7 +276,8 @@ export class Sync {
         this.#seq = (await api.readSession(this.session.id)).seq ?? 0;
         return true;
       }
-      if (LOST.has(error.code) && this.file && this.#retries++ < 3) {
+      // Shapes that do not match: somebody else gave the session other handles.
+      if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#retries++ < 3) {
         await this.#reopen(restOf(document));
         return true;
       }
@@ -290,6 +294,11 @@ export class Sync {
     }
     return false;
   }
+}
+
+/** All of a session object that decides on a picture, but q. */
+function setupOf({ p, weights, method, alpha, point_mass: mass, units, grid, folds, output }) {
+  return JSON.stringify([p, weights, method, alpha, mass, units, grid, folds, output]);
 }
 
 /** The grid of a session object, as a mesh has it. */

@@ -8,7 +8,7 @@ const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 32;
 /** From here on enlarged pixels are shown as squares. */
 const CRISP = 6;
-/** Fit leaves so much room at the sides and above and below, CSS px: beside the tools on a wide stage, hardly any on a narrow one. */
+/** Room at the sides and above and below, CSS px, that Fit and Tab keep free of the tools; on a narrow stage hardly any. */
 const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
@@ -154,10 +154,14 @@ export class View {
 
   // Zoom and pan
 
+  get #margins() {
+    return this.stageSize.some((side, axis) => side < MARGINS.from[axis]) ? MARGINS.narrow : MARGINS.wide;
+  }
+
   fit() {
     if (!this.size) return;
     const [width, height] = this.stageSize;
-    const [aside, above] = width < MARGINS.from[0] || height < MARGINS.from[1] ? MARGINS.narrow : MARGINS.wide;
+    const [aside, above] = this.#margins;
     const room = [width - 2 * aside, height - 2 * above];
     this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
     this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
@@ -183,7 +187,8 @@ export class View {
   /** Brings a place of the picture into the stage. */
   reveal(place) {
     const at = this.toStage(place);
-    const shift = at.map((c, axis) => Math.max(0, 24 - c) - Math.max(0, c - (this.stageSize[axis] - 24)));
+    const inset = this.#margins;
+    const shift = at.map((c, axis) => Math.max(0, inset[axis] - c) - Math.max(0, c - (this.stageSize[axis] - inset[axis])));
     if (shift[0] || shift[1]) this.panBy(...shift);
   }
 
