@@ -113,8 +113,10 @@ def test_the_switch_chooses_the_other_theme(visits):
     assert not faults(visit)
 
 
+# A line as a whole is as wide as it is long; its places are what is measured.
 SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=file]), select, a[href], summary, [role=button]")]
   .filter((node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true }) && !node.disabled)
+  .filter((node) => !["line", "path"].includes(node.dataset.kind) || node.dataset.vertex)
   .map((node) => [node.closest("label") ?? node.querySelector(".hit") ?? node, node])
   .map(([target, node]) => [target.getBoundingClientRect(), node])
   .filter(([{ width, height }]) => width < least - 0.5 || height < least - 0.5)

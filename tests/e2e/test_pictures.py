@@ -23,7 +23,7 @@ def fold_warning(visit):
     visit.page.fill("#q-4-0-x", "215")
     visit.page.keyboard.press("Enter")
     assert int(visit.ready()["folds"]) > 0
-    visit.page.locator("#stage").focus()
+    visit.page.evaluate("document.activeElement.blur()")
     visit.keys("Escape")
 
 
@@ -33,9 +33,9 @@ def phone(visit):
 
 def dark(visit):
     visit.sample("rocket")
-    visit.page.click("label:has(#tool-line)")
-    visit.page.click("#select-all")
-    visit.page.locator("#stage").focus()
+    (x, y), (u, v) = visit.posed(0, 0), visit.posed(0, 1)
+    visit.click((x + u) / 2, (y + v) / 2)  # the rocket as a whole
+    visit.body("[data-selected='1']")
 
 
 PICTURES = {
