@@ -15,12 +15,14 @@ use crate::geometry::Point;
 /// Blocks of cells between two looks at what is still bare.
 const BLOCKS_PER_LOOK: usize = 16;
 
-/// Draws what a row of cells covers of the rows that are open, from its last cell to its first; of each block of cells those whose bits are set.
+/// Draws what a row of cells covers of the rows that are open, from its last cell to its first; of each block of cells those whose bits are set,
+/// and of these the rows of their column.
 pub(super) fn draw_row(
     kernel: Kernel,
     lattice: &Lattice,
     j: usize,
     blocks: impl Fn(usize) -> u8,
+    column: impl Fn(usize) -> u32,
     rows: &Range<u32>,
     canvas: &mut Canvas<'_>,
 ) {
@@ -37,7 +39,8 @@ pub(super) fn draw_row(
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
-            let (i, rows) = (b * BLOCK + k, seen.rows[k] & canvas.open);
+            let i = b * BLOCK + k;
+            let rows = seen.rows[k] & canvas.open & column(i);
             if rows == 0 {
                 continue;
             }

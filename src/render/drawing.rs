@@ -1,17 +1,18 @@
-//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, where the row crosses every column and meets
-//! upright cells only (those that crossings do not show well enough, `kernel::soundness`, are drawn over them, and the cells beside them in their
-//! column, which a chord across both would miss as well), and cell by cell elsewhere.
-//! Which way is taken depends on the mesh and the row alone: any banding gives the same bytes. O(cells touched + pixels).
+//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, and cells over them where crossings do not show
+//! them well enough or in the right order (`ways`). Which way is taken depends on the mesh and the row alone: any banding gives the same bytes.
+//! O(cells touched + pixels).
 
 use std::ops::Range;
 
 use super::border::Border;
 use super::cell;
+use super::division::{DOUBT, Division};
 use super::edge::Edge;
-use super::kernel::{BARE, Canvas, CellRow, Kernel, LANES, NOTES, SOUND, Spans, UPRIGHT};
-use super::lattice::{BLOCK, LIMIT, Lattice, Reach, column_centre, row_centre};
+use super::kernel::{BARE, Canvas, Kernel, LANES, NOTES, Spans};
+use super::lattice::{BLOCK, Lattice, column_centre, row_centre};
 use super::sampler;
 use super::source::Source;
+use super::ways::{Way, Ways};
 use super::{Outside, RenderOptions};
 use crate::geometry::Point;
 use crate::pixmap::Channels;
@@ -20,11 +21,6 @@ use crate::pixmap::Channels;
 const STRIP: u32 = 32;
 /// Pixels beyond the row that kernels may write.
 const SLACK: usize = LANES;
-/// Crossings in f32 are nearer than this to the exact ones, px.
-const DOUBT: f32 = 1.0 / 32.0;
-/// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
-const FARTHEST: u32 = 1 << 15;
-
 /// A mesh that is ready to be drawn.
 #[derive(Debug)]
 pub(super) struct Drawing {
@@ -34,24 +30,9 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
-    bent: Vec<u8>,
-    /// How each row is drawn.
-    ways: Vec<Way>,
+    ways: Ways,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
-}
-
-/// How a row is drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Way {
-    /// It crosses every column and meets sound cells only: by column crossings.
-    Plain,
-    /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
-    /// so that none of them hides another.
-    Mended,
-    /// Cell by cell.
-    Cells,
 }
 
 /// Coordinates of a strip and what they are made from; one a band.
@@ -70,6 +51,7 @@ struct Scratch {
     covered: Vec<Range<usize>>,
     /// Where each row has pixels that nothing is painted on.
     bare: Vec<Range<usize>>,
+    division: Division,
 }
 
 impl Drawing {
@@ -79,58 +61,8 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let crossing = rows_that_cross(&lattice, options.target.height());
-        let mut drawing = Self { lattice, border, options, kernel, level, bent: vec![], ways: vec![], covered };
-        drawing.judge(&crossing);
-        drawing
-    }
-
-    /// Decides how target rows are drawn, and notes the cells that are not sound; `crossing` are the rows that cross every column.
-    fn judge(&mut self, crossing: &Range<u32>) {
-        let (lattice, target) = (&self.lattice, self.options.target);
-        let height = target.height();
-        self.ways = vec![Way::Cells; height as usize];
-        if crossing.is_empty() || height.max(target.width()) > FARTHEST {
-            return;
-        }
-        self.ways[crossing.start as usize..crossing.end as usize].fill(Way::Plain);
-        let row_of_cells = |j: usize| {
-            let line = |j: usize| (&lattice.x[j * lattice.pitch..][..lattice.pitch], &lattice.y[j * lattice.pitch..][..lattice.pitch]);
-            let unit = lattice.unit.recip();
-            CellRow { top: line(j), bottom: line(j + 1), u: &lattice.u, height: (lattice.v[j + 1] - lattice.v[j]) * unit, unit }
-        };
-        let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
-        let mut soundness = vec![0; lattice.columns - 1];
-        self.bent = vec![0; (lattice.rows - 1) * lattice.blocks()];
-        for j in 0..lattice.rows - 1 {
-            let row = row_of_cells(j);
-            if j + 2 < lattice.rows {
-                self.kernel.bends(&row, &row_of_cells(j + 1), &mut below);
-            } else {
-                below.fill(0.0);
-            }
-            self.kernel.soundness(&row, &above, &below, &mut soundness);
-            if !soundness.iter().fold(true, |all, &s| all & (s == SOUND)) {
-                for (i, &soundness) in soundness.iter().enumerate().filter(|(_, s)| **s != SOUND) {
-                    // The chord of a row from column to column belongs to all cells that the row meets between them.
-                    let (reach, bit) = (lattice.cell_reach(i, j), 1 << (i % BLOCK));
-                    let shares = |k: &usize| {
-                        let other = lattice.cell_reach(i, *k);
-                        other.top < reach.bottom && reach.top < other.bottom
-                    };
-                    let above = (0..j).rev().take_while(shares);
-                    for k in above.chain((j..lattice.rows - 1).take_while(shares)) {
-                        self.bent[k * lattice.blocks() + i / BLOCK] |= bit;
-                    }
-                    let way = if soundness == UPRIGHT { Way::Mended } else { Way::Cells };
-                    let rows = reach.rows(&(0..height));
-                    for known in &mut self.ways[rows.start as usize..rows.end as usize] {
-                        *known = way.max(*known);
-                    }
-                }
-            }
-            std::mem::swap(&mut above, &mut below);
-        }
+        let ways = Ways::new(&lattice, options.target, kernel);
+        Self { lattice, border, options, kernel, level, ways, covered }
     }
 
     /// Draws target rows.
@@ -167,8 +99,7 @@ impl Drawing {
     /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let ways = &self.ways[strip.start as usize..strip.end as usize];
-        let all_plain = ways.iter().all(|&way| way == Way::Plain);
+        let all_plain = strip.clone().all(|row| self.ways.of(row) == Way::Plain);
         let pitch = width as usize + SLACK;
         // Plain rows are made and used one by one, in the first place; the others stand behind it.
         let size = if all_plain { 1 } else { 1 + strip.len() } * pitch;
@@ -176,7 +107,9 @@ impl Drawing {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        if ways.iter().any(|&way| way != Way::Cells) {
+        let rows_of = |way: Way| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.ways.of(row) == way));
+        let (mended, divided) = (rows_of(Way::Mended), rows_of(Way::Divided));
+        if strip.clone().any(|row| self.ways.of(row) != Way::Divided || self.ways.is_divisible(row)) {
             scratch.x_crossings.fill(0.0);
             scratch.v_crossings.fill(0.0);
             self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
@@ -184,56 +117,90 @@ impl Drawing {
         if all_plain {
             return;
         }
+        scratch.division.look(&self.lattice, &self.ways, strip, divided);
         scratch.covered.clear();
         scratch.bare.clear();
-        for (index, (row, way)) in strip.clone().zip(ways).enumerate() {
+        for (index, row) in strip.clone().enumerate() {
             scratch.runs.clear();
-            if *way == Way::Cells {
-                let u = &mut scratch.u[(index + 1) * pitch..][..pitch];
-                u[..width as usize].fill(BARE);
-                u[width as usize..].fill(0.0);
-            } else if *way == Way::Mended {
-                self.spans(row, index, (index + 1) * pitch, scratch);
+            let mut bare = 0..0;
+            match self.ways.of(row) {
+                Way::Plain => {}
+                Way::Mended => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
+                Way::Divided => bare = self.divided(row, index, (index + 1) * pitch, scratch),
             }
-            scratch.bare.push(0..width as usize);
+            scratch.bare.push(bare);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
         }
-        let rows_of = |way: Way| ways.iter().rev().fold(0, |rows, &w| rows << 1 | u32::from(w == way));
+        let drawn = mended | divided;
         let (u, v, bare) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.bare);
-        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: rows_of(Way::Mended) };
-        let blocks = self.lattice.blocks();
-        if canvas.open != 0 {
-            for j in self.lattice.rows_touching(strip) {
-                cell::draw_row(self.kernel, &self.lattice, j, |b| self.bent[j * blocks + b], strip, &mut canvas);
-            }
+        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: drawn };
+        let Division { loose, blocks, .. } = &scratch.division;
+        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !loose[b * BLOCK + k] != 0) << k);
+        let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
+        for j in self.lattice.rows_touching(strip) {
+            let bent = self.ways.bent(j);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| bent[b] & ordered[b], |i| drawn & !loose[i], strip, &mut canvas);
         }
         // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
-        (canvas.over, canvas.open) = (false, rows_of(Way::Cells));
+        (canvas.over, canvas.open) = (false, divided);
         for j in self.lattice.rows_touching(strip).rev() {
             if canvas.open == 0 {
                 break;
             }
-            cell::draw_row(self.kernel, &self.lattice, j, |b| self.lattice.cells_of(b), strip, &mut canvas);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| loose[i], strip, &mut canvas);
         }
+        canvas.shrink();
     }
 
     /// Finds a row's coordinates and notes the runs of pixels that the picture covers; returns where the row begins in the scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.options.target.width() as usize;
-        let way = self.ways[row as usize];
+        let way = self.ways.of(row);
         let start = if way == Way::Plain { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
         match way {
-            Way::Plain => self.spans(row, index, start, scratch),
+            Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
             Way::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            Way::Cells => runs(&scratch.u[start..start + width], &mut scratch.runs),
+            Way::Divided if scratch.bare[index].is_empty() => scratch.runs.push(0..width),
+            Way::Divided => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
     }
 
-    /// Coordinates of a row from its crossings of all columns, from `start` on in the scratch, and the run of pixels between the first and the last.
-    fn spans(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) {
+    /// Coordinates of a divided row between the columns that are not loose, from `start` on in the scratch, all else bare; returns from where to where.
+    fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
+        let width = self.options.target.width() as usize;
+        let stride = self.lattice.pitch + BLOCK;
+        scratch.division.divide(index, &scratch.x_crossings[index * stride..]);
+        let parts = std::mem::take(&mut scratch.division.parts);
+        let (mut column, mut end, mut bare) = (0, 0, width..0);
+        let mut clear = |pixels: Range<usize>, u: &mut [f32]| {
+            if !pixels.is_empty() {
+                bare = bare.start.min(pixels.start)..pixels.end;
+                u[start..][pixels].fill(BARE);
+            }
+        };
+        let cells = self.lattice.columns - 1;
+        for loose in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
+            if column < loose.start {
+                scratch.runs.clear();
+                self.spans(row, index, column..loose.start, start, scratch);
+                if let Some(run) = scratch.runs.pop() {
+                    clear(end..run.start, &mut scratch.u);
+                    end = run.end;
+                }
+            }
+            column = loose.end;
+        }
+        clear(end..width, &mut scratch.u);
+        scratch.u[start + width..][..SLACK].fill(0.0);
+        scratch.division.parts = parts;
+        bare
+    }
+
+    /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first and the last.
+    fn spans(&self, row: u32, index: usize, columns: Range<usize>, start: usize, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
         let stride = self.lattice.pitch + BLOCK;
         let x = &scratch.x_crossings[index * stride..];
@@ -253,16 +220,16 @@ impl Drawing {
             let crossing = self.crossing(column, row, &mut scratch.cells[column]);
             crossing.map_or(0, |pixel| usize::try_from(pixel).unwrap_or(0).min(width))
         };
-        let covered = pixel(0)..pixel(self.lattice.columns - 1);
+        let covered = pixel(columns.start)..pixel(columns.end);
         if covered.is_empty() {
             return;
         }
-        let crossings = index * stride..(index + 1) * stride;
+        let crossings = index * stride + columns.start..(index + 1) * stride;
         let mut spans = Spans {
             x: &scratch.x_crossings[crossings.clone()],
             v: &scratch.v_crossings[crossings],
-            u: &self.lattice.u,
-            columns: self.lattice.columns,
+            u: &self.lattice.u[columns.start..],
+            columns: columns.len() + 1,
             width,
             covered: covered.clone(),
             notes: &mut scratch.notes,
@@ -320,13 +287,19 @@ impl Drawing {
     /// Whether a row is drawn by column crossings, mended or not.
     #[cfg(test)]
     pub(super) fn crosses(&self, row: u32) -> bool {
-        self.ways[row as usize] != Way::Cells
+        self.ways.of(row) != Way::Divided
     }
 
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.ways[row as usize] == Way::Plain
+        self.ways.of(row) == Way::Plain
+    }
+
+    /// Whether a row is drawn by crossings on some columns and by cells on others.
+    #[cfg(test)]
+    pub(super) fn is_divided(&self, row: u32) -> bool {
+        self.ways.of(row) == Way::Divided && self.ways.is_divisible(row)
     }
 
     /// A row's coordinates and the runs that are covered.
@@ -358,12 +331,4 @@ fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize
     let starts = std::iter::once(0).chain(runs.iter().map(|run| run.end));
     let ends = runs.iter().map(|run| run.start).chain(std::iter::once(width));
     starts.zip(ends).map(|(start, end)| start..end).filter(|gap| !gap.is_empty())
-}
-
-/// The target rows that begin or end beyond every column.
-fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
-    let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
-    let top = line(0).iter().fold(-LIMIT, |top, &y| top.max(y));
-    let bottom = line(lattice.rows - 1).iter().fold(LIMIT, |bottom, &y| bottom.min(y));
-    Reach { top, bottom }.rows(&(0..height))
 }

@@ -179,11 +179,6 @@ impl Lattice {
         (self.columns - 1).div_ceil(BLOCK)
     }
 
-    /// The cells of a block, a bit each.
-    pub(super) fn cells_of(&self, block: usize) -> u8 {
-        u8::MAX >> (BLOCK - BLOCK.min(self.columns - 1 - block * BLOCK))
-    }
-
     /// Whether some cell of a block may touch target rows.
     pub(super) fn block_touches(&self, j: usize, block: usize, rows: &std::ops::Range<u32>) -> bool {
         self.block_reach[j * (self.pitch / BLOCK) + block].meets(rows)

@@ -14,6 +14,8 @@ mod border;
 #[forbid(unsafe_code)]
 mod cell;
 #[forbid(unsafe_code)]
+mod division;
+#[forbid(unsafe_code)]
 mod drawing;
 #[forbid(unsafe_code)]
 mod edge;
@@ -29,6 +31,8 @@ mod source;
 #[cfg(test)]
 #[forbid(unsafe_code)]
 mod tests;
+#[forbid(unsafe_code)]
+mod ways;
 
 pub use source::Source;
 

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::Kernel;
 use super::cells::{Canvas, Glance};
-use super::scalar::{self, CellRow, NOTES, Spans};
+use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, Lattice, Reach};
@@ -30,7 +30,9 @@ macro_rules! widened {
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
     reaches(y: &[i32], reaches: &mut [Reach]);
-    soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
+    edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges);
+    soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
+    steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
     glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut Glance);
 }

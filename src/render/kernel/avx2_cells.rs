@@ -25,7 +25,7 @@ pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas
 /// s and t at px (x, y) from the origin.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn near(map: &Near, x: __m256, y: f32) -> (__m256, __m256) {
+pub(super) fn near(map: &Near, x: __m256, y: f32) -> (__m256, __m256) {
     let affine = |of: &[f32; 3]| _mm256_add_ps(_mm256_set1_ps(of[1] * y + of[2]), _mm256_mul_ps(_mm256_set1_ps(of[0]), x));
     let (s0, t0) = (affine(&map.s), affine(&map.t));
     let off = |lanes: __m256, both: __m256, twist: f32| _mm256_sub_ps(lanes, _mm256_mul_ps(both, _mm256_set1_ps(twist)));
@@ -37,7 +37,7 @@ fn near(map: &Near, x: __m256, y: f32) -> (__m256, __m256) {
 /// s and t at px (x, y) from the origin.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn root(map: &Root, x: __m256, y: f32) -> (__m256, __m256) {
+pub(super) fn root(map: &Root, x: __m256, y: f32) -> (__m256, __m256) {
     let all = |value: f32| _mm256_set1_ps(value);
     let times = |value: f32, lanes: __m256| _mm256_mul_ps(all(value), lanes);
     let ([ex, ey], [fx, fy], [dx, dy]) = (map.e, map.f, map.d);

@@ -1,6 +1,7 @@
 //! The inner loops of the renderer and the one place where an instruction set is chosen. `scalar` is the reference and defines every result:
 //! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `avx2` repeats it: the loops
-//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. What was tried and dropped: `notes.md`.
+//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. `avx512` has cells of its own.
+//! What was tried and dropped: `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
@@ -8,6 +9,9 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
 mod avx2_cells;
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "AVX-512 intrinsics behind run-time detection")]
+mod avx512;
 #[forbid(unsafe_code)]
 mod cells;
 #[forbid(unsafe_code)]
@@ -21,7 +25,7 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{BARE, Canvas, Glance, LANES, LONGEST_SIDE, Piece};
-pub(super) use scalar::{CellRow, NOTES, ROUND_SAMPLE, SOUND, Spans, UPRIGHT, fixed};
+pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, STEP, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
 #[derive(Clone, Copy, Debug)]
@@ -32,9 +36,10 @@ macro_rules! dispatch {
     ($self:ident, $name:ident($($argument:expr),*)) => {
         match $self.0 {
             Level::Scalar => scalar::$name($($argument),*),
-            // AVX-512 was tried and gains nothing here (`notes.md`).
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 | Level::Avx512 => avx2::$name($self, $($argument),*),
+            Level::Avx2 => avx2::$name($self, $($argument),*),
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 => avx512::$name($self, $($argument),*),
             #[cfg(not(target_arch = "x86_64"))]
             Level::Avx2 | Level::Avx512 => scalar::$name($($argument),*),
         }
@@ -62,9 +67,19 @@ impl Kernel {
         dispatch!(self, reaches(y, reaches));
     }
 
-    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0.
-    pub(super) fn soundness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
-        dispatch!(self, soundness(cells, above, below, soundness));
+    /// The vectors from some vertices to others, times `scale`.
+    pub(super) fn edges(self, from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges) {
+        dispatch!(self, edges(from, to, scale, edges));
+    }
+
+    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0; upright ones may be [`STEEP`] besides.
+    pub(super) fn soundness(self, cells: &Neighbours<'_>, soundness: &mut [u8]) {
+        dispatch!(self, soundness(cells, soundness));
+    }
+
+    /// How each cell of a row may be drawn if it is steep: [`SOUND`], [`UPRIGHT`], or 0.
+    pub(super) fn steepness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+        dispatch!(self, steepness(cells, above, below, soundness));
     }
 
     /// How much the columns bend at the line between two rows of cells: squared jump of the derivative along them.

@@ -60,7 +60,7 @@ pub(in crate::render) struct CellRow<'a> {
 }
 
 /// Lattice steps to px.
-pub(super) const STEP: f32 = 1.0 / ONE as f32;
+pub(in crate::render) const STEP: f32 = 1.0 / ONE as f32;
 
 /// y of the centres of a row of pixels, px.
 #[inline(always)]
@@ -100,12 +100,99 @@ pub(in crate::render) const SOUND: u8 = 2;
 /// Rows of cells that a row of pixels may cross from one column to the next.
 const STEEPEST: f32 = 4.0;
 
-/// A cell is sound when it is upright, not too steep (|dt| rows of cells from column to column), and when the
+/// A cell whose chords may run through more cells than its neighbours: [`steepness`] says what it is.
+pub(in crate::render) const STEEP: u8 = 4;
+
+/// Vectors from vertex to vertex, lattice steps: along a line of the grid, or along the columns in a row of cells for a px at rest.
+#[derive(Clone, Debug, Default)]
+pub(in crate::render) struct Edges {
+    pub(in crate::render) x: Vec<f32>,
+    pub(in crate::render) y: Vec<f32>,
+}
+
+/// `from` and `to` hold the places of the vertices; the vectors are multiplied by `scale`.
+#[inline(always)]
+pub(super) fn edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges) {
+    for (edges, from, to) in [(&mut edges.x, from.0, to.0), (&mut edges.y, from.1, to.1)] {
+        for ((edge, from), to) in edges.iter_mut().zip(from).zip(to) {
+            // Places lie within +-LIMIT, so differences fit.
+            *edge = to.wrapping_sub(*from) as f32 * scale;
+        }
+    }
+}
+
+/// A row of cells and those beside it (itself at an end of the grid), as [`soundness`] looks at them.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::render) struct Neighbours<'a> {
+    /// The lines above and below the row above, this row, and the row below.
+    pub(in crate::render) lines: [&'a Edges; 4],
+    /// The columns in these three rows.
+    pub(in crate::render) columns: [&'a Edges; 3],
+    /// The least height of these rows at rest, px of the sampled picture.
+    pub(in crate::render) height: f32,
+    /// The sampler's coordinate of each column.
+    pub(in crate::render) u: &'a [f32],
+    /// Px of the sampled picture for one of `u`.
+    pub(in crate::render) unit: f32,
+}
+
+/// How cells may be drawn, [`UPRIGHT`] and [`SOUND`] apart from `STEEP`.
+///
+/// A chord is drawn from a column, at the height V0 of the source, to the next one, at V1. It leaves the patches that it runs through by
+/// `δ = λ (1 - λ) (V1 - V0) (B' - A')`, with A' and B' the derivatives of the two columns, each a mean over what lies on its side of λ. In a cell
+/// whose chords run through one line of the grid at most, B' - A' is thus a mean of the twist of this cell and of what is
+/// between the column of one cell and the other column of the next; each bounds the error of this cell's pixels by
+/// `|ΔV| / 4 |cross(column, B' - A')| width / area` in u and `|ΔV| / 4 |cross(line, B' - A')| / area` in v, columns and area for a px of height. The
+/// area is the one in the middle, less half of what it falls to one side: `4 λ (1 - λ)` falls as well.
+#[inline(always)]
+pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
+    let n = soundness.len();
+    let lines = |k: usize| (&cells.lines[k].x[..n], &cells.lines[k].y[..n]);
+    let columns = |k: usize| (&cells.columns[k].x[..=n], &cells.columns[k].y[..=n]);
+    let ((_, over_y), (top_x, top_y), (bottom_x, bottom_y), (_, under_y)) = (lines(0), lines(1), lines(2), lines(3));
+    let ((above_x, above_y), (here_x, here_y), (below_x, below_y)) = (columns(0), columns(1), columns(2));
+    let u = &cells.u[..=n];
+    let cross = |a: (f32, f32), b: (f32, f32)| a.0 * b.1 - a.1 * b.0;
+    let least = |a: f32, b: f32| if a < b { a } else { b };
+    let most = |a: f32, b: f32| if a > b { a } else { b };
+    let minus = |a: (f32, f32), b: (f32, f32)| (a.0 - b.0, a.1 - b.1);
+    let choose = |which: bool, a: (f32, f32), b: (f32, f32)| (if which { a.0 } else { b.0 }, if which { a.1 } else { b.1 });
+    for c in 0..n {
+        let (top, bottom) = ((top_x[c], top_y[c]), (bottom_x[c], bottom_y[c]));
+        let (over_left, over_right) = ((above_x[c], above_y[c]), (above_x[c + 1], above_y[c + 1]));
+        let (left, right) = ((here_x[c], here_y[c]), (here_x[c + 1], here_y[c + 1]));
+        let (under_left, under_right) = ((below_x[c], below_y[c]), (below_x[c + 1], below_y[c + 1]));
+
+        let (areas_top, areas_bottom) = ((cross(top, left), cross(top, right)), (cross(bottom, left), cross(bottom, right)));
+        let (least_top, least_bottom) = (least(areas_top.0, areas_top.1), least(areas_bottom.0, areas_bottom.1));
+        // Four times.
+        let middle = least(2.0 * least_top + (areas_top.0 + areas_top.1), 2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1));
+        let width = (u[c + 1] - u[c]) * cells.unit;
+        let fall = least(left.1, right.1);
+        let slant = most(top.1.abs(), bottom.1.abs());
+        let least_fall = least(fall, least(least(over_left.1, over_right.1), least(under_left.1, under_right.1)));
+        let most_slant = most(slant, most(over_y[c].abs(), under_y[c].abs()));
+
+        // The twist of the cell itself, and what is between columns across a line. Where it falls to the right a row comes from the cell below it.
+        let twist = minus(right, left);
+        let across_top = choose(top.1 > 0.0, minus(over_right, left), minus(right, over_left));
+        let across_bottom = choose(bottom.1 > 0.0, minus(right, under_left), minus(under_right, left));
+        let off = |one: (f32, f32), other: (f32, f32), twist: (f32, f32)| most(cross(one, twist).abs(), cross(other, twist).abs());
+        let off_u = most(cross(left, right).abs(), most(off(left, right, across_top), off(left, right, across_bottom)));
+        let off_v = most(off(top, bottom, twist), most(off(top, bottom, across_top), off(top, bottom, across_bottom)));
+        let near = slant * most(off_u * width, off_v) <= TOLERANCE * middle * least_fall;
+        let upright = (least(least_top, least_bottom) > LEAST_AREA / (STEP * STEP) * width) & (fall > 0.0);
+        let flat = most_slant < least_fall * cells.height;
+        soundness[c] = u8::from(upright) + u8::from(upright & flat & near) + if upright & !flat { STEEP } else { 0 };
+    }
+}
+
+/// The same of steep cells, whose chords may run through many: one is sound when it is not too steep (|dt| rows of cells from column to column), and when the
 /// chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px (each
 /// line of the grid that it crosses bends it once), r |column| width / area and r |line| height / area bound the error in u and v. All
 /// squared, and multiplied by the denominators.
 #[inline(always)]
-pub(super) fn soundness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
     let n = soundness.len();
     let (xa, ya) = (&cells.top.0[..=n], &cells.top.1[..=n]);
     let (xb, yb) = (&cells.bottom.0[..=n], &cells.bottom.1[..=n]);

@@ -21,7 +21,7 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
             let open = (1 << rows.len()) - 1;
             let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, bare: &mut bare, open };
             let only = |b: usize| if b == i / 8 { 1 << (i % 8) } else { 0 };
-            cell::draw_row(kernel, lattice, j, only, &rows, &mut canvas);
+            cell::draw_row(kernel, lattice, j, only, |_| u32::MAX, &rows, &mut canvas);
             canvas.shrink();
             for (y, bare) in rows.clone().zip(bare) {
                 let row = (y - first) as usize * pitch;
@@ -163,6 +163,28 @@ fn coordinates_are_those_of_the_bilinear_patch() {
     assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
 }
 
+/// Compares all rows with painting one cell after the other; returns how many pixels are painted.
+fn as_painted_in_order(drawing: &Drawing, target: Extent, what: &str) -> usize {
+    let (width, mut painted) = (target.width() as usize, 0);
+    let mut places = vec![None; width * target.height() as usize];
+    cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| places[y * width + x] = Some(place));
+    for row in 0..target.height() {
+        let (u, v, runs) = drawing.row(row);
+        let mut covered = vec![false; width];
+        runs.into_iter().for_each(|run| covered[run].fill(true));
+        for x in 0..width {
+            let place = places[row as usize * width + x];
+            assert_eq!(place.is_some(), covered[x], "{what}, pixel {x}, {row}");
+            if let Some(place) = place {
+                let drawn = Point::new(f64::from(u[x]) / 128.0, f64::from(v[x]) / 128.0);
+                assert!(drawn.distance(place) < 1.0 / 16.0, "{what}, pixel {x}, {row}: {drawn:?}, not {place:?}");
+                painted += 1;
+            }
+        }
+    }
+    painted
+}
+
 #[test]
 fn folded_rows_are_those_of_painting_in_order() {
     let (mut painted, mut folded) = (0, 0);
@@ -172,24 +194,43 @@ fn folded_rows_are_those_of_painting_in_order() {
         folded += mesh.folded_cells().count();
         let target = extent(120, 90);
         let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
-        let mut places = vec![None; 120 * 90];
-        cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| places[y * 120 + x] = Some(place));
-        for row in 0..90 {
-            let (u, v, runs) = drawing.row(row);
-            let mut covered = [false; 120];
-            runs.into_iter().for_each(|run| covered[run].fill(true));
-            for x in 0..120 {
-                let place = places[row as usize * 120 + x];
-                assert_eq!(place.is_some(), covered[x], "seed {seed}, pixel {x}, {row}");
-                if let Some(place) = place {
-                    let drawn = Point::new(f64::from(u[x]) / 128.0, f64::from(v[x]) / 128.0);
-                    assert!(drawn.distance(place) < 1.0 / 8.0, "seed {seed}, pixel {x}, {row}: {drawn:?}, not {place:?}");
-                    painted += 1;
-                }
-            }
-        }
+        painted += as_painted_in_order(&drawing, target, &format!("seed {seed}"));
     }
     assert!(painted > 100_000 && folded > 1000, "{painted} {folded}");
+}
+
+/// Few folds in smooth surroundings, which reach under and over what is drawn by crossings.
+#[test]
+fn divided_rows_are_those_of_painting_in_order() {
+    let (mut painted, mut divided) = (0, 0);
+    for seed in 0..60 {
+        let mut noise = Noise(seed);
+        let mut random = || noise.signed();
+        let cell = 2.5 + 2.0 * random().abs();
+        let grid = Grid::with_cell(160.0, 120.0, cell);
+        let slants = [0.5 * random(), 0.5 * random()];
+        let pulls: Vec<[f64; 5]> = (0..1 + seed % 3)
+            .map(|_| {
+                let (radius, angle) = (3.0 + 3.0 * random().abs(), std::f64::consts::PI * random());
+                let reach = radius * (1.0 + 4.0 * random().abs());
+                [80.0 + 75.0 * random(), 60.0 + 55.0 * random(), radius, reach * angle.cos(), reach * angle.sin()]
+            })
+            .collect();
+        let smooth = waves(grid, seed, 0.3);
+        let mesh = posed(grid, |p| {
+            let place = smooth.map(p).unwrap();
+            let place = Point::new(place.x + slants[0] * (p.y - 60.0), place.y + slants[1] * (p.x - 80.0));
+            pulls.iter().fold(place, |place, [x, y, radius, dx, dy]| {
+                let weight = (-((p.x - x).powi(2) + (p.y - y).powi(2)) / (radius * radius)).exp();
+                place + Vec2::new(dx * weight, dy * weight)
+            })
+        });
+        let target = extent(160, 120);
+        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        divided += (0..target.height()).filter(|&row| drawing.is_divided(row)).count();
+        painted += as_painted_in_order(&drawing, target, &format!("seed {seed}"));
+    }
+    assert!(painted > 300_000 && divided > 500, "{painted} {divided}");
 }
 
 #[test]

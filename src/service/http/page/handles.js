@@ -2,12 +2,11 @@
 // Places are in picture px, the drawing in CSS px of the stage, so that dots keep their size at every zoom.
 
 import { circleOf, kindName, kindOf, posedPlaces } from "./edits.js";
-import { places as placesWords } from "./words.js";
+import { marked, places as placesWords } from "./words.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
-/** Radius in which a place is taken, CSS px: 24 px across for a mouse, 44 for a finger. */
+/** How near a place or a line is taken, CSS px: 24 px across for a mouse, 44 for a finger. */
 export const REACH = { mouse: 12, pen: 14, touch: 22 };
-const LINE_REACH = { mouse: 8, pen: 9, touch: 16 };
 /** The ring of a selection stands so far off its places. */
 const RING_OFF = 26;
 
@@ -95,7 +94,7 @@ export class Handles {
   #update(nodes, handle, index, state) {
     const posed = handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const fault = state.problem?.handle === index ? "" : null;
+    const fault = marked(state.problem).includes(index) ? "" : null;
     const whole = state.selection.includes(String(handle.id));
     const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
     const single = handle.p.length === 1;
@@ -179,7 +178,7 @@ export class Handles {
       });
     });
     if (best) return best;
-    least = LINE_REACH[kind] ?? LINE_REACH.mouse;
+    least = reach;
     handles.forEach((handle, index) => {
       const posed = handle.q.map((place) => this.view.toStage(place));
       for (let k = 1; k < posed.length; k++) {

@@ -1,7 +1,7 @@
 // The controls around the picture: each shows the state and changes it.
 
 import { alphaOf, kindName } from "./edits.js";
-import { HINTS, METHODS, STAGES, WARNINGS, bytes, count, foldWords, problemWords, reachWords } from "./words.js";
+import { HINTS, METHODS, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -109,10 +109,10 @@ export class Panel {
     text("method-note", METHODS[document.method]);
     const alpha = alphaOf(document);
     find("alpha").value = alpha;
-    find("alpha").setAttribute("aria-valuetext", `${alpha}. ${reachWords(alpha)}`);
+    find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
     text("alpha-value", `${alpha}`);
     find("alpha-auto").checked = document.alpha === null;
-    text("alpha-note", reachWords(alpha));
+    text("alpha-note", focusWords(alpha));
     const select = find("grid-size");
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));

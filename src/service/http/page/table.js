@@ -1,6 +1,7 @@
 // The table of handles: every number of p and q can be typed.
 
 import { kindName, withNumber } from "./edits.js";
+import { marked } from "./words.js";
 
 export class Table {
   #shape = null;
@@ -57,11 +58,12 @@ export class Table {
   }
 
   #fill({ document, selection, problem }) {
+    const marks = marked(problem);
     for (const row of this.#body.rows) {
       const { index, vertex } = this.#where(row);
       const handle = document.handles[index];
       row.classList.toggle("selected", selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`));
-      row.toggleAttribute("data-fault", problem?.handle === index);
+      row.toggleAttribute("data-fault", marks.includes(index));
       for (const input of row.querySelectorAll("input")) {
         const value = String(handle[input.dataset.which][vertex][Number(input.dataset.axis)]);
         if (input.value !== value) input.value = value;

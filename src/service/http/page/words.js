@@ -20,9 +20,9 @@ const PROBLEMS = {
   too_large: ["That is too large for this server", "Make it smaller, or ask whoever runs the server for a higher limit."],
   unsupported_format: ["This is not a picture that can be read here", "Save it as PNG, JPEG or WebP and open that."],
   bad_image: ["The picture cannot be read", "The file seems damaged or incomplete. See whether it opens elsewhere."],
-  contradictory_handles: ["Two handles want different things", "They rest on the same place but go to different ones. Put one of them back, or delete it."],
+  contradictory_handles: ["Two handles want different things", "Put one of them back, or delete it."],
   degenerate_line: ["A line has no length", "Its places rest on each other. Move one of them apart in the table, or delete it."],
-  alpha_out_of_range: ["Reach is out of range", "Choose a value on the slider, or Automatic."],
+  alpha_out_of_range: ["Focus is out of range", "Choose a value on the slider, or Automatic."],
   shape_mismatch: ["The handles do not match", "Reload the page; if it stays, delete the handle that is marked."],
   not_finite: ["A number is too large", "Undo, or put the marked handle back."],
   bad_value: ["A value is not taken", "Undo the last step."],
@@ -35,6 +35,13 @@ const PROBLEMS = {
   bad_link: ["This link is incomplete", "Ask for it again, or open a picture yourself."],
 };
 
+/** Which handles a problem is about: the one that it names as a member, and a second one that only its words have. */
+export function marked(problem) {
+  if (problem?.handle === undefined) return [];
+  const [, a, b] = /\bhandles (\d+) and (\d+)/i.exec(problem.detail ?? "") ?? [];
+  return [...new Set([problem.handle, ...(b === undefined ? [] : [Number(a), Number(b)])])];
+}
+
 /** The server counts handles from 0 and gives every digit; people do neither. */
 const plain = (detail) =>
   detail
@@ -45,9 +52,10 @@ export function problemWords({ code, title, detail: told, handle, request_id: id
   const detail = plain(told ?? "");
   const [said, advice] = PROBLEMS[code] ?? [title || "That was refused", "Undo the last step, or try again."];
   const more = code === "internal" && id ? ` Request ${id}.` : "";
-  const marked = handle === undefined ? "" : ` Handle ${handle + 1} is marked.`;
+  const marks = marked({ handle, detail: told });
+  const where = marks.length ? ` Marked: ${marks.map((index) => index + 1).join(" and ")}.` : "";
   const sentence = detail ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}` : "";
-  return { title: said, detail: `${sentence}${more}`, advice: `${advice}${marked}` };
+  return { title: said, detail: `${sentence}${more}`, advice: `${advice}${where}` };
 }
 
 export const METHODS = {
@@ -56,11 +64,11 @@ export const METHODS = {
   affine: "May also stretch and slant: follows the handles most freely.",
 };
 
-export function reachWords(alpha) {
-  if (alpha < 0.95) return "Far: each handle is felt across the picture.";
+export function focusWords(alpha) {
+  if (alpha < 0.95) return "Wide: each handle is felt across the picture.";
   if (alpha < 1.35) return "Balanced: felt far away, but less and less.";
-  if (alpha < 2.25) return "Near: each handle rules mostly its surroundings.";
-  return "Very near: each handle holds its own place, with quick changes in between.";
+  if (alpha < 2.25) return "Tight: each handle rules its surroundings.";
+  return "Very tight: each handle rules its own place, with quick changes in between.";
 }
 
 export function foldWords(n) {
@@ -73,7 +81,7 @@ export const WARNINGS = {
   translation_only: "One handle: the whole picture is shifted.",
   rotation_undefined: "The handles say nothing of a turn: none is made.",
   near_duplicate_handles: "Two handles lie almost on each other.",
-  line_alpha_below_one: "Reach below 1 lets lines slip between their ends.",
+  line_alpha_below_one: "Focus below 1 lets lines slip between their ends.",
 };
 
 export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", deform: "Bending", render: "Drawing", encode: "Writing PNG" };
@@ -89,6 +97,6 @@ export const HINTS = {
 
 export function limitWords({ body, pixels, idle }) {
   const minutes = Math.round(idle / 60);
-  const kept = minutes >= 1 ? `${count(minutes, "minute")}` : `${idle} seconds`;
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. It stays in this server's memory for ${kept} of idling.`;
+  const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. The server keeps it in memory only and forgets it after ${time}.`;
 }

@@ -1,0 +1,158 @@
+//! Where rows are divided between column crossings and cells. Cells that are not upright, and those at the ends of columns that a row does not cross, may
+//! hide others; they and so many columns on either side are loose that all of them lies between two columns that the row crosses once.
+//! Beyond these, upright cells are in order, so that neither part hides the other. O(cells touched + rows * loose columns).
+
+use std::ops::Range;
+
+use super::kernel::STEP;
+use super::lattice::{BLOCK, Lattice, Reach};
+use super::ways::Ways;
+
+/// Crossings in f32 are nearer than this to the exact ones, px.
+pub(super) const DOUBT: f32 = 1.0 / 32.0;
+
+/// What is joined with a range is that range.
+const NOWHERE: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
+
+/// The divided rows of a strip.
+#[derive(Debug, Default)]
+pub(super) struct Division {
+    /// Of each column of cells the rows in which it is drawn cell by cell, a bit each.
+    pub(super) loose: Vec<u32>,
+    /// The columns of which some row is, a bit each.
+    pub(super) blocks: Vec<u8>,
+    /// The loose columns of the last row that was divided.
+    pub(super) parts: Vec<Part>,
+    /// Of each column of cells the rows in which it is not in order.
+    tangled: Vec<u32>,
+    /// The rows that are not divided: drawn wholly cell by cell.
+    whole: u32,
+    /// The columns with such rows, and from where to where they reach in each, lattice x.
+    columns: Vec<usize>,
+    across: Vec<[Range<i32>; 32]>,
+}
+
+/// Columns of cells that are loose in a row.
+#[derive(Clone, Debug)]
+pub(super) struct Part {
+    pub(super) cells: Range<usize>,
+    /// From where to where those reach that are not in order, lattice x.
+    across: Range<i32>,
+}
+
+impl Division {
+    /// Looks at the divided rows of a strip.
+    pub(super) fn look(&mut self, lattice: &Lattice, ways: &Ways, strip: &Range<u32>, divided: u32) {
+        let (cells, pitch) = (lattice.columns - 1, lattice.pitch);
+        self.blocks.clear();
+        self.blocks.resize(lattice.blocks(), 0);
+        self.loose.clear();
+        self.loose.resize(pitch, 0);
+        self.tangled.clear();
+        self.tangled.resize(cells, 0);
+        self.columns.clear();
+        self.whole = 0;
+        if divided == 0 {
+            return;
+        }
+        // Rows that do not cross every column are not divided.
+        let whole = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!ways.is_divisible(row))) & divided;
+        self.whole = whole;
+        if whole != 0 {
+            self.loose[..cells].fill(whole);
+            for (i, known) in (0..cells).step_by(BLOCK).zip(&mut self.blocks) {
+                *known = u8::MAX >> (BLOCK - BLOCK.min(cells - i));
+            }
+        }
+        let divided = divided & !whole;
+        if divided == 0 {
+            return;
+        }
+        let rows_of = |reach: Reach| {
+            let rows = reach.rows(strip);
+            let before = |row: u32| !u32::MAX.checked_shl(row - strip.start).unwrap_or(0);
+            before(rows.end.max(rows.start)) & !before(rows.start) & divided
+        };
+        for j in lattice.rows_touching(strip) {
+            for (b, &folded) in ways.folded(j).iter().enumerate() {
+                let mut left = folded;
+                while left != 0 {
+                    let i = b * BLOCK + left.trailing_zeros() as usize;
+                    left &= left - 1;
+                    self.tangled[i] |= rows_of(lattice.cell_reach(i, j));
+                }
+            }
+        }
+        self.columns.extend((0..cells).filter(|&i| self.tangled[i] != 0));
+        if self.columns.is_empty() {
+            return;
+        }
+        self.across.clear();
+        self.across.resize(self.columns.len(), [NOWHERE; 32]);
+        for j in lattice.rows_touching(strip) {
+            for (&i, across) in self.columns.iter().zip(&mut self.across) {
+                if !lattice.block_touches(j, i / BLOCK, strip) {
+                    continue;
+                }
+                let mut rows = rows_of(lattice.cell_reach(i, j)) & self.tangled[i];
+                if rows == 0 {
+                    continue;
+                }
+                let x =
+                    [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)].map(|c| c.x);
+                let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| (left.min(x), right.max(x)));
+                while rows != 0 {
+                    let known = &mut across[rows.trailing_zeros() as usize];
+                    rows &= rows - 1;
+                    *known = known.start.min(left)..known.end.max(right);
+                }
+            }
+        }
+    }
+
+    /// Divides a row; `x` are its crossings of the columns, px.
+    pub(super) fn divide(&mut self, index: usize, x: &[f32]) {
+        let (bit, cells) = (1_u32 << index, self.tangled.len());
+        self.parts.clear();
+        if self.whole & bit != 0 {
+            self.parts.push(Part { cells: 0..cells, across: i32::MIN..i32::MAX });
+            return;
+        }
+        let px = |place: i32| place as f32 * STEP;
+        let tangled = |n: &usize| self.tangled[self.columns[*n]] & bit != 0;
+        let mut next = (0..self.columns.len()).find(tangled);
+        while let Some(n) = next {
+            next = (n + 1..self.columns.len()).find(tangled);
+            let i = self.columns[n];
+            let mut part = Part { cells: i..i + 1, across: self.across[n][index].clone() };
+            loop {
+                // The column at the left end lies left of all that is not in order, and the cell left of it is in order.
+                let before = self.parts.last().map_or(0, |part| part.cells.end);
+                let end = (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start));
+                match (end, self.parts.pop()) {
+                    (Some(end), last) => {
+                        part.cells.start = end;
+                        self.parts.extend(last);
+                        break;
+                    }
+                    (None, Some(last)) => {
+                        part.cells.start = last.cells.start;
+                        part.across = last.across.start.min(part.across.start)..last.across.end.max(part.across.end);
+                    }
+                    (None, None) => {
+                        part.cells.start = 0;
+                        break;
+                    }
+                }
+            }
+            let last = next.map_or(cells, |next| self.columns[next]);
+            let end = (part.cells.end..last).find(|c| x[*c] - DOUBT >= px(part.across.end));
+            part.cells.end = end.unwrap_or(last);
+            self.parts.push(part);
+        }
+        for i in self.parts.iter().flat_map(|part| part.cells.clone()) {
+            self.loose[i] |= bit;
+            self.blocks[i / BLOCK] |= 1 << (i % BLOCK);
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! AVX-512: cells as `avx2_cells` draws them, with masks where it has blends: a pixel that is not painted is not stored, and where cells are painted
+//! over others nothing is loaded. All else as `avx2` has it: wider registers gain little or nothing (`notes.md`).
+
+use std::arch::x86_64::*;
+
+use super::Kernel;
+use super::avx2_cells::{near, root};
+use super::cells::{BARE, Canvas, LANES, Map, Piece, column, line, reach};
+use super::scalar::STEP;
+use crate::level::Level;
+use crate::render::lattice::ONE;
+
+pub(super) use super::avx2::{bends, crossings, edges, glance, reaches, sample, snap, soundness, spans, steepness};
+
+/// [`super::cells::fill`].
+pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+    debug_assert!(kernel.0 >= Level::Avx512);
+    let (from, to) = reach(piece, canvas.width);
+    if rows == 0 || from >= to {
+        return;
+    }
+    // A block may begin at the last pixel.
+    let end = (u32::BITS - rows.leading_zeros()) as usize * canvas.pitch;
+    assert!(canvas.width + LANES <= canvas.pitch && end <= canvas.u.len() && end <= canvas.v.len(), "a block may end behind the row");
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
+    unsafe { if canvas.over { blocks::<true>(piece, rows, canvas) } else { blocks::<false>(piece, rows, canvas) } }
+}
+
+/// # Safety
+/// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block behind the width.
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2")]
+unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+    let (from, to) = reach(piece, canvas.width);
+    let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    let top = rows.trailing_zeros();
+    let y0 = line(canvas.first + top).wrapping_sub(piece.y);
+    let down = piece.edges.map(|[_, gy, _]| _mm256_set1_epi32(gy.wrapping_mul(ONE)));
+    let [[u0, us, ut], [v0, vs, vt]] = [piece.u, piece.v].map(|axis| axis.map(|value| _mm256_set1_ps(value)));
+    let coordinate = |at: __m256, s: __m256, t: __m256, per_s: __m256, per_t: __m256| {
+        _mm256_add_ps(_mm256_add_ps(at, _mm256_mul_ps(s, per_s)), _mm256_mul_ps(t, per_t))
+    };
+    for at in (from..to).step_by(LANES) {
+        let x = column(at).wrapping_sub(piece.x);
+        let mut inside = piece.edges.map(|[gx, gy, g]| {
+            let first = gx.wrapping_mul(x).wrapping_add(gy.wrapping_mul(y0)).wrapping_add(g);
+            _mm256_add_epi32(_mm256_set1_epi32(first), _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(ONE)), lanes))
+        });
+        #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
+        let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
+        let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
+        while left != 0 {
+            // What is painted already is passed by: many cells may lie over one another.
+            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
+            if wanted {
+                let outside = _mm256_or_si256(_mm256_ternarylogic_epi32::<0xfe>(inside[0], inside[1], inside[2]), inside[3]);
+                let start = row * canvas.pitch + at;
+                // SAFETY: `at < width`, and there is room for a block behind the width.
+                let (u, v) = unsafe { (canvas.u.as_mut_ptr().add(start), canvas.v.as_mut_ptr().add(start)) };
+                let mut painted = !_mm256_movepi32_mask(outside);
+                if !OVER {
+                    // SAFETY: as above.
+                    painted &= _mm256_cmp_ps_mask::<_CMP_EQ_OQ>(unsafe { _mm256_loadu_ps(u) }, _mm256_set1_ps(BARE));
+                }
+                #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
+                let y = y as f32 * STEP;
+                let (s, t) = match &piece.map {
+                    Map::Near(map) => near(map, px, y),
+                    Map::Root(map) => root(map, px, y),
+                };
+                // SAFETY: as above.
+                unsafe {
+                    _mm256_mask_storeu_ps(u, painted, coordinate(u0, s, t, us, ut));
+                    _mm256_mask_storeu_ps(v, painted, coordinate(v0, s, t, vs, vt));
+                }
+            }
+            for (inside, down) in inside.iter_mut().zip(down) {
+                *inside = _mm256_add_epi32(*inside, down);
+            }
+            left >>= 1;
+            y = y.wrapping_add(ONE);
+            row += 1;
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! How each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings draw what lies
+//! between two columns at once and in order; cells take any shape and hide one another in painter's order. A row may be divided
+//! between both at columns that it crosses once, if all that is drawn by cells lies between two such columns: then neither hides the other. What
+//! is decided depends on the mesh and the row alone. O(cells + rows).
+
+use std::ops::Range;
+
+use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
+use super::lattice::{BLOCK, Lattice, ONE, Reach};
+use crate::pixmap::Extent;
+
+/// Rows are divided if one of so many cells is folded at most: looking for where to divide them costs more than it saves otherwise.
+const FOLDED: usize = 24;
+/// Rows are divided if a block of cells meets so many times its share of rows at most, on average.
+const SHARES: u64 = 16;
+/// Rows of cells that are lower at rest, px of the sampled picture, and those beside them are not judged: their columns have no direction.
+const LEAST_HEIGHT: f32 = 1.0 / 64.0;
+/// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
+const FARTHEST: u32 = 1 << 15;
+
+/// How a row is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Way {
+    /// It crosses every column and meets sound cells only: by column crossings.
+    Plain,
+    /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
+    /// so that none of them hides another.
+    Mended,
+    /// Some columns cell by cell, the others as `Mended` (`division`).
+    Divided,
+}
+
+/// The ways of all rows.
+#[derive(Debug)]
+pub(super) struct Ways {
+    rows: Vec<Way>,
+    /// Blocks of cells in a row of them.
+    blocks: usize,
+    /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
+    bent: Vec<u8>,
+    /// Those that are not upright.
+    folded: Vec<u8>,
+    /// The rows that may be divided.
+    divisible: Range<u32>,
+}
+
+impl Ways {
+    pub(super) fn new(lattice: &Lattice, target: Extent, kernel: Kernel) -> Self {
+        let (height, blocks) = (target.height(), lattice.blocks());
+        let none = vec![0; (lattice.rows - 1) * blocks];
+        let mut ways = Self { rows: vec![Way::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
+        if height.max(target.width()) > FARTHEST {
+            return ways;
+        }
+        let crossing = rows_that_cross(lattice, height);
+        ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(Way::Plain);
+        ways.judge(lattice, kernel);
+        let folded: u32 = ways.folded.iter().map(|cells| cells.count_ones()).sum();
+        let met: u64 = lattice.block_reach.iter().map(|reach| u64::from(reach.bottom.abs_diff(reach.top) / ONE.unsigned_abs())).sum();
+        let are_few = folded as usize * FOLDED <= ways.folded.len() * BLOCK;
+        if are_few && met <= SHARES * u64::from(height) * blocks as u64 {
+            ways.divisible = crossing;
+        }
+        ways
+    }
+
+    /// How a row is drawn.
+    pub(super) fn of(&self, row: u32) -> Way {
+        self.rows[row as usize]
+    }
+
+    /// Those of a row of cells that crossings do not show well.
+    pub(super) fn bent(&self, j: usize) -> &[u8] {
+        &self.bent[j * self.blocks..][..self.blocks]
+    }
+
+    /// Those that are not upright.
+    pub(super) fn folded(&self, j: usize) -> &[u8] {
+        &self.folded[j * self.blocks..][..self.blocks]
+    }
+
+    /// Whether a row may be divided: it crosses every column, and neither are many cells folded nor do very many meet each row.
+    pub(super) fn is_divisible(&self, row: u32) -> bool {
+        self.divisible.contains(&row)
+    }
+
+    /// Looks at all cells.
+    fn judge(&mut self, lattice: &Lattice, kernel: Kernel) {
+        let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
+        let mut look = Look::new(lattice, kernel);
+        // How many cells of a kind begin at a row, less those that end there.
+        let (mut mended, mut divided) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
+        for j in 0..lattice.rows - 1 {
+            for (b, soundness) in look.at(j).chunks(BLOCK).enumerate() {
+                let not = |kind: u8| soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| cells | u8::from(seen & kind == 0) << k);
+                let mut left = not(SOUND);
+                if left == 0 {
+                    continue;
+                }
+                let (at, folded) = (j * self.blocks + b, not(SOUND | UPRIGHT));
+                self.bent[at] |= left;
+                self.folded[at] = folded;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize;
+                    left &= left - 1;
+                    let (i, reach) = (b * BLOCK + k, lattice.cell_reach(b * BLOCK + k, j));
+                    let (rows, known) = (reach.rows(&target), if folded >> k & 1 == 1 { &mut divided } else { &mut mended });
+                    known[rows.start as usize] += 1;
+                    known[rows.end.max(rows.start) as usize] -= 1;
+                    if soundness[k] & STEEP != 0 {
+                        self.bend_beside(lattice, i, j, reach);
+                    }
+                }
+            }
+        }
+        let (mut mending, mut dividing) = (0, 0);
+        for (row, (mended, divided)) in self.rows.iter_mut().zip(mended.iter().zip(&divided)) {
+            (mending, dividing) = (mending + mended, dividing + divided);
+            *row = (*row).max(if dividing > 0 {
+                Way::Divided
+            } else if mending > 0 {
+                Way::Mended
+            } else {
+                Way::Plain
+            });
+        }
+    }
+
+    /// The chord of a row from column to column belongs to all cells that the row meets between them.
+    fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: Reach) {
+        let shares = |k: &usize| {
+            let other = lattice.cell_reach(i, *k);
+            other.top < reach.bottom && reach.top < other.bottom
+        };
+        for k in (0..j).rev().take_while(shares).chain((j + 1..lattice.rows - 1).take_while(shares)) {
+            self.bent[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
+        }
+    }
+}
+
+/// The soundness of one row of cells after the other.
+struct Look<'a> {
+    lattice: &'a Lattice,
+    kernel: Kernel,
+    /// Above and below the row before, this row, and the row behind.
+    lines: [Edges; 4],
+    /// In these rows.
+    columns: [Edges; 3],
+    soundness: Vec<u8>,
+}
+
+impl<'a> Look<'a> {
+    fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
+        let edges = || Edges { x: vec![0.0; lattice.columns], y: vec![0.0; lattice.columns] };
+        let (lines, columns) = (std::array::from_fn(|_| edges()), std::array::from_fn(|_| edges()));
+        let mut look = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
+        look.line(0);
+        look.column(0);
+        look.line(1);
+        look
+    }
+
+    /// Takes a line of the grid in as the last one.
+    fn line(&mut self, j: usize) {
+        let (x, y) = self.vertices(j);
+        self.lines.rotate_left(1);
+        self.kernel.edges((x, y), (&x[1..], &y[1..]), 1.0, &mut self.lines[3]);
+    }
+
+    /// Takes the columns of a row of cells in as the last ones.
+    fn column(&mut self, j: usize) {
+        let (above, below, per_px) = (self.vertices(j), self.vertices(j + 1), 1.0 / self.height(j));
+        self.columns.rotate_left(1);
+        self.kernel.edges(above, below, per_px, &mut self.columns[2]);
+    }
+
+    fn vertices(&self, j: usize) -> (&'a [i32], &'a [i32]) {
+        let line = j * self.lattice.pitch..j * self.lattice.pitch + self.lattice.columns;
+        (&self.lattice.x[line.clone()], &self.lattice.y[line])
+    }
+
+    /// Of a row of cells at rest, px of the sampled picture.
+    fn height(&self, j: usize) -> f32 {
+        (self.lattice.v[j + 1] - self.lattice.v[j]) / self.lattice.unit
+    }
+
+    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; those of the latter two that are steep are [`STEEP`] besides. Rows are asked
+    /// for in order.
+    fn at(&mut self, j: usize) -> &[u8] {
+        let (lattice, last) = (self.lattice, self.lattice.rows - 2);
+        if j < last {
+            self.column(j + 1);
+            self.line(j + 2);
+        } else {
+            self.columns.rotate_left(1);
+            self.lines.rotate_left(1);
+        }
+        let [over, top, bottom, under] = &self.lines;
+        let [above, columns, below] = &self.columns;
+        let (over, above, before) = if j > 0 { (over, above, j - 1) } else { (top, columns, j) };
+        let (under, below, behind) = if j < last { (under, below, j + 1) } else { (bottom, columns, j) };
+        let height = self.height(before).min(self.height(j)).min(self.height(behind));
+        let (lines, columns) = ([over, top, bottom, under], [above, columns, below]);
+        self.kernel.soundness(&Neighbours { lines, columns, height, u: &lattice.u, unit: lattice.unit.recip() }, &mut self.soundness);
+        let is_far = |line: (&[i32], &[i32])| {
+            [line.0, line.1].into_iter().flatten().fold(0, |far, place| far.max(place.unsigned_abs())) >= FARTHEST * ONE.unsigned_abs()
+        };
+        if height < LEAST_HEIGHT || is_far(self.vertices(j)) || is_far(self.vertices(j + 1)) {
+            self.soundness.fill(0);
+        }
+        if self.soundness.iter().fold(0, |any, &s| any | s) & STEEP != 0 {
+            self.climb(j);
+        }
+        &self.soundness
+    }
+
+    /// Looks at the steep cells of a row.
+    fn climb(&mut self, j: usize) {
+        let (lattice, unit) = (self.lattice, self.lattice.unit.recip());
+        let row = |j: usize| CellRow { top: self.vertices(j), bottom: self.vertices(j + 1), u: &lattice.u, height: self.height(j), unit };
+        let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
+        if j > 0 {
+            self.kernel.bends(&row(j - 1), &row(j), &mut above);
+        }
+        if j + 2 < lattice.rows {
+            self.kernel.bends(&row(j), &row(j + 1), &mut below);
+        }
+        let mut steepness = vec![0; self.soundness.len()];
+        self.kernel.steepness(&row(j), &above, &below, &mut steepness);
+        for (seen, steep) in self.soundness.iter_mut().zip(&steepness).filter(|(seen, _)| **seen & STEEP != 0) {
+            *seen = if *steep == SOUND { SOUND } else { *steep | STEEP };
+        }
+    }
+}
+
+/// The target rows that begin or end beyond every column.
+fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
+    let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
+    let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));
+    let bottom = line(lattice.rows - 1).iter().fold(i32::MAX, |bottom, &y| bottom.min(y));
+    Reach { top, bottom }.rows(&(0..height))
+}
