@@ -1,0 +1,353 @@
+"""What the browser tests share: the program as a process, a visit of the page, what is seen of it."""
+
+import http.client
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image, ImageChops, ImageDraw
+
+HERE = Path(__file__).resolve().parent
+KEPT = HERE.parent / "artefacts" / "e2e"
+PHOTOGRAPHS = HERE.parent / "images"
+PROGRAM = os.environ["MLSWARP_PROGRAM"]
+
+# No test asserts speed: this is when something is taken for hung.
+DEADLINE = 60.0
+
+# Debian's Chromium without what reaches for a network of its own; WebGL on the processor.
+CHROMIUM = shutil.which("chromium")
+FLAGS = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--disable-accelerated-2d-canvas", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]
+
+
+# What the browser says of a drag socket that does not open.
+SOCKET = re.compile("WebSocket connection to .* failed")
+
+class Server:
+    """The program on a loopback port of its own. It keeps the port when it is started again, with an empty store."""
+
+    def __init__(self, *flags):
+        self.flags = flags
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", 0))
+            self.port = taken.getsockname()[1]
+        self.address = f"http://127.0.0.1:{self.port}"
+        self.start()
+
+    def start(self):
+        self.log = open(KEPT / f"server-{self.port}.log", "ab")
+        self.process = subprocess.Popen(
+            [PROGRAM, "serve", "--listen", f"127.0.0.1:{self.port}", *self.flags], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
+        )
+        give_up = time.monotonic() + DEADLINE
+        while True:
+            assert self.process.poll() is None, f"the program has ended: {self.log.name}"
+            try:
+                assert self.ask("GET", "/readyz").status == 200
+                return
+            except OSError:
+                assert time.monotonic() < give_up, "the program does not listen"
+                time.sleep(0.02)
+
+    def kill(self):
+        """The machine goes away: connections break, sessions are gone."""
+        self.process.kill()
+        self.process.wait()
+        self.log.close()
+
+    def stop(self):
+        """The ordinary end, which must be one: no panic, status 0."""
+        if self.log.closed:
+            return
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            status = self.process.wait(DEADLINE)
+        finally:
+            self.kill()
+        assert status == 0, f"the program ended with {status}: {self.log.name}"
+        assert b"panicked" not in Path(self.log.name).read_bytes(), self.log.name
+
+    def ask(self, method, path, value=None):
+        """A request that has nothing to do with the browser."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE)
+        try:
+            body = None if value is None else json.dumps(value)
+            connection.request(method, path, body, {} if value is None else {"Content-Type": "application/json"})
+            response = connection.getresponse()
+            response.body = response.read()
+            return response
+        finally:
+            connection.close()
+
+
+class Visit:
+    """One person at the page: a browser context of its own and what went wrong in it."""
+
+    def __init__(self, browser, server, *, query="", path="", expects=(), **options):
+        self.server = server
+        self.expected = set(expects)
+        self.trouble = []
+        options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
+        self.context = browser.new_context(permissions=["clipboard-read", "clipboard-write"], **options)
+        self.context.set_default_timeout(1000 * DEADLINE)
+        self.context.on("request", self._asked)
+        self.page = self.context.new_page()
+        self.page.on("console", self._said)
+        self.page.on("pageerror", lambda error: self.trouble.append(f"error in the page: {error}"))
+        self.address = f"{server.address}/{query}{path}"
+        self.answer = self.page.goto(self.address)
+        self.body("[data-webgl]")
+
+    def _asked(self, request):
+        """Nothing but the service is asked for anything."""
+        if not request.url.startswith((f"{self.server.address}/", "blob:", "data:")):
+            self.trouble.append(f"asked for {request.url}")
+
+    def _said(self, message):
+        """The browser reports every refused request as an error; a test that provokes one says so by `expects`."""
+        refused = re.search(r"Failed to load resource: (?:the server responded with a status of (\d+)|net::(ERR_\w+))", message.text)
+        if refused and (refused[1] or refused[2]) in self.expected:
+            return
+        if any(isinstance(e, re.Pattern) and e.search(message.text) for e in self.expected):
+            return
+        if message.type in ("error", "warning") and "GPU stall due to ReadPixels" not in message.text:
+            self.trouble.append(f"{message.type}: {message.text}")
+
+    def expects(self, *refusals):
+        """Statuses, network errors or patterns of messages that a test provokes."""
+        self.expected.update(refusals)
+
+    def close(self):
+        self.context.close()
+
+    # What the page says of itself
+
+    def body(self, selector):
+        """Waits until the body's attributes are as a CSS selector says."""
+        self.page.wait_for_selector(f"body{selector}", state="attached")
+        return self
+
+    @property
+    def data(self):
+        return self.page.evaluate("({...document.body.dataset})")
+
+    def __getitem__(self, name):
+        return self.page.evaluate("(name) => document.body.dataset[name]", name)
+
+    def ready(self):
+        """Waits for the server's PNG of the newest pose, and tells the page's state."""
+        self.body("[data-state=ready][data-source=png]")
+        data = self.data
+        assert data["shown"] == data["revision"] and data["problem"] == "", data
+        return data
+
+    def text(self, id):
+        return self.page.locator(f"#{id}").inner_text()
+
+    # Opening
+
+    def open(self, picture):
+        """A picture file through the chooser."""
+        self.page.set_input_files("#file", picture)
+        self.body("[data-state=ready]")
+        return self
+
+    def sample(self, name):
+        self.page.click(f"#sample-{name}")
+        self.ready()
+        return self
+
+    # Hands
+
+    def at(self, x, y):
+        """Where a place of the picture lies on the page, CSS px."""
+        data, box = self.data, self.page.locator("#stage").bounding_box()
+        pan = [float(c) for c in data["pan"].split(",")]
+        zoom = float(data["zoom"])
+        return box["x"] + pan[0] + zoom * x, box["y"] + pan[1] + zoom * y
+
+    def click(self, x, y, **options):
+        """At a place of the picture."""
+        self.page.mouse.click(*self.at(x, y), **options)
+
+    def drag(self, *places, steps=6):
+        """Along places of the picture, from the first to the last, and lets go."""
+        self.press(*places, steps=steps)
+        self.page.mouse.up()
+
+    def press(self, *places, steps=6):
+        """The same without letting go."""
+        spots = [self.at(*place) for place in places]
+        self.page.mouse.move(*spots[0])
+        self.page.mouse.down()
+        for spot in spots[1:]:
+            self.page.mouse.move(*spot, steps=steps)
+
+    @contextmanager
+    def without_pictures(self):
+        """Holds the server's pictures back: what is seen meanwhile is what follows the hand."""
+        held = []
+        self.page.route("**/sessions/*/warp", lambda route: held.append(route))
+        yield
+        for route in held:
+            route.continue_()
+        self.page.unroute("**/sessions/*/warp")
+
+    def keys(self, *presses):
+        for key in presses:
+            self.page.keyboard.press(key)
+
+    # What there is
+
+    def warp(self):
+        """The handles as the page saves them."""
+        return json.loads(self.saved("save-handles")[1])
+
+    def posed(self, handle, vertex=None):
+        """Where a handle is drawn, picture px."""
+        node = self.page.locator(f"#handle-{handle}" + ("" if vertex is None else f"-{vertex}"))
+        return float(node.get_attribute("data-x")), float(node.get_attribute("data-y"))
+
+    def saved(self, button):
+        """What a button downloads: its name and its bytes."""
+        with self.page.expect_download() as download:
+            self.page.click(f"#{button}")
+        return download.value.suggested_filename, Path(download.value.path()).read_bytes()
+
+    def copied(self, button):
+        """What a button puts on the clipboard."""
+        self.page.click(f"#{button}")
+        self.page.wait_for_selector("#toast.seen")
+        return self.page.evaluate("navigator.clipboard.readText()")
+
+    def of_server(self, **output):
+        """What the server itself answers to the pose that the page has: its response."""
+        warp = self.warp()
+        body = {"q": warp["q"], **({"output": output} if output else {})}
+        answer = self.server.ask("POST", f"/sessions/{self['session']}/warp", body)
+        assert answer.status == 200, answer.body
+        return answer
+
+    # What is seen
+
+    def look(self):
+        """The picture as it is seen on the stage, without the handles on it."""
+        svg = "document.querySelector('#handles').style.opacity"
+        self.page.evaluate(f"{svg} = 0")
+        shot = self.page.screenshot(scale="css")
+        self.page.evaluate(f"{svg} = ''")
+        width, height = self.page.evaluate("(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))")
+        return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
+
+    def keep(self, name):
+        """A screenshot of the whole page among the artefacts."""
+        return self.page.screenshot(path=KEPT / f"{name}.png")
+
+
+class Look:
+    """A screenshot of the picture on the stage, read in pixels of the picture."""
+
+    def __init__(self, png, first, last, zoom):
+        whole = Image.open(io.BytesIO(png)).convert("RGB")
+        corner = [max(0, round(c)) for c in first]
+        self.image = whole.crop((*corner, *(min(side, round(c)) for side, c in zip(whole.size, last))))
+        self.pan = [a - b for a, b in zip(first, corner)]
+        self.zoom = zoom
+
+    def colour(self, x, y):
+        return self.image.getpixel(tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y))))
+
+    def mask(self, name):
+        """255 where a colour of `discs` prevails."""
+        bands = dict(zip(("red", "green", "blue"), self.image.split()))
+        wanted = bands.pop(name)
+        return ImageChops.subtract(wanted, ImageChops.lighter(*bands.values())).point(lambda more: 255 if more > 90 else 0)
+
+    def centre(self, name):
+        """The middle of everything of a colour, picture px."""
+        mask = self.mask(name)
+        box = mask.getbbox()
+        assert box, f"nothing {name} is seen"
+        left, top, right, _ = box
+        wide = right - left
+        spots = [k for k, seen in enumerate(mask.crop(box).tobytes()) if seen]
+        x = left + 0.5 + sum(k % wide for k in spots) / len(spots)
+        y = top + 0.5 + sum(k // wide for k in spots) / len(spots)
+        return (x - self.pan[0]) / self.zoom, (y - self.pan[1]) / self.zoom
+
+    def differs(self, other):
+        """How many pixels differ visibly from another look."""
+        red, green, blue = ImageChops.difference(self.image, other.image).split()
+        return sum(ImageChops.lighter(ImageChops.lighter(red, green), blue).histogram()[13:])
+
+
+# Places of the discs in the picture that `discs` draws.
+RED, GREEN, BLUE = (100, 100), (320, 90), (200, 220)
+
+
+def discs(path, size=(400, 300)):
+    """Three coloured discs on grey: where a place of the picture has gone is seen by where its disc is."""
+    image = Image.new("RGB", size, (200, 200, 200))
+    draw = ImageDraw.Draw(image)
+    for (x, y), colour in ((RED, (230, 20, 20)), (GREEN, (20, 170, 20)), (BLUE, (20, 40, 230))):
+        draw.ellipse((x - 24, y - 24, x + 24, y + 24), fill=colour)
+    image.save(path)
+    return path
+
+
+def near(a, b, within):
+    """Whether two places are as near as that, px."""
+    return max(abs(m - n) for m, n in zip(a, b, strict=True)) <= within
+
+
+class Fingers:
+    """Touches as the screen reports them, which the browser turns into pointer events."""
+
+    def __init__(self, visit):
+        self.visit = visit
+        self.session = visit.context.new_cdp_session(visit.page)
+        self.down = {}
+
+    def _send(self, kind):
+        points = [{"id": id, "x": x, "y": y} for id, (x, y) in self.down.items()]
+        self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def put(self, **spots):
+        """Fingers come down, by name, one after another."""
+        for name, spot in spots.items():
+            self.down[ord(name[0])] = spot
+            self._send("touchStart")
+
+    def move(self, steps=6, **spots):
+        """Fingers move together."""
+        begun = {name: self.down[ord(name[0])] for name in spots}
+        for step in range(1, steps + 1):
+            for name, spot in spots.items():
+                a = begun[name]
+                self.down[ord(name[0])] = tuple(p + (q - p) * step / steps for p, q in zip(a, spot))
+            self._send("touchMove")
+
+    def lift(self, *names):
+        for name in names or [chr(id) for id in list(self.down)]:
+            del self.down[ord(name[0])]
+            self._send("touchEnd")
+
+    def take_away(self):
+        """What the system does when it wants the touch for itself."""
+        self.down = {}
+        self._send("touchCancel")
+
+    def tap(self, x, y):
+        self.put(a=(x, y))
+        self.lift()

@@ -1,0 +1,207 @@
+"""Whoever comes can use it: axe finds nothing serious in any state, targets are large enough, words reach those who do not see."""
+
+from pathlib import Path
+
+import axe_playwright_python
+import pytest
+
+from support import GREEN, RED, Fingers
+
+AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js").read_text()
+NARROW = {"viewport": {"width": 360, "height": 740}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+RULES = {"resultTypes": ["violations", "incomplete"]}
+
+
+def faults(visit):
+    """What axe calls serious or critical, and what it names."""
+    visit.page.evaluate(AXE)
+    found = visit.page.evaluate("(options) => axe.run(document, options)", RULES)
+    assert len(found["passes"]) > 10, "axe has looked at nothing"
+    return [
+        f"{fault['id']} ({fault['impact']}): {node['target']} {node['html'][:120]}"
+        for fault in found["violations"]
+        if fault["impact"] in ("serious", "critical")
+        for node in fault["nodes"]
+    ]
+
+
+def empty(visit):
+    pass
+
+
+def ready(visit):
+    visit.sample("portrait")
+
+
+def selected(visit):
+    visit.sample("cat")
+    visit.page.click("#select-all")
+    visit.page.wait_for_selector("#selection")
+    visit.page.click("#mesh")
+
+
+def folding(visit):
+    visit.sample("cat")
+    visit.page.select_option("#grid-size", "10")
+    visit.page.fill("#q-0-0-x", "400")
+    visit.page.keyboard.press("Enter")
+    assert int(visit.ready()["folds"]) > 0
+
+
+def refused(visit):
+    visit.expects("422")
+    visit.sample("cat")
+    for axis, number in zip("xy", (138, 108)):
+        visit.page.fill(f"#p-1-0-{axis}", str(number))
+        visit.page.keyboard.press("Enter")
+    visit.body("[data-problem=contradictory_handles]")
+
+
+def comparing(visit):
+    visit.sample("rocket")
+    visit.page.click("#compare")
+
+
+def drawing(visit):
+    visit.sample("rocket")
+    visit.page.click("label:has(#tool-path)")
+    visit.click(100, 60)
+    visit.click(200, 60)
+    visit.body("[data-draft='2']")
+
+
+def help(visit):
+    visit.sample("rocket")
+    visit.page.click("#help-open")
+
+
+STATES = [empty, ready, selected, folding, refused, comparing, drawing, help]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("state", STATES)
+def test_axe_finds_nothing_serious(visits, state, theme):
+    visit = visits(color_scheme=theme)
+    state(visit)
+    visit.keep(f"axe-{state.__name__}-{theme}")
+    assert not faults(visit)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("state", [empty, ready])
+def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
+    visit = visits(color_scheme=theme, **NARROW)
+    state(visit)
+    visit.keep(f"axe-narrow-{state.__name__}-{theme}")
+    assert not faults(visit)
+    if state is ready:
+        visit.page.tap("#panel-toggle")
+        visit.page.wait_for_selector("#method-rigid", state="attached")
+        visit.keep(f"axe-narrow-panel-{theme}")
+        assert not faults(visit)
+
+
+def test_the_switch_chooses_the_other_theme(visits):
+    visit = visits(color_scheme="light")
+    ready(visit)
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = visit.page.evaluate(ground)
+    visit.page.click("#theme")
+    visit.page.click("#theme")
+    visit.body("[data-theme=dark]")
+    assert visit.page.evaluate(ground) != light
+    assert not faults(visit)
+
+
+# A line as a whole is as wide as it is long; its places are what is measured.
+SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=file]), select, a[href], summary, [role=button]")]
+  .filter((node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true }) && !node.disabled)
+  .filter((node) => !["line", "path"].includes(node.dataset.kind) || node.dataset.vertex)
+  .map((node) => [node.closest("label") ?? node.querySelector(".hit") ?? node, node])
+  .map(([target, node]) => [target.getBoundingClientRect(), node])
+  .filter(([{ width, height }]) => width < least - 0.5 || height < least - 0.5)
+  .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
+
+
+@pytest.mark.parametrize("state", [empty, selected, comparing, drawing])
+def test_targets_are_large_enough_for_a_mouse(visit, state):
+    state(visit)
+    assert visit.page.evaluate(SMALL, 24) == []
+
+
+def test_targets_are_large_enough_for_a_finger(visits):
+    visit = visits(**NARROW)
+    fingers = Fingers(visit)
+    small = [line for line in visit.page.evaluate(SMALL, 44)]
+    assert small == [], "at the start"
+    visit.sample("cat")
+    fingers.tap(*visit.at(60, 60))
+    visit.body("[data-selected='1']")
+    # Handles are taken from 22 px around (test_touch.py); everything else is a target of its own.
+    small = [line for line in visit.page.evaluate(SMALL, 44) if not line.startswith("handle-")]
+    assert small == []
+
+
+@pytest.mark.parametrize("width", [320, 360, 768])
+@pytest.mark.parametrize("state", [empty, ready])
+def test_nothing_runs_out_of_the_screen(visits, state, width):
+    visit = visits(viewport={"width": width, "height": 700})
+    state(visit)
+    assert visit.page.evaluate("document.scrollingElement.scrollWidth") <= width
+    out = visit.page.evaluate(
+        """() => [...document.querySelectorAll("header *, .bar *, #drop button, #selection *")]
+          .filter((node) => node.checkVisibility() && !node.closest("svg") && !node.matches(".unseen, .unseen *"))
+          .map((node) => [node, node.getBoundingClientRect()])
+          .filter(([, box]) => box.width && (box.left < -0.5 || box.right > innerWidth + 0.5))
+          .map(([node]) => node.id || node.outerHTML.slice(0, 80))"""
+    )
+    assert out == []
+
+
+def test_changes_are_said(opened):
+    says = opened.page.locator("#says")
+    assert says.get_attribute("aria-live") == "polite"
+    opened.click(*RED)
+    assert says.inner_text() == "Point 1 added at 100, 100"
+    opened.drag(RED, (140, 130))
+    assert says.inner_text() == "Point 1 at 140, 130"
+    opened.page.click("#undo")
+    assert says.inner_text() == "Undone"
+    opened.click(*GREEN)
+    opened.page.click("#remove")
+    assert says.inner_text() == "1 handle deleted"
+
+
+def test_every_control_has_a_name_and_the_focus_is_seen(visit):
+    ready(visit)
+    nameless = visit.page.evaluate(
+        """() => [...document.querySelectorAll("button, input, select, textarea, [role=button], [role=application]")]
+          .filter((node) => node.checkVisibility())
+          .filter((node) => !(node.ariaLabel || node.labels?.length || node.innerText?.trim()))
+          .map((node) => node.outerHTML.slice(0, 100))"""
+    )
+    assert nameless == []
+    # From the first to the last: wherever Tab stops, something is drawn around it.
+    unseen, stops = [], 0
+    visit.page.evaluate("document.activeElement.blur()")
+    for _ in range(200):
+        visit.keys("Tab")
+        stop = visit.page.evaluate(
+            """() => {
+              const node = document.activeElement;
+              if (node === document.body) return null;
+              const styles = [node, node.closest("label"), ...node.querySelectorAll("*")].filter(Boolean).map((part) => getComputedStyle(part));
+              const seen = styles.some((s) => (s.outlineStyle !== "none" && parseFloat(s.outlineWidth) >= 2) || s.boxShadow !== "none");
+              return [node.id || node.outerHTML.slice(0, 60), seen || Boolean(node.closest("#handles")), node.dataset.handle !== undefined];
+            }"""
+        )
+        if stop is None:
+            break
+        stops += 1
+        if not stop[1]:
+            unseen.append(stop[0])
+    assert stops > 30 and unseen == []
+
+
+def test_nothing_moves_for_those_who_asked_for_stillness(visit):
+    assert visit.page.evaluate("document.getAnimations().filter((a) => a.playState === 'running' && a.effect.getComputedTiming().duration > 50).length") == 0

@@ -1,0 +1,192 @@
+"""What the panel and the tools change: method, reach, grid, comparison, mesh, folds, milliseconds."""
+
+import io
+import json
+import re
+
+import pytest
+from PIL import Image
+
+from support import BLUE, GREEN, RED, near
+
+
+@pytest.fixture
+def bent(opened):
+    """Three points, two of them apart from where they rest."""
+    for place in (RED, GREEN, BLUE):
+        opened.click(*place)
+    opened.drag(RED, (140, 130))
+    opened.drag(GREEN, (280, 110))
+    opened.ready()
+    return opened
+
+
+def test_each_method_bends_in_its_own_way(bent):
+    pictures = {"rigid": bent.saved("download")[1]}
+    for method in ("similarity", "affine"):
+        bent.page.click(f"label:has(#method-{method})")
+        bent.ready()
+        assert bent.warp()["method"] == method
+        pictures[method] = bent.saved("download")[1]
+        assert pictures[method] == bent.of_server().body
+        seen = bent.look()
+        for name, place in (("red", (140, 130)), ("green", (280, 110)), ("blue", BLUE)):
+            assert near(seen.centre(name), place, 3), (method, name)
+    assert len(set(pictures.values())) == 3
+    assert len({bent.text("method-note")}) == 1 and bent.text("method-note")
+    bent.page.click("#undo")
+    bent.page.click("#undo")
+    bent.ready()
+    assert bent.saved("download")[1] == pictures["rigid"]
+
+
+def test_reach_is_a_number_with_words(bent):
+    first, words = bent.saved("download")[1], bent.text("alpha-note")
+    bent.page.locator("#alpha").fill("3")
+    bent.ready()
+    assert bent.warp()["alpha"] == 3 and not bent.page.locator("#alpha-auto").is_checked()
+    assert bent.text("alpha-note") != words
+    assert bent.saved("download")[1] != first
+    bent.page.check("#alpha-auto")
+    bent.ready()
+    assert bent.saved("download")[1] == first
+
+
+def test_the_grid_is_chosen_and_said(bent):
+    finer = bent.saved("download")[1]
+    bent.page.select_option("#grid-size", "50")
+    bent.ready()
+    assert bent.warp()["grid"] == {"cell": 50}
+    columns, rows = (int(n) for n in re.search(r"(\d+) × (\d+)", bent.text("grid-note")).groups())
+    session = json.loads(bent.server.ask("GET", f"/sessions/{bent['session']}").body)
+    assert (columns, rows) == (session["grid"]["columns"], session["grid"]["rows"]) == (9, 7)
+    assert bent.saved("download")[1] == bent.of_server().body != finer
+
+
+def test_the_mesh_is_drawn_where_the_picture_is(bent):
+    plain = bent.look()
+    bent.page.select_option("#grid-size", "50")
+    bent.ready()
+    before = bent.look()
+    bent.page.click("#mesh")
+    lines = bent.look()
+    assert 1000 < lines.differs(before) < 0.5 * plain.image.width * plain.image.height
+    # A vertex of the grid lies where the server maps it: the lines that cross there are light.
+    answer = bent.server.ask("POST", f"/sessions/{bent['session']}/mesh", {"q": bent.warp()["q"]})
+    mesh = json.loads(answer.body)
+    assert (mesh["columns"], mesh["rows"]) == (9, 7)
+    seen = 0
+    for x, y in mesh["vertices"]:
+        if 5 < x < 395 and 5 < y < 295 and not any(near((x, y), place, 30) for place in ((140, 130), (280, 110), BLUE)):
+            assert min(lines.colour(x, y)) > 215, (x, y, lines.colour(x, y))
+            assert min(lines.colour(x + 9, y + 9)) < 215
+            seen += 1
+    assert seen > 10
+    bent.page.click("#mesh")
+    assert bent.look().differs(before) == 0
+
+
+def test_folded_cells_are_red_and_counted_as_the_server_counts(bent):
+    assert (bent["folds"], bent.text("folds-note")) == ("0", "")
+    bent.page.select_option("#grid-size", "10")
+    bent.drag((140, 130), (330, 240))
+    assert int(bent.ready()["folds"]) > 0
+    folds = int(bent.of_server().headers["Warp-Folds"])
+    assert int(bent["folds"]) == folds
+    assert bent.text("folds-note").startswith(f"{folds} cells")
+    assert bent.page.locator("#folds").is_visible() and str(folds) in bent.text("folds")
+    # Red lies over them and over nothing else: a cell's middle tells.
+    answer = bent.server.ask("POST", f"/sessions/{bent['session']}/mesh", {"q": bent.warp()["q"]})
+    mesh, look = json.loads(answer.body), bent.look()
+    folded = upright = 0
+    for j in range(mesh["rows"] - 1):
+        for i in range(mesh["columns"] - 1):
+            a, b, c, d = (mesh["vertices"][k * mesh["columns"] + m] for k, m in ((j, i), (j, i + 1), (j + 1, i + 1), (j + 1, i)))
+            cross = lambda p, q, r, s: (q[0] - p[0]) * (s[1] - r[1]) - (q[1] - p[1]) * (s[0] - r[0])
+            corners = cross(a, b, a, d), cross(a, b, b, c), cross(d, c, b, c), cross(d, c, a, d)
+            folded += min(corners) <= 0
+            upright += min(corners) > 0
+    assert folded == folds and upright > 0
+    red = sum(1 for kept in look.mask("red").tobytes() if kept)
+    bent.page.click("#undo")
+    bent.ready()
+    assert (bent["folds"], bent.text("folds-note")) == ("0", "")
+    assert not bent.page.locator("#folds").is_visible()
+    assert red > 1.3 * sum(1 for kept in bent.look().mask("red").tobytes() if kept)
+
+
+def test_before_and_after(bent):
+    after = bent.look()
+    box = bent.page.locator("#before").bounding_box()
+    bent.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    bent.page.mouse.down()
+    before = bent.look()
+    for name, place in (("red", RED), ("green", GREEN), ("blue", BLUE)):
+        assert near(before.centre(name), place, 1), name
+    bent.page.mouse.up()
+    assert bent.look().differs(after) == 0
+    bent.page.click("#compare")
+    bent.page.locator("#compare-at").fill("50")
+    halves = bent.look()
+    # Left of the middle the original, right of it what it has become.
+    assert near(halves.centre("red"), RED, 1)
+    assert near(halves.centre("green"), after.centre("green"), 1)
+    # The edge between them is taken in the picture as well.
+    bent.drag((200, 20), (8, 20))
+    assert int(bent.page.locator("#compare-at").input_value()) <= 3
+    assert near(bent.look().centre("red"), (140, 130), 1.5)
+    bent.page.click("#compare")
+    assert bent.look().differs(after) == 0
+    assert (bent["handles"], bent["undo"]) == ("3", "5")
+
+
+def test_the_stages_are_told_in_milliseconds(bent):
+    for stage in ("queue", "plan", "deform", "trip"):
+        assert re.fullmatch(r"\d+\.\d+ ms", bent.text(f"timing-{stage}")), stage
+    png = bent.saved("download")[1]
+    assert bent.text("timing-size").startswith("400 × 300, ")
+    kib = float(re.search(r"([\d.]+) KiB", bent.text("timing-size"))[1])
+    assert abs(kib - len(png) / 1024) <= 0.5
+
+
+def test_numbers_are_typed_in_the_table(bent):
+    bent.page.fill("#q-1-0-y", "150")
+    bent.page.keyboard.press("Enter")
+    bent.page.fill("#p-2-0-x", "210")
+    bent.page.keyboard.press("Tab")
+    bent.ready()
+    warp = bent.warp()
+    assert warp["q"][1] == [280, 150] and warp["p"][2] == [210, BLUE[1]]
+    assert near(bent.look().centre("green"), (280, 150), 2.5)
+    # What is no number is not taken, and undo goes through the rest.
+    bent.page.fill("#q-1-0-y", "")
+    bent.page.keyboard.press("Tab")
+    assert bent.page.input_value("#q-1-0-y") == "150"
+    bent.page.click("#undo")
+    bent.page.click("#undo")
+    bent.ready()
+    assert bent.page.input_value("#q-1-0-y") == "110" and bent.page.input_value("#p-2-0-x") == "200"
+
+
+def test_all_are_put_back_and_all_are_deleted(bent, picture):
+    bent.page.click("#put-back-all")
+    bent.ready()
+    assert bent.warp()["p"] == bent.warp()["q"]
+    bent.page.click("#clear")
+    bent.body("[data-handles='0'][data-state=ready]")
+    png = bent.saved("download")[1]
+    same = Image.open(io.BytesIO(png)).convert("RGBA").tobytes() == Image.open(picture).convert("RGBA").tobytes()
+    assert same, "without handles the picture is as it came"
+    bent.page.click("#undo")
+    bent.page.click("#undo")
+    bent.body("[data-handles='3']").ready()
+    assert near(bent.posed(0), (140, 130), 0.6)
+
+
+def test_a_handle_is_added_in_the_middle(opened):
+    for tool, places in (("point", 1), ("line", 2), ("path", 3)):
+        opened.page.click(f"label:has(#tool-{tool})")
+        opened.page.click("#add")
+    opened.body("[data-handles='3']").ready()
+    rest = opened.warp()["p"]
+    assert near(rest[0], (200, 150), 1) and [len(h) for h in rest[1:]] == [2, 3]

@@ -1,0 +1,68 @@
+"""Five pictures of the page for people to look at. MLSWARP_BLESS=1 keeps them in `pictures/`; a run without it leaves its own among the artefacts."""
+
+import io
+import os
+
+import pytest
+from PIL import Image
+
+from support import HERE, KEPT
+
+MOST = 400 * 1024
+
+
+def portrait_with_mesh(visit):
+    visit.sample("portrait")
+    visit.page.click("#mesh")
+    visit.page.mouse.move(0, 0)
+
+
+def fold_warning(visit):
+    visit.sample("cat")
+    visit.page.select_option("#grid-size", "5")
+    visit.page.fill("#q-4-0-x", "215")
+    visit.page.keyboard.press("Enter")
+    assert int(visit.ready()["folds"]) > 0
+    visit.page.evaluate("document.activeElement.blur()")
+    visit.keys("Escape")
+
+
+def phone(visit):
+    visit.sample("portrait")
+
+
+def dark(visit):
+    visit.sample("rocket")
+    (x, y), (u, v) = visit.posed(0, 0), visit.posed(0, 1)
+    visit.click((x + u) / 2, (y + v) / 2)  # the rocket as a whole
+    visit.body("[data-selected='1']")
+
+
+PICTURES = {
+    "empty": (lambda visit: None, {"color_scheme": "light"}),
+    "portrait-mesh": (portrait_with_mesh, {"color_scheme": "light"}),
+    "fold-warning": (fold_warning, {"color_scheme": "light"}),
+    "phone": (phone, {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 2, "has_touch": True, "is_mobile": True}),
+    "dark": (dark, {"color_scheme": "dark"}),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_of_the_page(visits, name):
+    make, options = PICTURES[name]
+    visit = visits(**options)
+    make(visit)
+    visit.page.evaluate("document.fonts.ready")
+    shot = Image.open(io.BytesIO(visit.page.screenshot(path=KEPT / f"{name}.png"))).convert("RGB")
+    colours = shot.getcolors(maxcolors=shot.width * shot.height)
+    assert max(count for count, _ in colours) < 0.9 * shot.width * shot.height, "nothing is drawn"
+    kept = HERE / "pictures" / f"{name}.png"
+    if os.environ.get("MLSWARP_BLESS"):
+        # 256 colours are enough to look at, and a fraction of the bytes.
+        shot.quantize(256, kmeans=3, dither=Image.Dither.FLOYDSTEINBERG).save(kept, optimize=True)
+    assert Image.open(kept).size == shot.size, "the picture that is kept is of another page: MLSWARP_BLESS=1"
+    assert kept.stat().st_size <= MOST
+
+
+def test_no_picture_is_left_over():
+    assert {file.stem for file in (HERE / "pictures").iterdir()} == set(PICTURES)
