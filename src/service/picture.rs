@@ -78,6 +78,22 @@ impl Watch for Clock {
     }
 }
 
+/// A clock beside the one who waits.
+struct Attended<'a> {
+    clock: Clock,
+    answer: &'a oneshot::Sender<Result<Drawn, Problem>>,
+}
+
+impl Watch for Attended<'_> {
+    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
+        self.clock.around(stage, work);
+    }
+
+    fn is_wanted(&self) -> bool {
+        !self.answer.is_closed()
+    }
+}
+
 impl Clock {
     fn cost(&self) -> Cost {
         let read = |n: &AtomicU64| Duration::from_nanos(n.load(Ordering::Relaxed));
@@ -255,8 +271,9 @@ impl Easel {
     }
 
     fn whole(self, warp: &Warp, report: Report) {
-        let (begun, clock, mut file) = (Begun::new(&self.app), Clock::default(), Vec::new());
-        let flow = warp.write(0, &clock, &mut |bytes| {
+        let (begun, mut file) = (Begun::new(&self.app), Vec::new());
+        let watch = Attended { clock: Clock::default(), answer: &self.answer };
+        let flow = warp.write(0, &watch, &mut |bytes| {
             if file.is_empty() {
                 file = bytes
             } else {
@@ -267,7 +284,7 @@ impl Easel {
         if flow.is_continue() {
             begun.finish();
         }
-        let picture = Picture::Whole { bytes: file.into(), cost: clock.cost() };
+        let picture = Picture::Whole { bytes: file.into(), cost: watch.clock.cost() };
         drop(self.drawer);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());

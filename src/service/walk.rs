@@ -292,10 +292,9 @@ impl App {
     /// Unknown session, superseded, whatever is wrong with q, or no room.
     pub async fn drag(&self, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let turn = self.turn(id, drag.seq).await?;
-        let record = Arc::clone(&turn.record);
+        let (record, warm) = self.unless_superseded(&turn, self.warm_newest(Arc::clone(&turn.record))).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.over(&record.output) };
-        let warm = self.unless_superseded(&turn, self.warm(&record)).await?;
         self.draw_warm(warm, drag.q, record.folds, output).await
     }
 
@@ -310,8 +309,25 @@ impl App {
         self.pose_walked(ticket, walked, drag.q, &record, form).await
     }
 
-    /// All that a picture of the session is made of, under a ticket.
-    pub(super) async fn warm(&self, record: &Arc<Record>) -> Result<Warm, Problem> {
+    /// All that a picture of the session is made of, under a ticket. Where the session was made anew while this waited, its old file is gone: then of
+    /// the session as it is now.
+    pub(super) async fn warm_newest(&self, mut record: Arc<Record>) -> Result<(Arc<Record>, Warm), Problem> {
+        loop {
+            match self.warm(&record).await {
+                Ok(warm) => return Ok((record, warm)),
+                Err(problem) if problem.code == Code::NoSuchSession => {
+                    let newest = self.0.store.peek(record.id).await?.record;
+                    if newest.revision == record.revision {
+                        return Err(problem);
+                    }
+                    record = newest;
+                }
+                Err(problem) => return Err(problem),
+            }
+        }
+    }
+
+    async fn warm(&self, record: &Arc<Record>) -> Result<Warm, Problem> {
         let setup = self.session_setup(record).await?;
         let ticket = self.0.pool.admit().await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };

@@ -12,6 +12,9 @@ use crate::codec::{StripChecksum, Writer};
 /// A thread keeps its buffer of samples for the next strip up to this size, bytes: rows of ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
 
+/// Rows that are rendered between two looks at whether someone still waits: a strip of PNG has fewer.
+const BAND: usize = 256;
+
 /// A step of writing whose cost someone may want to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
@@ -25,6 +28,11 @@ pub enum Stage {
 pub trait Watch: Sync {
     /// Calls `work` exactly once.
     fn around(&self, stage: Stage, work: &mut dyn FnMut());
+
+    /// Someone still waits for the picture; asked between bands and before a strip is encoded.
+    fn is_wanted(&self) -> bool {
+        true
+    }
 }
 
 impl Watch for () {
@@ -77,7 +85,16 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            watch.around(Stage::Render, &mut || renderer.band(rows.clone(), &mut samples));
+            let bands = (rows.start..rows.end).step_by(BAND).zip(samples.chunks_mut(BAND * row));
+            for (first, band) in bands {
+                if watch.is_wanted() {
+                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + BAND as u32), band));
+                }
+            }
+            if !watch.is_wanted() {
+                self.gone.store(true, Ordering::Relaxed);
+                break;
+            }
             let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
             let mut checksum = (0, 0);
             watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes));

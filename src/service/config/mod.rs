@@ -40,7 +40,7 @@ pub enum Command {
         image: PathBuf,
         /// The warp object (JSON); `-` reads standard input.
         warp: PathBuf,
-        /// Where the PNG goes; `-` writes standard output.
+        /// Where the picture goes; `-` writes standard output.
         #[arg(short, long)]
         out: PathBuf,
     },

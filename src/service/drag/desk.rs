@@ -143,7 +143,6 @@ impl<F> Desk<F> {
     /// The hand has moved.
     pub fn pose(&mut self, pose: Pose) {
         self.last_pose = Some(pose.at);
-        self.preview = None;
         if self.waiting.replace(pose).is_some() {
             self.superseded += 1;
         }
@@ -160,7 +159,7 @@ impl<F> Desk<F> {
         if let Some(sent) = self.sent.take_if(|sent| sent.order.pose.seq == seq) {
             if let Some(width) = sent.order.width {
                 self.pace.shown(now, width, sent.made, now.saturating_duration_since(sent.since));
-                if width < self.full && self.waiting.is_none() && self.making.is_none() && self.ready.is_none() {
+                if width < self.full && self.ready.is_none() {
                     self.preview = Some(sent.order.pose);
                 }
             }
@@ -179,6 +178,7 @@ impl<F> Desk<F> {
     /// What was being made is there.
     pub fn made(&mut self, frame: F, now: Instant) {
         if let Some(Making { order, began }) = self.making.take() {
+            self.preview = None;
             self.ready = Some(Ready { frame, order, made: now.saturating_duration_since(began), since: now });
         }
     }
@@ -204,12 +204,15 @@ impl<F> Desk<F> {
 
     /// What to do now.
     pub fn next(&mut self, now: Instant) -> Step<F> {
-        if self.waiting.is_some() && self.making.as_ref().is_some_and(|making| making.order.again) {
-            self.making = None;
-            return Step::GiveUp;
-        }
         if self.waiting.is_some() {
-            self.ready.take_if(|ready| ready.order.again);
+            // The pose that waits may come to nothing: then the preview is still to be followed by a full frame.
+            if let Some(making) = self.making.take_if(|making| making.order.again) {
+                self.preview = Some(making.order.pose);
+                return Step::GiveUp;
+            }
+            if let Some(ready) = self.ready.take_if(|ready| ready.order.again) {
+                self.preview = Some(ready.order.pose);
+            }
         }
         if self.sent.is_none()
             && let Some(Ready { frame, order, made, .. }) = self.ready.take()
@@ -433,6 +436,30 @@ mod tests {
         assert_eq!(world.given_up, 1);
         world.rest(1000);
         assert_eq!(world.shown.iter().map(|(seq, _, again)| (*seq, *again)).collect::<Vec<_>>(), [(0, false), (1, false), (1, true)]);
+    }
+
+    #[test]
+    fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
+        for acknowledged_while_making in [false, true] {
+            let mut desk: Desk<()> = Desk::new(Pace::fixed(256), 512);
+            let start = Instant::now();
+            let pose = |seq| Pose { seq, q: Arc::default(), at: start };
+            desk.pose(pose(1));
+            assert!(matches!(desk.next(start), Step::Make(_)));
+            desk.made((), start);
+            assert!(matches!(desk.next(start), Step::Send(())));
+            if !acknowledged_while_making {
+                desk.ack(1, start).unwrap();
+            }
+            desk.pose(pose(2));
+            assert!(matches!(desk.next(start + MS), Step::Make(Order { again: false, .. })));
+            if acknowledged_while_making {
+                desk.ack(1, start + MS).unwrap();
+            }
+            assert!(desk.failed().is_some());
+            assert!(matches!(desk.next(start + MS), Step::Wait(Some(until)) if until == start + REST));
+            assert!(matches!(desk.next(start + REST), Step::Make(Order { pose: Pose { seq: 1, .. }, again: true, .. })));
+        }
     }
 
     #[test]

@@ -66,7 +66,7 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
     let q = order.pose.q.as_ref().clone();
     let frame = match form {
         Form::Picture(format) => {
-            let warm = app.warm(&record).await?;
+            let (record, warm) = app.warm_newest(record).await?;
             drop(turn);
             let shape = warm.shape(record.extent);
             let output = output(&record, format, order.width);

@@ -130,7 +130,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag,
         if drag.is_over() {
             return Ending::Close(CloseCode::Normal, "the session has ended");
         }
-        let (deadline, then) = life.deadline(drag, line, app.config());
+        let (deadline, _) = life.deadline(drag, line, app.config());
         let wake = due.map_or(deadline, |due| due.min(deadline));
         tokio::select! {
             heard = line.hear() => {
@@ -150,6 +150,8 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag,
             () = &mut draining => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = tokio::time::sleep_until(wake.into()) => {
                 let now = Instant::now();
+                // What has left meanwhile is progress.
+                let (deadline, then) = life.deadline(drag, line, app.config());
                 match then {
                     _ if now < deadline => {}
                     Then::Ping => {
@@ -185,8 +187,9 @@ impl Life {
             return (since + config.socket_timeout, Then::End("the client does not take what it is sent"));
         }
         let silence = match self.pinged {
-            None => (self.heard + config.socket_idle, Then::Ping),
-            Some(pinged) => (pinged + config.socket_idle, Then::End("no answer to a ping")),
+            // A client that takes what it is sent is there, and hears a ping after that.
+            None => (self.heard.max(line.wrote()) + config.socket_idle, Then::Ping),
+            Some(pinged) => (pinged.max(line.wrote()) + config.socket_idle, Then::End("no answer to a ping")),
         };
         let owed = drag.owed_since().filter(|_| line.is_clear()).map(|since| since.max(line.wrote()) + config.socket_timeout);
         match owed {

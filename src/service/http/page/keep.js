@@ -26,6 +26,14 @@ export function forget() {
   attempt(() => localStorage.removeItem(KEY));
 }
 
+/** Keeps what there is room for: all steps, or none. Never an older document: that would come back instead of the newest. */
+function keepText(storage, text) {
+  const keeps = (steps) => attempt(() => (storage.setItem(KEY, text(steps)), true), false);
+  if (keeps(STEPS) || keeps(0)) return true;
+  attempt(() => storage.removeItem(KEY));
+  return false;
+}
+
 export class Keeper {
   kept = false;
   #timer = 0;
@@ -46,9 +54,10 @@ export class Keeper {
     const more = state.phase === "open" ? this.whole() : null;
     if (!more) return;
     const document = state.before ?? state.document;
-    const text = JSON.stringify({ ...more, picture: state.picture, document, past: state.past.slice(-STEPS), future: state.future.slice(0, STEPS) });
-    this.kept = attempt(() => (sessionStorage.setItem(KEY, text), true), false) && more.file !== null;
-    attempt(() => localStorage.setItem(KEY, text));
+    const text = (steps) =>
+      JSON.stringify({ ...more, picture: state.picture, document, past: steps ? state.past.slice(-steps) : [], future: state.future.slice(0, steps) });
+    this.kept = keepText(sessionStorage, text) && more.file !== null;
+    keepText(localStorage, text);
     this.told();
   }
 }

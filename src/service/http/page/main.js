@@ -159,7 +159,13 @@ const taking = (act) => async () => {
     store.do("problem", { problem });
   }
 };
-const copying = (words, what) => taking(async (state) => toast((await copy(words(sync, state), find("copied"))) ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`));
+// A command or a link names the session: after a change of handles it may be another one.
+const copying = (words, what) =>
+  taking(async () => {
+    await sync.settled();
+    const copied = await copy(words(sync, store.state), find("copied"));
+    toast(copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`);
+  });
 find("download").addEventListener("click", taking(async (state) => save(await bentPicture(sync, store), pictureName(state.picture.name))));
 find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));

@@ -66,8 +66,9 @@ export class Opener {
 
   async #fresh(blob, name, document, sample, signal) {
     const object = await this.#upload(blob, name, document, signal);
+    await this.#use(object, document, { blob, name }, { picture: { name, sample } }, signal);
     this.link = null;
-    await this.#use(object, document, { blob, name }, { picture: { name, sample } });
+    this.told();
   }
 
   #upload(blob, name, document, signal) {
@@ -98,15 +99,15 @@ export class Opener {
   }
 
   /** A session and its document become what is seen. `file` null: the texture comes from the session. */
-  async #use(object, document, file, { picture, past, future, borrowed = false, fileKey }) {
+  async #use(object, document, file, { picture, past, future, borrowed = false, fileKey }, signal) {
     const { width, height } = object.image;
-    const source = file ?? { blob: await this.#identity(object), name: picture.name };
+    const source = file ?? { blob: await this.#identity(object, signal), name: picture.name };
     try {
-      await this.view.setPicture(source.blob, width, height);
+      await this.view.setPicture(source.blob, width, height, signal);
     } catch (error) {
       if (error?.name !== "EncodingError") throw error;
       // The server reads what this browser does not: then its own copy is shown.
-      await this.view.setPicture(await this.#identity(object), width, height);
+      await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
     }
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
@@ -117,20 +118,22 @@ export class Opener {
   }
 
   /** The session's picture as it came: q = p. */
-  async #identity(object) {
-    return (await api.picture(object.id, { q: object.p })).blob;
+  async #identity(object, signal) {
+    return (await api.picture(object.id, { q: object.p }, signal)).blob;
   }
 
   /** A link: the session it names, with the handles it carries. */
   openLink(hash) {
     const { session, warp, name } = readLink(hash);
-    return this.#attempt(name, async () => {
+    return this.#attempt(name, async (signal) => {
       if (warp === null) throw new api.Problem({ code: "bad_link" }, 0);
       const object = await api.readSession(session);
+      signal.throwIfAborted();
       const document = documentOf(warp ?? warpOfSession(object));
       if (!document) throw new api.Problem({ code: "bad_link" }, 0);
+      await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true }, signal);
       this.link = hash;
-      await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true });
+      this.told();
     });
   }
 
@@ -145,8 +148,9 @@ export class Opener {
       if (!object && !file) throw new api.Problem({ code: "session_expired" }, 410);
       const borrowed = kept.borrowed && Boolean(object);
       object ??= await this.#upload(file.blob, file.name, kept.document, signal);
+      await this.#use(object, kept.document, file, { ...kept, borrowed, fileKey: file ? kept.file : null }, signal);
       this.link = kept.link;
-      await this.#use(object, kept.document, file, { ...kept, borrowed, fileKey: file ? kept.file : null });
+      this.told();
     });
   }
 }

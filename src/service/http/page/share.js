@@ -34,8 +34,8 @@ export function handlesText(document) {
 /** In single quotes, for a POSIX shell. */
 const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`);
 
-/** A file name in a form field of curl: in double quotes where curl would read a part of it as something else. */
-const formFile = (name) => (/[",;\\]/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
+/** A file name in a form field of curl: in double quotes where curl would read a part of it as something else; `-` alone is its standard input. */
+const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
 
 /** A command that answers the bytes of "Download PNG". */
 export function curlLine(sync, { picture, document: bent }) {

@@ -80,7 +80,9 @@ export class Sync {
 
   #adopt(object, rest, borrowed = false) {
     this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), setup: setupOf(object), borrowed };
-    this.#seq = Math.max(this.#seq, object.seq ?? 0);
+    // Beyond 2^53 numbers are not exact here: such a session is left for one of its own when it refuses (`#after`).
+    const seq = object.seq ?? 0;
+    if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
     this.#tell();
   }
@@ -273,7 +275,9 @@ export class Sync {
     if (phase !== "open" || !this.session) return false;
     try {
       if (error.code === "superseded") {
-        this.#seq = (await api.readSession(this.session.id)).seq ?? 0;
+        const seq = (await api.readSession(this.session.id)).seq ?? 0;
+        if (Number.isSafeInteger(seq) && this.#retries++ < 3) this.#seq = seq;
+        else await this.#reopen(restOf(document));
         return true;
       }
       // Shapes that do not match: somebody else gave the session other handles.

@@ -59,17 +59,27 @@ export class View {
   }
 
   /** Another picture: its file is the texture and the "before". */
-  async setPicture(blob, width, height) {
-    this.size = [width, height];
-    this.#setMesh(null);
+  async setPicture(blob, width, height, signal) {
     const original = await this.#load("original", blob, "The picture as it came");
-    this.#swap(original);
-    this.#swap(await this.#load("picture", blob, "The picture"));
+    const picture = await this.#load("picture", blob, "The picture");
+    let texture = null;
     if (this.webgl !== "none") {
       const most = Math.min(1, this.painter.longestSide / Math.max(width, height));
       const wish = { premultiplyAlpha: "premultiply", ...(most < 1 && { resizeWidth: Math.floor(width * most), resizeQuality: "high" }) };
-      this.painter.setSource(await createImageBitmap(original, wish), width, height);
+      texture = await createImageBitmap(original, wish);
     }
+    if (signal.aborted) {
+      // Another picture was opened meanwhile: what is seen is its.
+      this.#release(original);
+      this.#release(picture);
+      texture?.close();
+      signal.throwIfAborted();
+    }
+    this.size = [width, height];
+    this.#setMesh(null);
+    this.#swap(original);
+    this.#swap(picture);
+    if (texture) this.painter.setSource(texture, width, height);
     this.source = "source";
     this.#fitted = true;
   }
