@@ -345,11 +345,11 @@ async fn eight_hands_on_one_session_see_their_own_poses() {
 
 #[tokio::test]
 async fn a_drag_keeps_its_session_alive() {
-    let server = Server::start(&["--session-idle", "1s"]).await;
+    let server = Server::start(&["--session-idle", "4s"]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     let mut hand = Hand::open(server.address, &id, "").await;
-    for seq in 0..8 {
-        tokio::time::sleep(Duration::from_millis(250)).await;
+    for seq in 0..12 {
+        tokio::time::sleep(Duration::from_millis(400)).await;
         hand.pose(seq, &posed(seq)).await;
         assert!(matches!(hand.next().await, Said::Frame(..)));
         hand.ack(seq).await;

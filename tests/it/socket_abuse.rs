@@ -199,8 +199,8 @@ fn resident(program: &Program) -> u64 {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
-    // Nobody is closed for taking nothing while the others come.
-    let program = Program::start(&["--socket-timeout", "10m"]);
+    // Nobody is closed for taking nothing and saying nothing while the others come.
+    let program = Program::start(&["--socket-timeout", "10m", "--socket-idle", "10m"]);
     let http = reqwest::Client::new();
     let session = async |picture: Vec<u8>| {
         let url = format!("http://{}/sessions", program.address);

@@ -206,11 +206,14 @@ mod tests {
     #[test]
     fn the_query_says_what_frames_are() {
         let read = |query: &str| wishes(Some(query), 16384);
-        let png = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
-        assert_eq!(wishes(None, 16384), Ok(png));
-        assert_eq!(read("frames=png&width=auto&report=false"), Ok(png));
-        assert_eq!(read("width=1024&report=true"), Ok(Wishes { width: PreviewWidth::Fixed(1024), report: true, ..png }));
-        assert_eq!(read("frames=mesh"), Ok(Wishes { form: Form::Mesh, ..png }));
+        let usual = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
+        assert_eq!(wishes(None, 16384), Ok(usual));
+        assert_eq!(read("width=auto&report=false"), Ok(usual));
+        assert_eq!(read("width=1024&report=true"), Ok(Wishes { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
+        assert_eq!(read("frames=mesh"), Ok(Wishes { form: Form::Mesh, ..usual }));
+        for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP)] {
+            assert_eq!(read(&format!("frames={name}")), Ok(Wishes { form: Form::Picture(Some(format)), ..usual }));
+        }
         for (query, code) in [
             ("frames=gif", Code::BadValue),
             ("frames", Code::BadValue),
