@@ -98,5 +98,5 @@ export const HINTS = {
 export function limitWords({ body, pixels, idle }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${Math.round(pixels / 1e6)} megapixels. The server keeps it in memory only and forgets it after ${time}.`;
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it in memory only and forgets it after ${time}.`;
 }
