@@ -261,7 +261,7 @@ mod tests {
         let deep = [0_u16, 128, 129, 257, 32_639, 32_768, 65_406, 65_407, 65_535, 300, 400, 500];
         let samples: Vec<u8> = deep.iter().flat_map(|s| s.to_be_bytes()).collect();
         let back = written(extent, Channels::Rgb, Depth::Sixteen, &samples, Encoding::WebP, None);
-        let nearest: Vec<u8> = deep.iter().map(|s| (f64::from(*s) / 257.0).round() as u8).collect();
+        let nearest: Vec<u8> = deep.iter().map(|s| u8::try_from((2 * u32::from(*s) + 257) / 514).unwrap()).collect();
         assert_eq!(eight(&back), nearest);
     }
 
@@ -271,7 +271,7 @@ mod tests {
         let samples = waves(extent, Channels::Rgb);
         let mut profile = vec![0; 70_000];
         profile[16..20].copy_from_slice(b"RGB ");
-        profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = (k % 251) as u8);
+        profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
         for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP] {
             let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
             assert!(back.icc.as_deref() == Some(profile.as_slice()), "{encoding:?}");

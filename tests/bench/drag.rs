@@ -13,6 +13,7 @@
 )]
 
 #[path = "request/client.rs"]
+#[allow(dead_code, reason = "shared with `request`, which measures with it")]
 mod client;
 #[path = "drag/hand.rs"]
 mod hand;

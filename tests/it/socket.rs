@@ -137,11 +137,9 @@ async fn the_next_frame_waits_for_the_acknowledgement() {
     let begun = server.app.counters().pictures_begun;
     assert!(begun <= 2, "one sent and one ahead, not {begun}");
     hand.ack(1).await;
-    // The one that was made ahead has grown old meanwhile.
-    let (seq, _) = hand.frame().await;
-    assert_eq!(seq, 19);
-    assert!(hand.next_within(Duration::from_millis(300)).await.is_none());
-    hand.ack(19).await;
+    // What was made ahead has grown old meanwhile, unless making takes as long as this client was silent.
+    let seqs: Vec<u64> = hand.show_until(19).await.into_iter().map(|(seq, _)| seq).collect();
+    assert!(seqs.len() <= 2, "{seqs:?}");
     assert!(hand.next_within(Duration::from_millis(300)).await.is_none(), "a full frame is made once");
 }
 

@@ -34,17 +34,23 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let top = rows.trailing_zeros();
     let y0 = line(canvas.first + top).wrapping_sub(piece.y);
-    let down = piece.edges.map(|[_, gy, _]| _mm256_set1_epi32(gy.wrapping_mul(ONE)));
-    let [[u0, us, ut], [v0, vs, vt]] = [piece.u, piece.v].map(|axis| axis.map(|value| _mm256_set1_ps(value)));
+    // Loops, not `map`: its closures are not compiled for this level.
+    let mut down = [_mm256_setzero_si256(); 4];
+    for (down, [_, gy, _]) in down.iter_mut().zip(piece.edges) {
+        *down = _mm256_set1_epi32(gy.wrapping_mul(ONE));
+    }
+    let [u0, us, ut] = [_mm256_set1_ps(piece.u[0]), _mm256_set1_ps(piece.u[1]), _mm256_set1_ps(piece.u[2])];
+    let [v0, vs, vt] = [_mm256_set1_ps(piece.v[0]), _mm256_set1_ps(piece.v[1]), _mm256_set1_ps(piece.v[2])];
     let coordinate = |at: __m256, s: __m256, t: __m256, per_s: __m256, per_t: __m256| {
         _mm256_add_ps(_mm256_add_ps(at, _mm256_mul_ps(s, per_s)), _mm256_mul_ps(t, per_t))
     };
     for at in (from..to).step_by(LANES) {
         let x = column(at).wrapping_sub(piece.x);
-        let mut inside = piece.edges.map(|[gx, gy, g]| {
+        let mut inside = [_mm256_setzero_si256(); 4];
+        for (inside, [gx, gy, g]) in inside.iter_mut().zip(piece.edges) {
             let first = gx.wrapping_mul(x).wrapping_add(gy.wrapping_mul(y0)).wrapping_add(g);
-            _mm256_add_epi32(_mm256_set1_epi32(first), _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(ONE)), lanes))
-        });
+            *inside = _mm256_add_epi32(_mm256_set1_epi32(first), _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(ONE)), lanes));
+        }
         #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
         let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
