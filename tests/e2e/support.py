@@ -242,11 +242,12 @@ class Visit:
     # What is seen
 
     def look(self):
-        """The picture as it is seen on the stage, without the handles on it."""
-        svg = "document.querySelector('#handles').style.opacity"
-        self.page.evaluate(f"{svg} = 0")
+        """The picture as it is seen on the stage, without the handles and bars on it."""
+        over = "#handles, #work > :not(#stage), main > :not(#work)"
+        fade = f"(opacity) => document.querySelectorAll('{over}').forEach((node) => (node.style.opacity = opacity))"
+        self.page.evaluate(fade, "0")
         shot = self.page.screenshot(scale="css")
-        self.page.evaluate(f"{svg} = ''")
+        self.page.evaluate(fade, "")
         width, height = self.page.evaluate("(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))")
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
 
@@ -337,6 +338,8 @@ class Fingers:
                 a = begun[name]
                 self.down[ord(name[0])] = tuple(p + (q - p) * step / steps for p, q in zip(a, spot))
             self._send("touchMove")
+        # The browser hands moves to the page with its frames.
+        self.visit.page.evaluate("new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
 
     def lift(self, *names):
         for name in names or [chr(id) for id in list(self.down)]:
