@@ -13,7 +13,7 @@ use crate::codec::{StripChecksum, Writer};
 const KEPT: usize = 2 << 20;
 
 /// Rows that are rendered between two looks at whether someone still waits: a strip of PNG has fewer.
-const BAND: usize = 256;
+const BAND: u32 = 256;
 
 /// A step of writing whose cost someone may want to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,10 +85,10 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let bands = (rows.start..rows.end).step_by(BAND).zip(samples.chunks_mut(BAND * row));
+            let bands = (rows.start..rows.end).step_by(BAND as usize).zip(samples.chunks_mut(BAND as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {
-                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + BAND as u32), band));
+                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + BAND), band));
                 }
             }
             if !watch.is_wanted() {
