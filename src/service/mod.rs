@@ -2,6 +2,7 @@
 //! of [`http`]; every error is a [`Problem`].
 
 pub mod cache;
+pub mod client;
 pub mod config;
 pub mod drag;
 pub mod formats;

@@ -3,28 +3,60 @@
 
 use std::collections::HashMap;
 use std::fmt;
-use std::str::FromStr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use tokio::sync::watch;
 use uuid::{Uuid, Variant};
 
-/// A UUID of version 4: 122 bits of the operating system's randomness, so that nobody guesses another's session.
+use super::client::Owner;
+
+/// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
+/// among those of its owner. Written, it is the UUID alone.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct SessionId(Uuid);
+pub struct SessionId {
+    owner: Owner,
+    uuid: Uuid,
+}
 
 impl SessionId {
     /// A new name.
     #[must_use]
-    pub fn random() -> Self {
-        Self(Uuid::new_v4())
+    pub fn random(owner: Owner) -> Self {
+        Self { owner, uuid: Uuid::new_v4() }
     }
 
-    /// The 16 bytes of the name.
+    /// Reads a name, in the hyphenated form alone: one session has one name.
+    ///
+    /// # Errors
+    /// It is no UUID of version 4.
+    pub fn parse(owner: Owner, text: &str) -> Result<Self, NotASessionId> {
+        let uuid = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
+        let version_4 = uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122;
+        if text.len() == 36 && version_4 { Ok(Self { owner, uuid }) } else { Err(NotASessionId) }
+    }
+
+    /// Whose session it is.
     #[must_use]
-    pub const fn as_bytes(&self) -> &[u8; 16] {
-        self.0.as_bytes()
+    pub const fn owner(&self) -> Owner {
+        self.owner
+    }
+
+    /// Owner and name, for stores.
+    #[must_use]
+    pub fn to_bytes(&self) -> [u8; 32] {
+        let mut bytes = [0; 32];
+        bytes[..16].copy_from_slice(&self.owner.to_bytes());
+        bytes[16..].copy_from_slice(self.uuid.as_bytes());
+        bytes
+    }
+
+    /// What [`SessionId::to_bytes`] gave.
+    #[must_use]
+    pub fn from_bytes(bytes: &[u8; 32]) -> Self {
+        let (owner, uuid) = bytes.split_at(16);
+        let half = |half: &[u8]| half.try_into().expect("half of 32 bytes");
+        Self { owner: Owner::from_bytes(half(owner)), uuid: Uuid::from_bytes(half(uuid)) }
     }
 }
 
@@ -51,27 +83,16 @@ impl Revision {
 #[error("not a UUID of version 4")]
 pub struct NotASessionId;
 
-impl FromStr for SessionId {
-    type Err = NotASessionId;
-
-    /// Hyphenated form alone: one session has one name.
-    fn from_str(text: &str) -> Result<Self, NotASessionId> {
-        let id = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
-        let version_4 = id.get_version_num() == 4 && id.get_variant() == Variant::RFC4122;
-        if text.len() == 36 && version_4 { Ok(Self(id)) } else { Err(NotASessionId) }
-    }
-}
-
 impl fmt::Display for SessionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
+        self.uuid.fmt(f)
     }
 }
 
 /// Shortened: whoever reads a log must not be able to use the session.
 impl fmt::Debug for SessionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:.8}..", self.0.to_string())
+        write!(f, "{:.8}..", self.uuid.to_string())
     }
 }
 
@@ -141,27 +162,37 @@ mod tests {
 
     #[test]
     fn names_are_hyphenated_uuids_of_version_4() {
-        let id = SessionId::random();
-        assert_eq!(id.to_string().parse(), Ok(id));
+        let parse = |text: &str| SessionId::parse(Owner::ANYBODY, text);
+        let id = SessionId::random(Owner::ANYBODY);
+        assert_eq!(parse(&id.to_string()), Ok(id));
         for text in ["", "x", "00000000-0000-0000-0000-000000000000", "6ba7b810-9dad-11d1-80b4-00c04fd430c8"] {
-            assert_eq!(text.parse::<SessionId>(), Err(NotASessionId), "{text}");
+            assert_eq!(parse(text), Err(NotASessionId), "{text}");
         }
-        assert!(id.to_string().replace('-', "").parse::<SessionId>().is_err());
+        assert!(parse(&id.to_string().replace('-', "")).is_err());
+    }
+
+    #[test]
+    fn one_name_of_two_owners_is_two_sessions() {
+        let other = Owner::from_bytes([7; 16]);
+        let id = SessionId::random(other);
+        assert_ne!(SessionId::parse(Owner::ANYBODY, &id.to_string()), Ok(id));
+        assert_eq!(SessionId::parse(other, &id.to_string()), Ok(id));
+        assert_eq!(SessionId::from_bytes(&id.to_bytes()), id);
     }
 
     #[test]
     fn a_log_does_not_give_a_session_away() {
-        let id = SessionId::random();
+        let id = SessionId::random(Owner::ANYBODY);
         assert!(format!("{id:?}").len() < 12);
     }
 
     #[tokio::test]
     async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
         let lanes = Lanes::default();
-        let id = (SessionId::random(), SystemTime::now());
+        let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
         let old = lanes.enter(id, 4);
         let retry = lanes.enter(id, 4);
-        let other = lanes.enter((SessionId::random(), id.1), 1);
+        let other = lanes.enter((SessionId::random(Owner::ANYBODY), id.1), 1);
         let replaced = lanes.enter((id.0, id.1 + Duration::from_nanos(1)), 1);
         assert!(!old.is_superseded() && !retry.is_superseded());
         let waiting = tokio::spawn(async move {
@@ -177,7 +208,7 @@ mod tests {
     #[test]
     fn a_lane_goes_with_its_last_request() {
         let lanes = Lanes::default();
-        let id = (SessionId::random(), SystemTime::now());
+        let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
         let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
         drop(a);
         assert_eq!(lanes.lock().len(), 1);

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 
+use super::client::Client;
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
 use super::pool::{Cancel, PoolError, Ticket};
@@ -169,18 +170,18 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with either, or no room.
-    pub async fn open(&self, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit().await?;
         let (material, ..) = self.prepare(&ticket, file, json, None).await?;
-        self.keep(material).await
+        self.keep(client, material).await
     }
 
     /// Makes a session of what was warped.
     ///
     /// # Errors
     /// No room.
-    pub async fn keep(&self, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
-        let (record, file, setup) = material.recorded(SessionId::random());
+    pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+        let (record, file, setup) = material.recorded(SessionId::random(client.owner));
         let session = self.0.store.create(record, file).await?;
         self.know(&session.record, &setup).await?;
         Ok((session, setup))
@@ -542,10 +543,7 @@ fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpO
 
 /// Records never change, so name and revision stand for the setup.
 fn shelf_key(record: &Record) -> Digest {
-    let mut key = [0; 32];
-    key[..16].copy_from_slice(record.id.as_bytes());
-    key[16..].copy_from_slice(record.revision.as_bytes());
-    Digest(key)
+    Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat())
 }
 
 /// Columns of a session's plan: what its drags may send follows from it.

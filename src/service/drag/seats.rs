@@ -97,16 +97,17 @@ impl Drop for Seat {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::client::Owner;
 
     #[tokio::test]
     async fn seats_are_bounded_in_all_and_for_a_session_and_given_back() {
         let seats = Seats::new(OF_A_SESSION + 1, 4);
-        let (one, other) = (SessionId::random(), SessionId::random());
+        let (one, other) = (SessionId::random(Owner::ANYBODY), SessionId::random(Owner::ANYBODY));
         let mut held: Vec<Seat> = (0..OF_A_SESSION).map(|_| seats.take(one).unwrap()).collect();
         let refused = seats.take(one).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::Overloaded, Some("session_sockets"), Some(RETRY)));
         held.push(seats.take(other).unwrap());
-        assert_eq!(seats.take(SessionId::random()).unwrap_err().what, Some("sockets"));
+        assert_eq!(seats.take(SessionId::random(Owner::ANYBODY)).unwrap_err().what, Some("sockets"));
         held.remove(0);
         held.push(seats.take(one).unwrap());
         assert_eq!(seats.taken(), OF_A_SESSION + 1);

@@ -1,10 +1,11 @@
 //! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane), the
 //! body's limit and deadline, panics, the request's own deadline, problem documents, and one log line.
 
+use std::net::SocketAddr;
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{ConnectInfo, MatchedPath, Request, State};
 use axum::http::header::{CONTENT_LENGTH, EXPECT};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::middleware::Next;
@@ -15,18 +16,21 @@ use uuid::Uuid;
 use super::body::{Guard, too_large};
 use super::refuse::finish;
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::pool::panic_text;
 use crate::service::problem::{Code, Problem};
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const LONGEST_REQUEST_ID: usize = 64;
 
-pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) -> Response {
+pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     let method = request.method().clone();
     // The pattern, never the path: a log must not hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
+    let client = client(&request);
+    request.extensions_mut().insert(client);
     let mut response = finish(answer(&app, request, next, &id).await, &id);
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
@@ -58,6 +62,12 @@ async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
             Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
         }
     }
+}
+
+/// Who asks.
+fn client(request: &Request) -> Client {
+    let peer = request.extensions().get::<ConnectInfo<SocketAddr>>();
+    peer.map_or_else(Client::default, |ConnectInfo(peer)| Client { address: peer.ip().to_canonical(), ..Client::default() })
 }
 
 /// The client's id where it is a short plain word, otherwise a new one.

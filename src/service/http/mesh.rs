@@ -1,5 +1,6 @@
 //! `POST /sessions/{id}/mesh`: the posed grid, for clients that draw by themselves.
 
+use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::response::Response;
 
@@ -8,6 +9,7 @@ use super::sessions::session_id;
 use super::warp::drag_limit;
 use super::{accept, answer};
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::problem::Problem;
 use crate::service::walk::{MeshForm, columns};
 use crate::service::wire::DragObject;
@@ -15,9 +17,14 @@ use crate::service::wire::DragObject;
 const FORMS: [(&str, MeshForm); 2] = [("application/json", MeshForm::Json), ("application/octet-stream", MeshForm::Numbers)];
 
 /// The posed grid as JSON, or as little-endian f32.
-pub(super) async fn mesh(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn mesh(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
-    let id = session_id(&id)?;
+    let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse_posed(&body)?;

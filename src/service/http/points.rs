@@ -1,5 +1,6 @@
 //! `POST /points` and `POST /sessions/{id}/points`: places mapped by f exactly, not by the grid.
 
+use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::response::Response;
 use serde::Serialize;
@@ -9,6 +10,7 @@ use super::body::json;
 use super::sessions::session_id;
 use crate::geometry::Point;
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::problem::Problem;
 use crate::service::wire::Wire;
 
@@ -23,8 +25,13 @@ pub(super) async fn once(State(app): State<App>, request: Request) -> Result<Res
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }
 
-pub(super) async fn of_session(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let id = session_id(&id)?;
+pub(super) async fn of_session(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let id = session_id(client, &id)?;
     app.session(id).await?;
     let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
     let mapped = app.map_session(id, body).await?;

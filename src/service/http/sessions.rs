@@ -2,6 +2,7 @@
 
 use std::time::SystemTime;
 
+use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderValue, StatusCode};
@@ -10,6 +11,7 @@ use axum::response::{IntoResponse as _, Response};
 use super::answer::json;
 use super::{body, upload};
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
 use crate::service::store::{Put, Session};
@@ -17,15 +19,21 @@ use crate::service::wire::{SessionGrid, SessionImage, SessionObject, Wire};
 use crate::warp::Setup;
 
 /// A new session, its picture decoded and its table filled: the first drag finds both.
-pub(super) async fn create(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn create(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&app, request).await?;
-    let (session, setup) = app.open(upload.image, upload.warp).await?;
+    let (session, setup) = app.open(client, upload.image, upload.warp).await?;
     Ok((StatusCode::CREATED, [(LOCATION, location(session.record.id))], object(&session, &setup)).into_response())
 }
 
 /// The session of a name that the client chose: 201 when it is new, 200 when it was there, made from the same or made anew.
-pub(super) async fn put(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let id = id.parse().map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
+pub(super) async fn put(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let id = SessionId::parse(client.owner, &id)
+        .map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
     let upload = upload::read(&app, request).await?;
     let (put, setup) = app.put(id, upload.image, upload.warp).await?;
     Ok(match put {
@@ -35,8 +43,13 @@ pub(super) async fn put(State(app): State<App>, Path(id): Path<String>, request:
 }
 
 /// Other handles at rest on the session's picture.
-pub(super) async fn handles(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let id = session_id(&id)?;
+pub(super) async fn handles(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let id = session_id(client, &id)?;
     app.session(id).await?;
     let body = body::json(request, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
     let (session, setup) = app.revise(id, body).await?;
@@ -44,15 +57,23 @@ pub(super) async fn handles(State(app): State<App>, Path(id): Path<String>, requ
 }
 
 /// The session object. Looking does not prolong its life.
-pub(super) async fn read(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
-    let session = app.session(session_id(&id)?).await?;
+pub(super) async fn read(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    let session = app.session(session_id(client, &id)?).await?;
     let setup = app.session_setup(&session.record).await?;
     Ok(object(&session, &setup))
 }
 
 /// Ends the session.
-pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
-    app.close(session_id(&id)?).await?;
+pub(super) async fn delete(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Problem> {
+    app.close(session_id(client, &id)?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -61,8 +82,8 @@ fn location(id: SessionId) -> HeaderValue {
 }
 
 /// What is no id names no session.
-pub(super) fn session_id(text: &str) -> Result<SessionId, Problem> {
-    text.parse().map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
+pub(super) fn session_id(client: Client, text: &str) -> Result<SessionId, Problem> {
+    SessionId::parse(client.owner, text).map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
 }
 
 fn object(session: &Session, setup: &Setup) -> Response {

@@ -3,6 +3,7 @@
 
 use std::time::Instant;
 
+use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
@@ -18,6 +19,7 @@ use super::sessions::session_id;
 use super::warp::drag_limit;
 use crate::codec::Format;
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::config::Config;
 use crate::service::drag::bucket::Bucket;
 use crate::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
@@ -30,7 +32,12 @@ const MESSAGES: (f64, f64) = (1000.0, 2000.0);
 const SEND_BUFFER: usize = 512 << 10;
 
 /// Opens the socket.
-pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, mut request: Request) -> Response {
+pub(super) async fn drag(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    mut request: Request,
+) -> Response {
     let answer = match handshake::accept(&request) {
         Ok(answer) => answer,
         Err(refusal) => return refusal,
@@ -39,7 +46,7 @@ pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, mut req
         Ok(wishes) => wishes,
         Err(problem) => return problem.into_response(),
     };
-    let drag = match open(&app, &id, wishes).await {
+    let drag = match open(&app, client, &id, wishes).await {
         Ok(drag) => drag,
         Err(problem) => return problem.into_response(),
     };
@@ -61,8 +68,8 @@ pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, mut req
     answer
 }
 
-async fn open(app: &App, id: &str, wishes: Wishes) -> Result<Drag, Problem> {
-    app.open_drag(session_id(id)?, wishes).await
+async fn open(app: &App, client: Client, id: &str, wishes: Wishes) -> Result<Drag, Problem> {
+    app.open_drag(session_id(client, id)?, wishes).await
 }
 
 /// `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. What is not known is refused.

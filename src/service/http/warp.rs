@@ -1,5 +1,6 @@
 //! `POST /warp` and `POST /sessions/{id}/warp`: pictures.
 
+use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderName, HeaderValue};
@@ -10,6 +11,7 @@ use super::body::{json, media_type, too_large};
 use super::sessions::session_id;
 use super::{accept, upload};
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
 use crate::service::walk::columns;
@@ -20,14 +22,14 @@ const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 
 /// A file and a warp object, or a session's id and q.
-pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
     let keeps = keeps_session(request.uri().query())?;
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         let upload = upload::read(&app, request).await?;
         let (drawn, material) = app.warp_once(upload.image, upload.warp, formats).await?;
-        let session = if keeps { Some(app.keep(material).await?.0.record.id) } else { None };
+        let session = if keeps { Some(app.keep(client, material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
             name_session(&mut response, id);
@@ -43,7 +45,7 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
     }
     let body = json(request, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
     let drag = DragObject::parse(&body, true)?;
-    let id = session_id(drag.session.as_deref().unwrap_or_default())?;
+    let id = session_id(client, drag.session.as_deref().unwrap_or_default())?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
@@ -52,10 +54,15 @@ pub(super) async fn warp(State(app): State<App>, request: Request) -> Result<Res
 }
 
 /// q alone.
-pub(super) async fn drag(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn drag(
+    State(app): State<App>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
-    let id = session_id(&id)?;
+    let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
     let body = json(request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse(&body, false)?;

@@ -271,6 +271,7 @@ impl Store for MemoryStore {
 mod tests {
     use super::*;
     use crate::pixmap::Extent;
+    use crate::service::client::Owner;
     use crate::warp::{Folds, OutputSpec, RestSpec};
 
     const IDLE: Duration = Duration::from_millis(150);
@@ -281,7 +282,7 @@ mod tests {
 
     fn record(image: u8) -> Arc<Record> {
         Arc::new(Record {
-            id: SessionId::random(),
+            id: SessionId::random(Owner::ANYBODY),
             revision: Revision::random(),
             image: Digest([image; 32]),
             extent: Extent::new(4, 3).unwrap(),
