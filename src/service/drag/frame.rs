@@ -82,7 +82,7 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
             let shape = walked.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers).await?;
             let report = told(seq, (record.extent.width(), record.extent.height()), true, &report, timing, Cost::default());
-            Frame { seq, record, shape, pieces: vec![body.into()], report }
+            Frame { seq, record, shape, pieces: vec![body], report }
         }
     };
     Ok(frame)
