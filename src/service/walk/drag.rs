@@ -55,6 +55,11 @@ impl Walked {
 }
 
 impl Warm {
+    /// The right to compute.
+    pub(in crate::service) const fn ticket(&self) -> &Ticket {
+        &self.ticket
+    }
+
     /// The grid over its picture.
     pub(in crate::service) fn shape(&self, extent: Extent) -> MeshShape {
         self.walked.shape(extent)
