@@ -32,6 +32,8 @@ impl App {
     /// # Errors
     /// No room.
     pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+        // Its picture was bent once so far; now it will be again.
+        let _ = self.0.images.has(material.digest);
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
         let session = self.0.store.create(record, file).await?;
         self.know(&session.record, &setup).await?;
