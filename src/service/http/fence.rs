@@ -46,19 +46,19 @@ async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
     let config = app.config();
     let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
     let waits_for_permission = request.headers().contains_key(EXPECT);
-    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.body_timeout, waits_for_permission));
+    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.doors.body_timeout, waits_for_permission));
     if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
         return too_large("body_bytes", config.max_body_bytes, length).into_response();
     }
     let run = AssertUnwindSafe(next.run(request)).catch_unwind();
-    match tokio::time::timeout(config.request_timeout, run).await {
+    match tokio::time::timeout(config.doors.request_timeout, run).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
             tracing::error!(message = panic_text(panic.as_ref()), id, "a handler panicked");
             Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
         }
         Err(_) => {
-            let seconds = config.request_timeout.as_secs_f64();
+            let seconds = config.doors.request_timeout.as_secs_f64();
             Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
         }
     }

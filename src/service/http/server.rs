@@ -81,22 +81,22 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let handle = Handle::new();
-    let mut server = axum_server::from_tcp(listener)?.handle(handle.clone()).acceptor(FirstByte { within: config.header_timeout });
-    server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(config.header_timeout);
+    let mut server = axum_server::from_tcp(listener)?.handle(handle.clone()).acceptor(FirstByte { within: config.doors.header_timeout });
+    server.http_builder().http1().timer(TokioTimer::new()).header_read_timeout(config.doors.header_timeout);
     server
         .http_builder()
         .http2()
         .timer(TokioTimer::new())
         .max_concurrent_streams(STREAMS)
-        .keep_alive_interval(config.header_timeout)
-        .keep_alive_timeout(config.header_timeout);
+        .keep_alive_interval(config.doors.header_timeout)
+        .keep_alive_timeout(config.doors.header_timeout);
     tracing::info!(workers = config.workers, queue = config.queue, "listening on http://{address}");
     let (service, sockets) = (router(app.clone()).into_make_service_with_connect_info::<SocketAddr>(), app.clone());
     tokio::spawn(async move {
         stop.await;
         app.drain();
-        tracing::info!(grace = ?config.shutdown_grace, connections = handle.connection_count(), "stopping");
-        handle.graceful_shutdown(Some(config.shutdown_grace));
+        tracing::info!(grace = ?config.doors.shutdown_grace, connections = handle.connection_count(), "stopping");
+        handle.graceful_shutdown(Some(config.doors.shutdown_grace));
     });
     server.serve(service).await?;
     // Their connections are no longer the server's; each says that it closes and waits for no one.
