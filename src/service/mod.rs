@@ -4,6 +4,7 @@
 pub mod cache;
 pub mod client;
 pub mod config;
+pub mod doors;
 pub mod drag;
 pub mod formats;
 pub mod health;
@@ -24,6 +25,7 @@ use std::time::Duration;
 
 use cache::Shelf;
 use config::Config;
+use doors::Doors;
 use drag::seats::Seats;
 use pool::{Pool, PoolError};
 use problem::{Code, Problem};
@@ -48,6 +50,7 @@ pub struct App(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     config: Config,
+    doors: Doors,
     pool: Pool,
     images: Shelf<Image>,
     plans: Shelf<Plan>,
@@ -122,6 +125,7 @@ impl App {
     /// The operating system gives no threads.
     pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, pool::NoThreads> {
         Ok(Self(Arc::new(Shared {
+            doors: Doors::new(&config.doors),
             pool: Pool::new(config.workers, config.queue)?,
             images: Shelf::new("images", config.image_cache_bytes, Image::bytes),
             plans: Shelf::new("plans", config.plan_cache_bytes, Plan::bytes),
@@ -141,6 +145,12 @@ impl App {
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.0.config
+    }
+
+    /// Who is let in.
+    #[must_use]
+    pub fn doors(&self) -> &Doors {
+        &self.0.doors
     }
 
     /// Admission and compute threads.

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
-pub use doors::DoorsConfig;
+pub use doors::{DoorsConfig, KeysConfig};
 
 use crate::warp::{ImageLimits, Limits};
 
@@ -196,8 +196,24 @@ impl Options {
     /// All mistakes at once.
     pub fn resolve(&self) -> Result<Config, Mistakes> {
         let mut m = Mistakes(Vec::new());
+        let config = self.read(&mut m);
+        if m.0.is_empty() { Ok(config) } else { Err(m) }
+    }
+
+    /// Reads every option, for a server.
+    ///
+    /// # Errors
+    /// All mistakes at once; one of them is to let everybody in without having said so.
+    pub fn resolve_to_serve(&self) -> Result<Config, Mistakes> {
+        let mut m = Mistakes(Vec::new());
+        let config = self.read(&mut m);
+        self.doors.check_open(&mut m, config.listen, &config.doors);
+        if m.0.is_empty() { Ok(config) } else { Err(m) }
+    }
+
+    fn read(&self, m: &mut Mistakes) -> Config {
         let workers = m.read("workers", &self.workers, |t| if t == "auto" { Ok(cores()) } else { whole(t, 1, 1024) });
-        let config = Config {
+        Config {
             listen: m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080))),
             workers,
             queue: m.read("queue", &self.queue, |t| if t == "auto" { Ok((4 * workers).max(LEAST_QUEUE)) } else { whole(t, 0, 1_000_000) }),
@@ -219,11 +235,10 @@ impl Options {
             max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
-            doors: self.doors.resolve(&mut m),
+            doors: self.doors.resolve(m),
             log: m.read("log", &self.log, filter),
             log_format: m.read("log-format", &self.log_format, log_format).unwrap_or(LogFormat::Text),
-        };
-        if m.0.is_empty() { Ok(config) } else { Err(m) }
+        }
     }
 }
 

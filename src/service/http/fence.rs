@@ -1,11 +1,10 @@
 //! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane), the
-//! body's limit and deadline, panics, the request's own deadline, problem documents, and one log line.
+//! body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
 
-use std::net::SocketAddr;
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
-use axum::extract::{ConnectInfo, MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::header::{CONTENT_LENGTH, EXPECT};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::middleware::Next;
@@ -14,9 +13,10 @@ use futures_util::FutureExt as _;
 use uuid::Uuid;
 
 use super::body::{Guard, too_large};
+use super::doors::client;
 use super::refuse::finish;
+use super::site::Site;
 use crate::service::App;
-use crate::service::client::Client;
 use crate::service::pool::panic_text;
 use crate::service::problem::{Code, Problem};
 
@@ -29,9 +29,14 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let method = request.method().clone();
     // The pattern, never the path: a log must not hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
-    let client = client(&request);
+    let client = client(&app, &request);
     request.extensions_mut().insert(client);
-    let mut response = finish(answer(&app, request, next, &id).await, &id);
+    let site = Site::new(&app.config().doors, request.headers());
+    let mut response = match site.preflight(&request) {
+        Some(response) => response,
+        None => finish(answer(&app, request, next, &id).await, &id),
+    };
+    site.tell(response.headers_mut());
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }
@@ -62,12 +67,6 @@ async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
             Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
         }
     }
-}
-
-/// Who asks.
-fn client(request: &Request) -> Client {
-    let peer = request.extensions().get::<ConnectInfo<SocketAddr>>();
-    peer.map_or_else(Client::default, |ConnectInfo(peer)| Client { address: peer.ip().to_canonical(), ..Client::default() })
 }
 
 /// The client's id where it is a short plain word, otherwise a new one.
