@@ -35,7 +35,7 @@ macro_rules! assets {
 static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS,
-        "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
+        "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
         "mesh.js" JS, "open.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
         "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
         "icon.svg" "image/svg+xml",
