@@ -31,7 +31,7 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     visit = visits(locked)
     visit.expects("401", "403")
     sockets = []
-    visit.page.on("websocket", sockets.append)
+    visit.page.on("websocket", lambda socket: sockets.append(socket))
     asked = []
     visit.page.on("request", lambda request: asked.append(request.url))
     visit.page.set_input_files("#file", picture)

@@ -65,7 +65,6 @@ async fn one_key_may_ask_so_often() {
     }
     assert!(refused > 10, "{refused}");
     assert_eq!(status("bob-s-key-0123456789").await, 200);
-    assert_eq!(server.app.doors().turned_away().1, refused as u64);
 }
 
 #[tokio::test]

@@ -15,6 +15,7 @@ mod keys;
 mod laws;
 mod layers;
 mod leaving;
+mod metrics;
 mod offline;
 mod openapi;
 mod oracle;

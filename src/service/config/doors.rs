@@ -47,6 +47,18 @@ pub(super) struct DoorsArgs {
         global = true
     )]
     allow_anonymous: String,
+    /// Answer GET /metrics without a key.
+    #[arg(
+        long,
+        env = "MLSWARP_OPEN_METRICS",
+        value_name = "BOOL",
+        default_value = "false",
+        default_missing_value = "true",
+        num_args = 0..=1,
+        require_equals = true,
+        global = true
+    )]
+    open_metrics: String,
     /// Certificate (chain) for TLS, PEM. Read again when it changes.
     #[arg(long, env = "MLSWARP_TLS_CERT", value_name = "PATH", default_value = "", hide_default_value = true, global = true)]
     tls_cert: String,
@@ -113,6 +125,8 @@ pub struct DoorsConfig {
     pub keys: Option<KeysConfig>,
     /// Everybody may be let in from beyond the loopback.
     pub allow_anonymous: bool,
+    /// The numbers of the service need no key.
+    pub open_metrics: bool,
     /// Certificate and key; none is plain HTTP.
     pub tls: Option<TlsFiles>,
     /// Origins of other sites whose pages may ask.
@@ -181,6 +195,7 @@ impl DoorsArgs {
         DoorsConfig {
             keys: self.keys(m),
             allow_anonymous: m.read("allow-anonymous", &self.allow_anonymous, boolean),
+            open_metrics: m.read("open-metrics", &self.open_metrics, boolean),
             tls: self.tls(m),
             cors_origin: m.read("cors-origin", &self.cors_origin, Origins::parse),
             trusted_proxies: m.read("trusted-proxies", &self.trusted_proxies, networks),

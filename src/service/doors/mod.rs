@@ -7,10 +7,10 @@ pub mod places;
 pub mod rates;
 pub mod tls;
 
+use std::hash::Hash;
 use std::io::Read as _;
 use std::net::IpAddr;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
@@ -31,13 +31,6 @@ pub struct Doors {
     by_address: Option<Rates<IpAddr>>,
     by_owner: Option<Rates<Owner>>,
     places: Places,
-    turned_away: TurnedAway,
-}
-
-#[derive(Debug, Default)]
-struct TurnedAway {
-    keyless: AtomicU64,
-    too_often: AtomicU64,
 }
 
 impl Doors {
@@ -49,7 +42,6 @@ impl Doors {
             by_address: config.rate_per_address.map(Rates::new),
             by_owner: config.rate_per_key.map(Rates::new),
             places: Places::new(config.max_connections, config.max_connections_per_address),
-            turned_away: TurnedAway::default(),
         }
     }
 
@@ -73,32 +65,22 @@ impl Doors {
     pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Owner, Problem> {
         let now = Instant::now();
         // The address first: guesses count too.
-        self.count(self.by_address.as_ref(), site(address), now)?;
+        count(self.by_address.as_ref(), site(address), now)?;
         let Some(keys) = &self.keys else { return Ok(Owner::ANYBODY) };
         let keys = Arc::clone(&keys.read().unwrap_or_else(PoisonError::into_inner));
-        let refused = |code, detail| {
-            self.turned_away.keyless.fetch_add(1, Ordering::Relaxed);
-            Problem::new(code, detail)
-        };
         let Some(key) = key else {
-            return Err(refused(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
+            return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
         };
-        let owner = keys.owner_of(key).ok_or_else(|| refused(Code::Forbidden, "the key is not one of this server's"))?;
-        self.count(self.by_owner.as_ref(), owner, now)?;
+        let owner = keys.owner_of(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
+        count(self.by_owner.as_ref(), owner, now)?;
         Ok(owner)
     }
+}
 
-    fn count<K: Copy + Eq + std::hash::Hash>(&self, rates: Option<&Rates<K>>, who: K, now: Instant) -> Result<(), Problem> {
-        let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
-        self.turned_away.too_often.fetch_add(1, Ordering::Relaxed);
-        Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
-    }
-
-    /// Requests refused so far: without a key that is known, and for coming too often.
-    #[must_use]
-    pub fn turned_away(&self) -> (u64, u64) {
-        (self.turned_away.keyless.load(Ordering::Relaxed), self.turned_away.too_often.load(Ordering::Relaxed))
-    }
+/// Takes one of whoever asks.
+fn count<K: Copy + Eq + Hash>(rates: Option<&Rates<K>>, who: K, now: Instant) -> Result<(), Problem> {
+    let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
+    Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
 }
 
 /// A small file.

@@ -34,7 +34,13 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let site = Site::new(&app.config().doors, request.headers());
     let mut response = match site.preflight(&request) {
         Some(response) => response,
-        None => finish(answer(&app, request, next, &id).await, &id),
+        None => {
+            let response = answer(&app, request, next, &id).await;
+            if let Some(problem) = response.extensions().get::<Problem>() {
+                app.metrics().refused(problem);
+            }
+            finish(response, &id)
+        }
     };
     site.tell(response.headers_mut());
     if let Ok(id) = HeaderValue::from_str(&id) {
@@ -42,6 +48,7 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     }
     let status = response.status().as_u16();
     let route = route.as_ref().map_or("-", MatchedPath::as_str);
+    app.metrics().answered(route, method.as_str(), status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
     tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), id, "answered");
     response

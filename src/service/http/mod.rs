@@ -3,7 +3,7 @@
 //!
 //! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, what browsers are
 //! told, one log line a request), then `keyed` on every route that is not open (key, rate, whose sessions are meant), then `shed` on the routes
-//! that compute (a full queue answers before a body is read), then the handlers.
+//! that upload (a full queue answers before a body is read), then the handlers.
 
 mod accept;
 mod answer;
@@ -14,6 +14,7 @@ mod handshake;
 mod health;
 mod line;
 mod mesh;
+mod metrics;
 mod openapi;
 mod page;
 mod points;
@@ -35,24 +36,27 @@ use axum::routing::{MethodRouter, get, post, put};
 pub use doors::Access;
 
 use super::App;
+use super::pool::Work;
 use super::problem::{Code, Problem};
 
 /// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
-    let computes = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
+    let scraped = if app.config().doors.open_metrics { Open } else { Keyed };
+    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
-        ("/warp", Keyed, computes(post(warp::warp))),
-        ("/sessions", Keyed, computes(post(sessions::create))),
-        ("/sessions/{id}", Keyed, get(sessions::read).delete(sessions::delete).merge(computes(put(sessions::put)))),
-        ("/sessions/{id}/handles", Keyed, computes(put(sessions::handles))),
-        ("/sessions/{id}/warp", Keyed, computes(post(warp::drag))),
-        ("/sessions/{id}/mesh", Keyed, computes(post(mesh::mesh))),
+        ("/warp", Keyed, post(warp::warp)),
+        ("/sessions", Keyed, uploads(post(sessions::create))),
+        ("/sessions/{id}", Keyed, get(sessions::read).delete(sessions::delete).merge(uploads(put(sessions::put)))),
+        ("/sessions/{id}/handles", Keyed, uploads(put(sessions::handles))),
+        ("/sessions/{id}/warp", Keyed, post(warp::drag)),
+        ("/sessions/{id}/mesh", Keyed, post(mesh::mesh)),
         ("/sessions/{id}/drag", Keyed, get(socket::drag)),
-        ("/sessions/{id}/points", Keyed, computes(post(points::of_session))),
-        ("/points", Keyed, computes(post(points::once))),
+        ("/sessions/{id}/points", Keyed, uploads(post(points::of_session))),
+        ("/points", Keyed, uploads(post(points::once))),
         ("/healthz", Open, get(health::alive)),
         ("/readyz", Open, get(health::ready)),
+        ("/metrics", scraped, get(metrics::text)),
         ("/openapi.json", Open, get(openapi::document)),
     ]
 }
@@ -78,9 +82,9 @@ pub fn router(app: App) -> Router {
         .with_state(app)
 }
 
-/// Refuses at once, before the body is read, when there is no place for the work.
+/// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
 async fn shed(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
-    app.admits()?;
+    app.admits(Work::Upload)?;
     Ok(next.run(request).await)
 }
 

@@ -101,7 +101,14 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     let connections = Arc::new(Connections::new(&app, router(app.clone()), tls.as_ref().map(watch::Sender::subscribe), stopped));
     let reread = Reread::new(&app, tls);
     let scheme = if doors.tls.is_some() { "https" } else { "http" };
-    tracing::info!(workers = config.workers, queue = config.queue, keys = reread.keys(), "listening on {scheme}://{address}");
+    let work = config.work;
+    tracing::info!(
+        workers = work.workers,
+        queue = work.queue,
+        memory = work.memory_bytes,
+        keys = reread.keys(),
+        "listening on {scheme}://{address}"
+    );
     let mut tasks = JoinSet::new();
     tokio::select! {
         () = accept(&app, &listener, &connections, &mut tasks) => {}
