@@ -119,6 +119,23 @@ async fn pages_of_listed_sites_may_ask_and_no_others() {
     assert_eq!((answer.status().as_u16(), header(&answer, "access-control-allow-origin")), (200, "*"));
 }
 
+/// A browser sends a form of any page to any server, and only hides the answer.
+#[tokio::test]
+async fn pages_of_other_sites_open_nothing_unseen() {
+    let server = Server::start(&["--cors-origin", "https://bend.example"]).await;
+    let ask = |site: &'static str, origin: &'static str| {
+        server.post("/points").json(&points()).header("Sec-Fetch-Site", site).header("Origin", origin).send()
+    };
+    for site in ["cross-site", "same-site"] {
+        problem(ask(site, "https://evil.example").await.unwrap(), 403, "forbidden").await;
+        problem(ask(site, "null").await.unwrap(), 403, "forbidden").await;
+        assert_eq!(ask(site, "https://bend.example").await.unwrap().status(), 200);
+    }
+    assert_eq!(ask("same-origin", "http://127.0.0.1").await.unwrap().status(), 200);
+    // Following a link is no harm.
+    assert_eq!(server.get("/").header("Sec-Fetch-Site", "cross-site").send().await.unwrap().status(), 200);
+}
+
 #[tokio::test]
 async fn every_answer_says_how_it_may_be_read() {
     let server = Server::start(&[]).await;

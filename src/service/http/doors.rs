@@ -36,8 +36,8 @@ pub(super) fn client(app: &App, request: &Request) -> Client {
     let Some(ConnectInfo(peer)) = request.extensions().get::<ConnectInfo<SocketAddr>>() else { return Client::default() };
     let forwarded = request.headers().get_all(FORWARDED_FOR).iter().map(|value| value.to_str().unwrap_or_default());
     // One header of many values or many headers: one list.
-    let hops: Vec<&str> = forwarded.flat_map(|value| value.split(',')).collect();
-    Client { address: origin(peer.ip(), hops.into_iter(), &app.config().doors.trusted_proxies), ..Client::default() }
+    let hops = forwarded.flat_map(|value| value.split(','));
+    Client { address: origin(peer.ip(), hops, &app.config().doors.trusted_proxies), ..Client::default() }
 }
 
 /// Lets in who may come in, and says to the handler whose sessions are meant. The key goes no further.

@@ -35,7 +35,10 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let mut response = match site.preflight(&request) {
         Some(response) => response,
         None => {
-            let response = answer(&app, request, next, &id).await;
+            let response = match site.check(&request) {
+                Ok(()) => answer(&app, request, next, &id).await,
+                Err(problem) => problem.into_response(),
+            };
             if let Some(problem) = response.extensions().get::<Problem>() {
                 app.metrics().refused(problem);
             }

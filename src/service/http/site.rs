@@ -12,6 +12,7 @@ use axum::response::{IntoResponse as _, Response};
 
 use crate::service::config::DoorsConfig;
 use crate::service::doors::cors::Origins;
+use crate::service::problem::{Code, Problem};
 
 const METHODS: HeaderValue = HeaderValue::from_static("GET, HEAD, POST, PUT, DELETE");
 const REQUEST_HEADERS: HeaderValue = HeaderValue::from_static("accept, authorization, content-type, if-none-match, te, x-request-id");
@@ -23,6 +24,7 @@ const EXPOSED: HeaderValue = HeaderValue::from_static(
 /// Seconds for which a browser need not ask again.
 const PREFLIGHT_AGE: HeaderValue = HeaderValue::from_static("600");
 const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 /// One year: once reached by TLS, the host is not to be reached without.
 const TRANSPORT: HeaderValue = HeaderValue::from_static("max-age=31536000");
 
@@ -35,6 +37,8 @@ pub(super) struct Site {
     varies: bool,
     is_shared: bool,
     is_tls: bool,
+    /// A page of another site asks that may not.
+    is_foreign: bool,
 }
 
 impl Site {
@@ -46,7 +50,19 @@ impl Site {
             _ => None,
         };
         let is_shared = *origins != Origins::Own;
-        Self { allowed, varies: is_shared && *origins != Origins::Any, is_shared, is_tls: config.tls.is_some() }
+        // Browsers say so, and no script can say otherwise (https://www.w3.org/TR/fetch-metadata/).
+        let elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site != "same-origin" && site != "none");
+        let is_foreign = elsewhere && allowed.is_none();
+        Self { allowed, varies: is_shared && *origins != Origins::Any, is_shared, is_tls: config.tls.is_some(), is_foreign }
+    }
+
+    /// Refuses what the page of another site would do here. A browser sends such a request and only hides the answer: on a server without keys it
+    /// would open sessions for whoever has lured somebody to a page.
+    pub(super) fn check(&self, request: &Request) -> Result<(), Problem> {
+        if self.is_foreign && !request.method().is_safe() {
+            return Err(Problem::new(Code::Forbidden, "a page of another site may not ask this; --cors-origin lists those that may"));
+        }
+        Ok(())
     }
 
     /// The answer to a browser that asks whether it may ask. It carries no key, so it is given before any is wanted.
