@@ -172,6 +172,7 @@ impl Collector for App {
         let sheet = &mut Sheet(encoder);
         sheet.gauge("build_info", "The program's version", &[(label("version", env!("CARGO_PKG_VERSION")), 1)])?;
         self.write_work(sheet)?;
+        self.write_doors(sheet)?;
         self.write_memory(sheet)?;
         self.write_caches(sheet)?;
         self.write_pictures(sheet)
@@ -194,6 +195,12 @@ impl App {
         }
         shed.push(([label("work", "any"), label("reason", "memory")].concat(), self.0.budget.refused()));
         sheet.counter("shed", "Requests that were sent away because there was no room for them", &shed)
+    }
+
+    fn write_doors(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let places = self.0.doors.places();
+        sheet.gauge("connections", "Connections that are open", &one(places.open() as u64))?;
+        sheet.counter("connections_refused", "Connections that were closed at once because there were too many", &one(places.refused()))
     }
 
     fn write_memory(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
