@@ -27,11 +27,12 @@ use std::time::Duration;
 
 use budget::{Budget, NoRoom, Purpose, Reservation};
 use cache::Shelf;
+use client::Client;
 use config::{Config, WorkConfig};
 use doors::Doors;
 use drag::seats::Seats;
 use metrics::Metrics;
-use pool::{Pool, PoolError, Shape, Work};
+use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
 use store::memory::{Bounds, MemoryStore};
@@ -267,8 +268,10 @@ impl App {
     /// [`Code::Overloaded`], with the reason.
     pub fn ready(&self) -> Result<(), Problem> {
         self.ready_for_drags()?;
-        self.admits(Work::Drag)?;
-        self.admits(Work::Upload)?;
+        // Somebody who has nothing here yet would be sent away.
+        if [Work::Drag, Work::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
+            return Err(PoolError::Full.into());
+        }
         if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
             return Ok(());
         }
@@ -283,12 +286,12 @@ impl App {
         Ok(())
     }
 
-    /// Whether somebody who has nothing here yet would be let in.
+    /// Whether an upload of this client would be let in now: asked before its body is read.
     ///
     /// # Errors
     /// [`Code::Overloaded`].
-    pub fn admits(&self, work: Work) -> Result<(), Problem> {
-        if self.0.pool.is_full(work) { Err(PoolError::Full.into()) } else { Ok(()) }
+    pub fn admits(&self, client: Client) -> Result<(), Problem> {
+        if self.0.pool.refuses(Work::Upload, Lane::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
     }
 
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.

@@ -26,17 +26,17 @@ mod socket;
 mod upload;
 mod warp;
 
-use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, get, post, put};
+use axum::{Extension, Router};
 
 pub use doors::Access;
 
 use super::App;
-use super::pool::Work;
+use super::client::Client;
 use super::problem::{Code, Problem};
 
 /// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
@@ -83,8 +83,8 @@ pub fn router(app: App) -> Router {
 }
 
 /// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
-async fn shed(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
-    app.admits(Work::Upload)?;
+async fn shed(State(app): State<App>, Extension(client): Extension<Client>, request: Request, next: Next) -> Result<Response, Problem> {
+    app.admits(client)?;
     Ok(next.run(request).await)
 }
 

@@ -12,7 +12,6 @@ use super::sessions::session_id;
 use super::{accept, upload};
 use crate::service::App;
 use crate::service::client::Client;
-use crate::service::pool::Work;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
 use crate::service::walk::columns;
@@ -28,7 +27,7 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
-        app.admits(Work::Upload)?;
+        app.admits(client)?;
         let upload = upload::read(&app, request).await?;
         let (drawn, material) = app.warp_once(client, upload.image, upload.warp, formats).await?;
         let session = if keeps { Some(app.keep(client, material).await?.0.record.id) } else { None };

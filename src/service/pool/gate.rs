@@ -69,6 +69,10 @@ impl Gate {
         self.lock().is_full()
     }
 
+    pub(super) fn refuses(&self, lane: Lane) -> bool {
+        self.lock().refuses(lane)
+    }
+
     pub(super) fn load(&self) -> Load {
         let queue = self.lock();
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);

@@ -182,6 +182,12 @@ impl Pool {
         self.gate(work).is_full()
     }
 
+    /// A request of this lane would be refused now.
+    #[must_use]
+    pub fn refuses(&self, work: Work, lane: Lane) -> bool {
+        self.gate(work).refuses(lane)
+    }
+
     /// Who runs and waits at a gate.
     #[must_use]
     pub fn load(&self, work: Work) -> Load {

@@ -79,6 +79,22 @@ impl<W> Queue<W> {
         !self.has_turn() && self.waiting >= self.most && self.longest() < 2
     }
 
+    /// Someone of this lane would be sent away.
+    pub(super) fn refuses(&self, lane: Lane) -> bool {
+        !self.has_turn() && self.waiting >= self.most && self.gives_way(lane).is_none()
+    }
+
+    /// The lane that makes room in a full queue for a newcomer of this one.
+    fn gives_way(&self, lane: Lane) -> Option<Lane> {
+        let own = self.lanes.get(&lane).map_or(0, VecDeque::len);
+        let longest = self.longest();
+        if longest > own + 1 {
+            // Among lanes of the same length, the one whose turn is farthest away.
+            return self.order.iter().rev().copied().find(|lane| self.lanes[lane].len() == longest);
+        }
+        (lane.newest_first() && own > 0).then_some(lane)
+    }
+
     fn has_turn(&self) -> bool {
         self.running < self.turns
     }
@@ -96,15 +112,7 @@ impl<W> Queue<W> {
         }
         let mut sent_away = None;
         if self.waiting >= self.most {
-            let own = self.lanes.get(&lane).map_or(0, VecDeque::len);
-            let longest = self.longest();
-            let from = if longest > own + 1 {
-                // Among lanes of the same length, the one whose turn is farthest away.
-                self.order.iter().rev().copied().find(|lane| self.lanes[lane].len() == longest)
-            } else {
-                (lane.newest_first() && own > 0).then_some(lane)
-            };
-            let Some(from) = from else { return Arrival::Refused };
+            let Some(from) = self.gives_way(lane) else { return Arrival::Refused };
             sent_away = self.take(from, VecDeque::pop_front);
         }
         let id = self.next;
@@ -200,6 +208,7 @@ mod tests {
             queue.arrive(client(1), || waiter);
         }
         assert!(!queue.is_full(), "another client would be let in");
+        assert!(queue.refuses(client(1)) && !queue.refuses(session(2)));
         assert_eq!(queue.arrive(client(1), || 13), Arrival::Refused);
         assert_eq!(queue.arrive(session(2), || 20), Arrival::Replaces(3, 10));
         // Two of the one, one of the other: a second one would only turn it round.
