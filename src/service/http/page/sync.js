@@ -35,6 +35,7 @@ export class Sync {
   #burst = false;
   #timer = 0;
   #retries = 0;
+  #reopens = 0;
   #frames = [];
   #views = new Set();
 
@@ -129,7 +130,7 @@ export class Sync {
         try {
           if (!(await this.#step())) continue;
           this.#again = true;
-          this.#retries = 0;
+          this.#retries = this.#reopens = 0;
         } catch (error) {
           if (await this.#after(error)) this.#again = true;
         }
@@ -277,12 +278,12 @@ export class Sync {
     try {
       if (error.code === "superseded") {
         const seq = (await api.readSession(this.session.id)).seq ?? 0;
-        if (Number.isSafeInteger(seq) && this.#retries++ < 3) this.#seq = seq;
+        if (Number.isSafeInteger(seq) && this.#reopens++ < 3) this.#seq = seq;
         else await this.#reopen(restOf(document));
         return true;
       }
-      // Shapes that do not match: somebody else gave the session other handles.
-      if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#retries++ < 3) {
+      // Shapes that do not match: somebody else gave the session other handles. However often the server was asked before it came back.
+      if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#reopens++ < 3) {
         await this.#reopen(restOf(document));
         return true;
       }

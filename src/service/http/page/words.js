@@ -49,7 +49,8 @@ const plain = (detail) =>
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
 export function problemWords({ code, title, detail: told, handle, request_id: id }) {
-  const detail = plain(told ?? "");
+  // How a program sends its key helps nobody here.
+  const detail = code === "unauthorized" ? "" : plain(told ?? "");
   const [said, advice] = PROBLEMS[code] ?? [title || "That was refused", "Undo the last step, or try again."];
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marks = marked({ handle, detail: told });
