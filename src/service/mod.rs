@@ -28,7 +28,7 @@ use drag::seats::Seats;
 use pool::{Pool, PoolError};
 use problem::{Code, Problem};
 use session::Lanes;
-use store::memory::{Bounds, MemoryStore};
+use store::memory::MemoryStore;
 use store::{Store, StoreError};
 use tokio::sync::watch;
 
@@ -112,8 +112,8 @@ impl App {
     /// # Errors
     /// The operating system gives no threads.
     pub fn new(config: Config) -> Result<Self, pool::NoThreads> {
-        let bounds = Bounds { idle: config.session_idle, sessions: config.max_sessions, bytes: config.store_bytes };
-        Self::with_store(config, Arc::new(MemoryStore::new(bounds)))
+        let store = Arc::new(MemoryStore::new(config.store.bounds));
+        Self::with_store(config, store)
     }
 
     /// Starts the compute pool over a store.
@@ -218,7 +218,7 @@ impl App {
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
     pub fn spawn_sweeper(&self) {
         let store = Arc::downgrade(&self.0.store);
-        let pause = (self.0.config.session_idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
+        let pause = (self.0.config.store.bounds.idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;

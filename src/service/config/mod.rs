@@ -1,6 +1,7 @@
 //! Flags and `MLSWARP_*` variables. A flag wins over its variable, a variable over the default. Every value travels as text until
 //! [`Options::resolve`] reads all of them, so that all mistakes are told at once.
 
+mod store;
 mod units;
 
 use std::fmt;
@@ -10,6 +11,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
+
+pub use store::StoreConfig;
 
 use crate::warp::{ImageLimits, Limits};
 
@@ -84,15 +87,8 @@ pub struct Options {
     /// Memory for tables of coefficients.
     #[arg(long, env = "MLSWARP_PLAN_CACHE_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
     plan_cache_bytes: String,
-    /// How long a session lives without being used.
-    #[arg(long, env = "MLSWARP_SESSION_IDLE", value_name = "TIME", default_value = "15m", global = true)]
-    session_idle: String,
-    /// Most sessions; one more is answered 503.
-    #[arg(long, env = "MLSWARP_MAX_SESSIONS", value_name = "N", default_value = "10000", global = true)]
-    max_sessions: String,
-    /// Memory for the sessions' picture files; one more is answered 503.
-    #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
-    store_bytes: String,
+    #[command(flatten)]
+    store: store::StoreArgs,
     /// Most drag sockets; one more is answered 503.
     #[arg(long, env = "MLSWARP_MAX_SOCKETS", value_name = "N", default_value = "256", global = true)]
     max_sockets: String,
@@ -150,12 +146,8 @@ pub struct Config {
     pub image_cache_bytes: u64,
     /// Memory for tables of coefficients.
     pub plan_cache_bytes: u64,
-    /// How long a session lives without being used.
-    pub session_idle: Duration,
-    /// Most sessions.
-    pub max_sessions: usize,
-    /// Memory for the sessions' picture files.
-    pub store_bytes: u64,
+    /// Where sessions live, and how many.
+    pub store: StoreConfig,
     /// Most drag sockets.
     pub max_sockets: usize,
     /// How long a drag socket may be silent before it is pinged, and then before it is closed.
@@ -226,9 +218,7 @@ impl Options {
             },
             image_cache_bytes: m.read("image-cache-bytes", &self.image_cache_bytes, units::bytes),
             plan_cache_bytes: m.read("plan-cache-bytes", &self.plan_cache_bytes, units::bytes),
-            session_idle: m.read("session-idle", &self.session_idle, units::span),
-            max_sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
-            store_bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
+            store: self.store.resolve(&mut m),
             max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
@@ -317,7 +307,7 @@ mod tests {
         assert_eq!(config.limits.image, ImageLimits::default());
         assert_eq!((config.limits.columns, config.limits.plan_bytes), (10_000, 512 << 20));
         assert_eq!(config.queue, (4 * config.workers).max(LEAST_QUEUE));
-        assert_eq!(config.session_idle, Duration::from_secs(900));
+        assert_eq!(config.store.bounds.idle, Duration::from_secs(900));
     }
 
     #[test]

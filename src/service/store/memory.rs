@@ -3,24 +3,13 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Instant, SystemTime};
 
 use bytes::Bytes;
 
-use super::{Answer, Put, Record, Session, Store, StoreError};
+use super::{Answer, Bounds, Put, Record, Session, Store, StoreError};
 use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
-
-/// Bounds of a [`MemoryStore`].
-#[derive(Clone, Copy, Debug)]
-pub struct Bounds {
-    /// How long a session lives without being used.
-    pub idle: Duration,
-    /// Most sessions.
-    pub sessions: usize,
-    /// Most bytes of files and records.
-    pub bytes: u64,
-}
 
 /// The store that is built in.
 #[derive(Debug)]
@@ -273,6 +262,7 @@ mod tests {
     use crate::pixmap::Extent;
     use crate::service::client::Owner;
     use crate::warp::{Folds, OutputSpec, RestSpec};
+    use std::time::Duration;
 
     const IDLE: Duration = Duration::from_millis(150);
 

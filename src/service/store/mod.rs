@@ -10,7 +10,7 @@ use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use thiserror::Error;
@@ -50,6 +50,17 @@ impl Record {
         let made = |record: &Self| (record.image, record.folds, record.output);
         made(self) == made(other) && self.rest == other.rest
     }
+}
+
+/// Bounds of a store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// How long a session lives without being used.
+    pub idle: Duration,
+    /// Most sessions.
+    pub sessions: usize,
+    /// Most bytes of files and records.
+    pub bytes: u64,
 }
 
 /// What became of a record that was put.
