@@ -28,8 +28,8 @@ use drag::seats::Seats;
 use pool::{Pool, PoolError};
 use problem::{Code, Problem};
 use session::Lanes;
-use store::memory::MemoryStore;
-use store::{Store, StoreError};
+use store::{NotOpened, Store, StoreError};
+use thiserror::Error;
 use tokio::sync::watch;
 
 use crate::warp::{Image, Plan, Setup};
@@ -40,6 +40,8 @@ const SETUP_SHARE: u64 = 8;
 const RETRY_QUEUE: u32 = 1;
 /// Seconds after which a request that found the store full may come again.
 const RETRY_STORE: u32 = 30;
+/// Seconds after which a request that the store did not answer may come again.
+const RETRY_AWAY: u32 = 2;
 
 /// Everything that requests share. Cloning shares it.
 #[derive(Clone, Debug)]
@@ -106,14 +108,25 @@ pub struct Counters {
     pub poses_superseded: u64,
 }
 
+/// Why the application was not started.
+#[derive(Debug, Error)]
+pub enum NotStarted {
+    /// The operating system gives no threads.
+    #[error("cannot start compute threads: {0}")]
+    Threads(#[from] pool::NoThreads),
+    /// The store cannot be opened.
+    #[error("cannot open {0}")]
+    Store(#[from] NotOpened),
+}
+
 impl App {
-    /// Starts the compute pool; sessions live in memory.
+    /// Opens the store and starts the compute pool.
     ///
     /// # Errors
-    /// The operating system gives no threads.
-    pub fn new(config: Config) -> Result<Self, pool::NoThreads> {
-        let store = Arc::new(MemoryStore::new(config.store.bounds));
-        Self::with_store(config, store)
+    /// See [`NotStarted`].
+    pub fn new(config: Config) -> Result<Self, NotStarted> {
+        let store = store::open(&config.store.place, config.store.bounds)?;
+        Ok(Self::with_store(config, store)?)
     }
 
     /// Starts the compute pool over a store.
@@ -190,13 +203,14 @@ impl App {
         self.0.seats.empty().await;
     }
 
-    /// Whether work that arrives now would be admitted.
+    /// Whether work that arrives now would be admitted, and the store does its work. Answers within about a second.
     ///
     /// # Errors
     /// [`Code::Overloaded`], with the reason.
-    pub fn ready(&self) -> Result<(), Problem> {
+    pub async fn ready(&self) -> Result<(), Problem> {
         self.ready_for_drags()?;
-        self.admits()
+        self.admits()?;
+        Ok(self.0.store.ready().await?)
     }
 
     /// Whether a drag may begin: unless the service is stopping.
@@ -251,6 +265,8 @@ impl From<StoreError> for Problem {
             StoreError::Full { what, limit, actual } => {
                 Self::new(Code::Overloaded, detail).limit(what, limit, actual).retry_after(RETRY_STORE)
             }
+            StoreError::NoRoom => Self::new(Code::Overloaded, detail).retry_after(RETRY_STORE),
+            StoreError::Away => Self::new(Code::Overloaded, detail).retry_after(RETRY_AWAY),
         }
     }
 }

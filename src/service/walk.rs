@@ -182,7 +182,7 @@ impl App {
     /// No room.
     pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
-        let session = self.0.store.create(record, file).await?;
+        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.0.store.put(record, file).await?;
         self.know(&session.record, &setup).await?;
         Ok((session, setup))
     }
@@ -243,7 +243,7 @@ impl App {
         let setup = self.0.setups.remove(shelf_key(record)).await;
         // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
         // and handles, if there is one, builds them again.
-        if self.0.store.image(record.image).await.is_err() {
+        if !self.0.store.names(record.image) {
             self.0.images.remove(record.image).await;
             if let Some(known) = setup {
                 self.0.plans.remove(known.setup.plan_key()).await;
@@ -507,7 +507,7 @@ impl App {
         match self.0.images.peek(record.image).await {
             Some(image) => Ok(image),
             None => {
-                let file = self.0.store.image(record.image).await?;
+                let file = self.0.store.image(record.id, record.image).await?;
                 self.image(ticket, record.image, file).await
             }
         }

@@ -14,9 +14,8 @@ use thiserror::Error;
 use tokio::net::TcpStream;
 
 use super::router;
-use crate::service::App;
 use crate::service::config::Config;
-use crate::service::pool::NoThreads;
+use crate::service::{App, NotStarted};
 
 /// Streams that one HTTP/2 connection may have open.
 const STREAMS: u32 = 64;
@@ -35,9 +34,9 @@ pub enum ServeError {
         /// Why.
         source: io::Error,
     },
-    /// No threads.
-    #[error("cannot start compute threads: {0}")]
-    Threads(#[from] NoThreads),
+    /// No threads, or no store.
+    #[error("{0}")]
+    NotStarted(#[from] NotStarted),
     /// The runtime or the listener failed.
     #[error("{0}")]
     Io(#[from] io::Error),
