@@ -13,6 +13,7 @@ mod identity;
 mod laws;
 mod layers;
 mod leaving;
+mod metrics;
 mod offline;
 mod openapi;
 mod oracle;

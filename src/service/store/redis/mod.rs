@@ -2,30 +2,29 @@
 //! server ([`script`] has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
 //! its `maxmemory`. A picture's file is kept once a session.
 //!
-//! What is known of sessions that were used here is remembered (`warm`). While the server does not answer, those sessions go on for one idle
+//! What is known of sessions that were used here is remembered ([`warm`]). While the server does not answer, those sessions go on for one idle
 //! period, with numbers that rise in this process alone and are told to the server when it is back; everything else is refused.
 
 mod line;
 mod script;
 #[cfg(test)]
 mod tests;
+mod warm;
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
-use moka::future::Cache;
-use moka::policy::EvictionPolicy;
 use redis::{Cmd, FromRedisValue};
 
-use super::index::record_bytes;
 use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
 use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 use line::Line;
 use script::{number, said};
+use warm::{Known, Memory};
 
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -45,29 +44,11 @@ struct Shared {
     line: Line,
     /// Files take longer than records, and would hold them up.
     files: Line,
-    warm: Cache<SessionId, Arc<Warm>>,
+    memory: Memory,
     /// A server that made a drag wait is not asked by drags before.
     spared: Mutex<Option<Instant>>,
     seen: Mutex<Option<(Instant, bool)>>,
     damaged: AtomicU64,
-}
-
-/// What the server said last of a session.
-struct Warm {
-    record: Arc<Record>,
-    known: Mutex<Known>,
-}
-
-#[derive(Clone, Copy)]
-struct Known {
-    seq: Option<u64>,
-    asked: Instant,
-}
-
-impl Warm {
-    fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl fmt::Debug for RedisStore {
@@ -83,17 +64,11 @@ impl RedisStore {
     /// The client library does not take the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
         let line = |name| Line::new(name, address).map_err(|e| NotOpened { what: address.to_string(), why: e.to_string() });
-        let warm = Cache::builder()
-            .max_capacity(bounds.bytes / 1024)
-            .weigher(|_, warm: &Arc<Warm>| u32::try_from(record_bytes(&warm.record).div_ceil(1024)).unwrap_or(u32::MAX))
-            .time_to_idle(bounds.idle)
-            .eviction_policy(EvictionPolicy::lru())
-            .build();
         Ok(Self(Arc::new(Shared {
             idle: bounds.idle,
             line: line("records")?,
             files: line("files")?,
-            warm,
+            memory: Memory::new(bounds.idle, bounds.bytes),
             spared: Mutex::default(),
             seen: Mutex::default(),
             damaged: AtomicU64::new(0),
@@ -110,20 +85,9 @@ impl Shared {
         Session { record, seq, expires: SystemTime::now() + left.min(self.idle) }
     }
 
-    /// Remembers what the server said just now.
-    async fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
-        let known = Mutex::new(Known { seq, asked: Instant::now() });
-        self.warm.insert(record.id, Arc::new(Warm { record, known })).await;
-    }
-
-    /// What is remembered, if the server can still know of it.
-    async fn warm(&self, id: SessionId) -> Option<Arc<Warm>> {
-        self.warm.get(&id).await.filter(|warm| warm.known().asked.elapsed() < self.idle)
-    }
-
     /// There is no such session, says the server.
-    async fn gone(&self, id: SessionId, said: i64) -> StoreError {
-        self.warm.invalidate(&id).await;
+    fn gone(&self, id: SessionId, said: i64) -> StoreError {
+        self.memory.forget(id);
         if said == said::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
     }
 
@@ -144,7 +108,7 @@ impl Shared {
         let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, true, &script::same(&record, self.idle)).await?;
         if said == said::HERE {
             match self.whole(record.id, &bytes) {
-                Some(same) => return self.same(same, &seq).await,
+                Some(same) => return self.same(same, &seq),
                 None => self.run::<i64>(PATIENCE, true, &script::delete(record.id)).await.map(drop)?,
             }
         }
@@ -158,9 +122,9 @@ impl Shared {
         let ((said, bytes, seq),): ((i64, Vec<u8>, String),) = self.files.ask(patience, false, ask).await?;
         if said == said::HERE {
             let same = self.whole(record.id, &bytes).ok_or(StoreError::Away)?;
-            return self.same(same, &seq).await;
+            return self.same(same, &seq);
         }
-        self.learn(Arc::clone(&record), None).await;
+        self.memory.learn(Arc::clone(&record), None);
         let old = if said == said::OTHER { self.whole(record.id, &bytes) } else { None };
         let session = self.session(record, None, self.idle);
         Ok(match old {
@@ -169,9 +133,9 @@ impl Shared {
         })
     }
 
-    async fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
+    fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
         let seq = number(seq)?;
-        self.learn(Arc::clone(&record), seq).await;
+        self.memory.learn(Arc::clone(&record), seq);
         Ok(Put::Same(self.session(record, seq, self.idle)))
     }
 
@@ -181,16 +145,16 @@ impl Shared {
         match said {
             said::HERE => {
                 let seq = number(&seq)?;
-                self.learn(Arc::clone(&new), seq).await;
+                self.memory.learn(Arc::clone(&new), seq);
                 Ok(Some(self.session(new, seq, self.idle)))
             }
             said::OTHER => Ok(None),
-            said => Err(self.gone(new.id, said).await),
+            said => Err(self.gone(new.id, said)),
         }
     }
 
     async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
-        let warm = self.warm(id).await;
+        let warm = self.memory.warm(id);
         let known = warm.as_deref().map(|warm| (warm.record.as_ref(), warm.known().seq));
         let command = script::touch(id, seq, known, self.idle);
         let answer: Result<(i64, Vec<u8>, String), _> = match &warm {
@@ -207,13 +171,13 @@ impl Shared {
                     }
                     _ => {
                         let record = self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?;
-                        self.learn(Arc::clone(&record), seq).await;
+                        self.memory.learn(Arc::clone(&record), seq);
                         record
                     }
                 };
                 Ok(self.session(record, seq, self.idle))
             }
-            (Ok((said, ..)), _) => Err(self.gone(id, said).await),
+            (Ok((said, ..)), _) => Err(self.gone(id, said)),
             // The server does not answer: what is known here goes on.
             (Err(StoreError::Away | StoreError::NoRoom), Some(warm)) => {
                 let mut known = warm.known();
@@ -241,7 +205,7 @@ impl Shared {
     }
 
     async fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
-        let warm = self.warm(id).await;
+        let warm = self.memory.warm(id);
         let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
         let answer: Result<(i64, Vec<u8>, String, i64), _> = match &warm {
             Some(_) => self.ask_briefly(&command).await,
@@ -255,7 +219,7 @@ impl Shared {
                 };
                 Ok(self.session(record, number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0))))
             }
-            (Ok((said, ..)), _) => Err(self.gone(id, said).await),
+            (Ok((said, ..)), _) => Err(self.gone(id, said)),
             (Err(StoreError::Away), Some(warm)) => {
                 let known = *warm.known();
                 Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
@@ -266,7 +230,7 @@ impl Shared {
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
         let said: i64 = self.run(PATIENCE, false, &script::delete(id)).await?;
-        let gone = self.gone(id, said).await;
+        let gone = self.gone(id, said);
         if said == said::HERE { Ok(()) } else { Err(gone) }
     }
 
@@ -325,15 +289,12 @@ impl Store for RedisStore {
     }
 
     fn names(&self, digest: Digest) -> bool {
-        self.0.warm.iter().any(|(_, warm)| warm.record.image == digest)
+        self.0.memory.names(digest)
     }
 
     /// The server drops what has expired; here it is what is remembered of it.
     fn sweep(&self) -> Answer<'_, usize> {
-        Box::pin(async {
-            self.0.warm.run_pending_tasks().await;
-            Ok(0)
-        })
+        Box::pin(std::future::ready(Ok(self.0.memory.sweep())))
     }
 
     fn ready(&self) -> Answer<'_, ()> {
@@ -341,9 +302,10 @@ impl Store for RedisStore {
     }
 
     fn figures(&self) -> Figures {
+        let (sessions, bytes) = self.0.memory.size();
         Figures {
-            sessions: self.0.warm.entry_count(),
-            bytes: self.0.warm.weighted_size() * 1024,
+            sessions,
+            bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
             failures: self.0.line.failures() + self.0.files.failures(),
         }

@@ -126,7 +126,7 @@ pub(super) fn same(record: &Record, idle: Duration) -> Cmd {
 /// The file and the record, both or neither.
 pub(super) fn put(record: &Record, file: &[u8], idle: Duration) -> Pipeline {
     let mut command = script(PUT, record.id, idle);
-    command.arg(hex(&made(record).0)).arg(write(record)).arg(&hex(record.revision.as_bytes())).arg(life(record));
+    command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record));
     let mut transaction = redis::pipe();
     transaction.atomic().cmd("SET").arg(key(record.id, "file")).arg(file).arg("PX").arg(millis(idle)).ignore();
     transaction.add_command(command);

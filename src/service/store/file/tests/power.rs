@@ -137,7 +137,7 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
     let (first, last) = (answered[0].0, disk.steps());
     let (mut cuts, mut in_between) = (0, 0);
     for steps in (first..=last).step_by((last - first) / 300 + 1) {
-        let mut coin = || random.next_u32() % 2 == 0;
+        let mut coin = || random.next_u32().is_multiple_of(2);
         let found = Recorded::holding(disk.after_power_cut(steps, &mut coin));
         let store = FileStore::over(found, bounds()).unwrap_or_else(|e| panic!("step {steps}: {e}"));
         let before = answered.iter().rposition(|(at, _)| *at <= steps).unwrap();
