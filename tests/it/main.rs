@@ -5,6 +5,7 @@
 mod bad_input;
 mod binary;
 mod clients;
+mod crash;
 mod decoders;
 mod drag;
 mod formats;
@@ -24,4 +25,5 @@ mod revisions;
 mod sessions;
 mod socket;
 mod socket_abuse;
+mod stores;
 mod support;
