@@ -52,6 +52,11 @@ impl Line {
         self.0.failures.load(Ordering::Relaxed)
     }
 
+    /// The server was heard on another line: it is not left alone any longer.
+    pub(super) async fn relent(&self) {
+        self.0.slot.lock().await.not_before = None;
+    }
+
     /// What the server says to `ask` within `patience`. `again`: asking twice does no harm, so a connection that turns out to be broken is made anew
     /// for it.
     pub(super) async fn ask<T, F>(&self, patience: Duration, again: bool, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>

@@ -112,6 +112,7 @@ impl Shared {
                 None => self.run::<i64>(PATIENCE, true, &script::delete(record.id)).await.map(drop)?,
             }
         }
+        self.files.relent().await;
         // 4 MB a second.
         let patience = PATIENCE + Duration::from_micros(image.len() as u64 / 4);
         let transaction = script::put(&record, &image, self.idle);
