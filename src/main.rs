@@ -18,14 +18,16 @@ fn main() -> ExitCode {
             return ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(2));
         }
     };
-    let config = match cli.options.resolve() {
+    let command = cli.command.unwrap_or(Command::Serve);
+    let resolved = if matches!(command, Command::Serve) { cli.options.resolve_to_serve() } else { cli.options.resolve() };
+    let config = match resolved {
         Ok(config) => config,
         Err(mistakes) => {
             eprintln!("{mistakes}");
             return ExitCode::from(2);
         }
     };
-    run(cli.command.unwrap_or(Command::Serve), config)
+    run(command, config)
 }
 
 fn run(command: Command, config: Config) -> ExitCode {
@@ -34,7 +36,7 @@ fn run(command: Command, config: Config) -> ExitCode {
             telemetry::start(&config);
             exit(server::run(config).map_err(|e| format!("error: {e}")))
         }
-        Command::Health => exit(health::ask(config.listen).map_err(|e| format!("error: {e}"))),
+        Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),
         Command::Warp { image, warp, out } => exit(match offline::run(&config, &image, &warp, &out) {
             Ok(summary) => {
                 eprintln!("{summary}");

@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use super::png::{Compression, PngShape, PngWriter, Profile, StripChecksum};
+use super::write_jpeg::Attended;
 use super::{Format, write_jpeg, write_webp};
 use crate::pixmap::Depth;
 
@@ -129,11 +130,12 @@ impl Writer {
         }
     }
 
-    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian.
+    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian. Where a strip is long (a whole JPEG), `wanted` is asked
+    /// now and then, and encoding ends when it says no: what has been appended is then no picture.
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
-    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
+    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
         match &self.0 {
             Kind::Strips(png) => png.strip_into(index, samples, out),
             Kind::Whole { shape, coding, icc } => {
@@ -144,7 +146,10 @@ impl Writer {
                 let samples = eight.as_deref().unwrap_or(samples);
                 let icc = icc.as_ref().map(Profile::icc);
                 match *coding {
-                    Coding::Jpeg { quality, ground } => write_jpeg::write(shape.extent, shape.channels, samples, quality, ground, icc, out),
+                    Coding::Jpeg { quality, ground } => {
+                        let out = Attended::new(out, wanted);
+                        write_jpeg::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
+                    }
                     Coding::WebP => write_webp::write(shape.extent, shape.channels, samples, icc, out),
                 }
                 StripChecksum::default()
@@ -205,11 +210,27 @@ mod tests {
         let profile = icc.map(Profile::new);
         let writer = Writer::new(PngShape { extent, channels, depth }, encoding, profile.as_ref());
         let mut file = writer.head();
-        let checksum = writer.strip_into(0, samples, &mut file);
+        let checksum = writer.strip_into(0, samples, &mut file, &|| true);
         file.extend(writer.tail(&[checksum]));
         assert_eq!(Format::of(&file).unwrap(), encoding.format());
         assert!(file.len() as u64 <= writer.max_bytes());
         decode(&file, &Limits::default()).unwrap()
+    }
+
+    #[test]
+    fn a_jpeg_that_nobody_waits_for_is_not_written_to_its_end() {
+        use std::cell::Cell;
+        let extent = Extent::new(1500, 1000).unwrap();
+        let shape = PngShape { extent, channels: Channels::Rgb, depth: Depth::Eight };
+        let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, ground: [0; 3] }, None);
+        let noise: Vec<u8> = (0..1500_u32 * 3000).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let write = |looks: u32| {
+            let (asked, mut file) = (Cell::new(0), Vec::new());
+            writer.strip_into(0, &noise, &mut file, &|| asked.replace(asked.get() + 1) < looks);
+            file.len()
+        };
+        let whole = write(u32::MAX);
+        assert!(write(1) < whole / 4, "{} of {whole}", write(1));
     }
 
     fn eight(decoded: &Decoded) -> &[u8] {

@@ -1,10 +1,41 @@
 //! JPEG: whole pictures through `jpeg-encoder`. Colour is kept at full resolution from quality 90 on, halved both ways below.
 
-use jpeg_encoder::{ColorType, Encoder};
+use jpeg_encoder::{ColorType, Encoder, EncodingError, JfifWrite};
 
 use crate::pixmap::{Channels, Extent};
 
-/// Appends the file. What is transparent stands on `ground`: `(c a + g (255 - a)) / 255`, rounded. The sides are those of a JPEG.
+/// Bytes of the file between two looks at whether someone still waits for it.
+const LOOK: usize = 64 << 10;
+
+/// Takes the file as long as someone waits for it.
+pub(super) struct Attended<'a> {
+    out: &'a mut Vec<u8>,
+    wanted: &'a dyn Fn() -> bool,
+    look: usize,
+}
+
+impl<'a> Attended<'a> {
+    /// Appends to `out` until `wanted` says no.
+    pub(super) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
+        let look = out.len() + LOOK;
+        Self { out, wanted, look }
+    }
+}
+
+impl JfifWrite for Attended<'_> {
+    fn write_all(&mut self, bytes: &[u8]) -> Result<(), EncodingError> {
+        self.out.extend_from_slice(bytes);
+        if self.out.len() >= self.look {
+            self.look = self.out.len() + LOOK;
+            if !(self.wanted)() {
+                return Err(EncodingError::Write(String::new()));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Appends the file, or as much of it as someone waits for. What is transparent stands on `ground`: `(c a + g (255 - a)) / 255`, rounded. The sides are those of a JPEG.
 pub(super) fn write(
     extent: Extent,
     channels: Channels,
@@ -12,7 +43,7 @@ pub(super) fn write(
     quality: u8,
     ground: [u8; 3],
     icc: Option<&[u8]>,
-    out: &mut Vec<u8>,
+    out: Attended<'_>,
 ) {
     let side = |length: u32| u16::try_from(length).expect("the target was held against the format's longest side");
     let (width, height) = (side(extent.width()), side(extent.height()));
@@ -24,7 +55,10 @@ pub(super) fn write(
         Channels::Rgb => None,
         Channels::Rgba => Some(flatten(samples, ground)),
     };
-    encoder.encode(flat.as_deref().unwrap_or(samples), width, height, ColorType::Rgb).expect("writing to memory does not fail");
+    match encoder.encode(flat.as_deref().unwrap_or(samples), width, height, ColorType::Rgb) {
+        Ok(()) | Err(EncodingError::Write(_)) => {}
+        Err(error) => panic!("writing to memory does not fail: {error:?}"),
+    }
 }
 
 fn flatten(samples: &[u8], ground: [u8; 3]) -> Vec<u8> {

@@ -141,10 +141,15 @@ impl<V> Shelf<V> {
         }
     }
 
-    /// The value is there, and stays where it is in the order.
+    /// The value is there. It counts as used: whoever asks wants it soon.
     #[must_use]
     pub fn has(&self, key: Digest) -> bool {
-        self.lock().kept.contains(&key)
+        self.lock().kept.get(&key).is_some()
+    }
+
+    /// The value goes before all others when room is needed, unless it is used again.
+    pub fn demote(&self, key: Digest) {
+        self.lock().kept.demote(&key);
     }
 
     /// The value of `key`, if it is there.
@@ -335,6 +340,20 @@ mod tests {
         assert_eq!((shelf.usage().bytes, budget.taken()), (3072, 3072));
         shelf.clear();
         assert_eq!((shelf.usage().bytes, budget.taken()), (0, 0));
+    }
+
+    #[tokio::test]
+    async fn what_is_wanted_stays_and_what_was_used_once_goes() {
+        let (shelf, budget) = (Shelf::new(3 << 10), budget());
+        for key in 0..3 {
+            put(&shelf, &budget, key, 1024).await;
+        }
+        assert!(shelf.has(Digest([0; 32])));
+        shelf.demote(Digest([2; 32]));
+        put(&shelf, &budget, 8, 1024).await;
+        put(&shelf, &budget, 9, 1024).await;
+        let there = [0, 1, 2].map(|key| shelf.lock().kept.contains(&Digest([key; 32])));
+        assert_eq!(there, [true, false, false]);
     }
 
     #[tokio::test]

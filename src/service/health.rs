@@ -1,9 +1,14 @@
 //! `mlswarp health`: asks `GET /readyz` of the server at the listen address, over a plain socket with a deadline. For health checks of
-//! containers: no shell, no HTTP client, no runtime.
+//! containers: no shell, no HTTP client, no runtime. Where the server speaks TLS, its own certificate is the one that is taken.
 
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
 use std::time::Duration;
+
+use tokio_rustls::rustls::pki_types::ServerName;
+use tokio_rustls::rustls::{ClientConnection, StreamOwned};
+
+use super::config::Config;
 
 /// Longest wait for each of connecting, asking and answering.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -14,11 +19,18 @@ const STATUS_LINE: usize = 64;
 ///
 /// # Errors
 /// It cannot be reached, or says no.
-pub fn ask(listen: SocketAddr) -> io::Result<()> {
-    let address = reachable(listen);
-    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
+pub fn ask(config: &Config) -> io::Result<()> {
+    let address = reachable(config.listen);
+    let stream = TcpStream::connect_timeout(&address, PATIENCE)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
+    let Some(files) = &config.doors.tls else { return ask_over(stream, address) };
+    let client = files.trusting_it_alone().map_err(io::Error::other)?;
+    let connection = ClientConnection::new(client, ServerName::IpAddress(address.ip().into())).map_err(io::Error::other)?;
+    ask_over(StreamOwned::new(connection, stream), address)
+}
+
+fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()> {
     stream.write_all(format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").as_bytes())?;
     let mut line = Vec::with_capacity(STATUS_LINE);
     stream.take(STATUS_LINE as u64).read_to_end(&mut line)?;

@@ -172,8 +172,10 @@ impl Collector for App {
         let sheet = &mut Sheet(encoder);
         sheet.gauge("build_info", "The program's version", &[(label("version", env!("CARGO_PKG_VERSION")), 1)])?;
         self.write_work(sheet)?;
+        self.write_doors(sheet)?;
         self.write_memory(sheet)?;
         self.write_caches(sheet)?;
+        self.write_store(sheet)?;
         self.write_pictures(sheet)
     }
 }
@@ -196,6 +198,12 @@ impl App {
         sheet.counter("shed", "Requests that were sent away because there was no room for them", &shed)
     }
 
+    fn write_doors(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let places = self.0.doors.places();
+        sheet.gauge("connections", "Connections that are open", &one(places.open() as u64))?;
+        sheet.counter("connections_refused", "Connections that were closed at once because there were too many", &one(places.refused()))
+    }
+
     fn write_memory(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
         let budget = &self.0.budget;
         sheet.bytes("memory_limit", "Memory that clients may cause to be taken", &one(budget.total()))?;
@@ -215,6 +223,14 @@ impl App {
         sheet.counter("cache_hits", "Looks that found a value", &each(|usage| usage.hits))?;
         sheet.counter("cache_builds", "Values that were made because they were not there", &each(|usage| usage.built))?;
         sheet.counter("cache_evictions", "Values that made room for others", &each(|usage| usage.evicted))
+    }
+
+    fn write_store(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let figures = self.0.store.figures();
+        sheet.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
+        sheet.bytes("store_size", "Their records, and their files where those are this process's to keep", &one(figures.bytes))?;
+        sheet.counter("store_damaged", "Sessions that were left out because what was stored of them was damaged", &one(figures.damaged))?;
+        sheet.counter("store_failures", "Times that the store did not do what it was asked", &one(figures.failures))
     }
 
     fn write_pictures(&self, sheet: &mut Sheet<'_>) -> fmt::Result {

@@ -5,6 +5,7 @@ pub mod budget;
 pub mod cache;
 pub mod client;
 pub mod config;
+pub mod doors;
 pub mod drag;
 pub mod formats;
 pub mod health;
@@ -27,6 +28,7 @@ use std::time::Duration;
 use budget::{Budget, NoRoom, Purpose, Reservation};
 use cache::Shelf;
 use config::{Config, WorkConfig};
+use doors::Doors;
 use drag::seats::Seats;
 use metrics::Metrics;
 use pool::{Pool, PoolError, Shape, Work};
@@ -58,6 +60,7 @@ pub struct App(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     config: Config,
+    doors: Doors,
     budget: Budget,
     pool: Pool,
     images: Shelf<Image>,
@@ -141,6 +144,7 @@ impl App {
         let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
         let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(Shared {
+            doors: Doors::new(&config.doors),
             budget: Budget::new(work.memory_bytes),
             pool: Pool::new(shape)?,
             images: Shelf::new(work.image_cache_bytes),
@@ -162,6 +166,12 @@ impl App {
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.0.config
+    }
+
+    /// Who is let in.
+    #[must_use]
+    pub fn doors(&self) -> &Doors {
+        &self.0.doors
     }
 
     /// Admission and compute threads.

@@ -97,7 +97,11 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
             }
             let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
             let mut checksum = (0, 0);
-            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes));
+            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes, &|| watch.is_wanted()));
+            if !watch.is_wanted() {
+                self.gone.store(true, Ordering::Relaxed);
+                break;
+            }
             let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
             queue.waiting[index] = Some((bytes, checksum));
             match queue.flush(writer) {

@@ -16,11 +16,12 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("http", &["service", "geometry", "pixmap", "deform", "render", "codec", "warp"]),
 ];
 /// Crates that only some rooms may name.
-const CRATES: [(&str, &[&str]); 7] = [
+const CRATES: [(&str, &[&str]); 8] = [
     ("axum", &["http"]),
-    ("axum_server", &["http"]),
+    ("hyper", &["http"]),
     ("tokio", &["service", "http"]),
     ("tokio_tungstenite", &["http"]),
+    ("tokio_rustls", &["service", "http"]),
     ("rayon", &["deform", "render", "warp", "service"]),
     ("image", &["codec"]),
     ("png", &["codec"]),

@@ -58,6 +58,11 @@ async fn what_happens_is_counted_and_nothing_of_a_client_is_told() {
     assert!(samples[r#"mlswarp_memory_reserved_bytes{purpose="images"}"#] >= 300.0 * 200.0 * 3.0);
     assert_eq!(samples[r#"mlswarp_memory_reserved_bytes{purpose="images"}"#], samples[r#"mlswarp_cache_size_bytes{cache="images"}"#]);
     assert!(samples[r#"mlswarp_cache_hits_total{cache="images"}"#] >= 3.0);
+    let table = include_str!("../../deploy/README.md");
+    for name in samples.keys().map(|sample| sample.split('{').next().unwrap()) {
+        let family = ["_bucket", "_sum", "_count"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
+        assert!(table.contains(&format!("`{family}`")), "{family} is in the table");
+    }
     let told: String = samples.into_keys().collect();
     assert!(!told.contains(&id) && !told.contains("secret") && !told.contains("SECRET"));
 }

@@ -1,6 +1,7 @@
 //! Flags and `MLSWARP_*` variables. A flag wins over its variable, a variable over the default. Every value travels as text until
 //! [`Options::resolve`] reads all of them, so that all mistakes are told at once.
 
+mod doors;
 mod memory;
 mod store;
 mod units;
@@ -14,6 +15,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
+pub use doors::{DoorsConfig, KeysConfig};
 pub use store::StoreConfig;
 pub use work::{WorkConfig, WorkOptions};
 
@@ -93,18 +95,8 @@ pub struct Options {
     /// Longest time for a drag socket's client to take what it is sent, and to acknowledge a frame.
     #[arg(long, env = "MLSWARP_SOCKET_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
     socket_timeout: String,
-    /// Longest time from a request's head to its answer's head.
-    #[arg(long, env = "MLSWARP_REQUEST_TIMEOUT", value_name = "TIME", default_value = "60s", global = true)]
-    request_timeout: String,
-    /// Longest time for a connection's first byte, for a request's head, and between two requests.
-    #[arg(long, env = "MLSWARP_HEADER_TIMEOUT", value_name = "TIME", default_value = "10s", global = true)]
-    header_timeout: String,
-    /// Longest time for a request's body.
-    #[arg(long, env = "MLSWARP_BODY_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
-    body_timeout: String,
-    /// How long requests may go on after SIGTERM or Ctrl-C.
-    #[arg(long, env = "MLSWARP_SHUTDOWN_GRACE", value_name = "TIME", default_value = "20s", global = true)]
-    shutdown_grace: String,
+    #[command(flatten)]
+    doors: doors::DoorsArgs,
     /// What is logged, such as `info`, `mlswarp=debug,warn` or `off`.
     #[arg(long, env = "MLSWARP_LOG", value_name = "FILTER", default_value = "info", global = true)]
     log: String,
@@ -143,14 +135,8 @@ pub struct Config {
     pub socket_idle: Duration,
     /// Longest time for a drag socket's client to take what it is sent, and to acknowledge a frame.
     pub socket_timeout: Duration,
-    /// Longest time from a request's head to its answer's head.
-    pub request_timeout: Duration,
-    /// Longest time for a connection's first byte, a request's head, and between two requests.
-    pub header_timeout: Duration,
-    /// Longest time for a request's body.
-    pub body_timeout: Duration,
-    /// How long requests may go on after a signal to stop.
-    pub shutdown_grace: Duration,
+    /// Who is let in, and how long clients may take.
+    pub doors: DoorsConfig,
     /// What is logged.
     pub log: String,
     /// How log lines look.
@@ -190,9 +176,25 @@ impl Options {
     /// All mistakes at once.
     pub fn resolve(&self) -> Result<Config, Mistakes> {
         let mut m = Mistakes(Vec::new());
-        let config = Config {
+        let config = self.read(&mut m);
+        if m.0.is_empty() { Ok(config) } else { Err(m) }
+    }
+
+    /// Reads every option, for a server.
+    ///
+    /// # Errors
+    /// All mistakes at once; one of them is to let everybody in without having said so.
+    pub fn resolve_to_serve(&self) -> Result<Config, Mistakes> {
+        let mut m = Mistakes(Vec::new());
+        let config = self.read(&mut m);
+        self.doors.check_open(&mut m, config.listen, &config.doors);
+        if m.0.is_empty() { Ok(config) } else { Err(m) }
+    }
+
+    fn read(&self, m: &mut Mistakes) -> Config {
+        Config {
             listen: m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080))),
-            work: self.work.resolve(&mut m),
+            work: self.work.resolve(m),
             max_body_bytes: m.read("max-body-bytes", &self.max_body_bytes, size),
             max_warp_json_bytes: m.read("max-warp-json-bytes", &self.max_warp_json_bytes, size),
             limits: Limits {
@@ -203,18 +205,14 @@ impl Options {
                 columns: m.read("max-columns", &self.max_columns, |t| whole(t, 1, 1_000_000)),
                 plan_bytes: m.read("max-plan-bytes", &self.max_plan_bytes, size),
             },
-            store: self.store.resolve(&mut m),
+            store: self.store.resolve(m),
             max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
-            request_timeout: m.read("request-timeout", &self.request_timeout, units::span),
-            header_timeout: m.read("header-timeout", &self.header_timeout, units::span),
-            body_timeout: m.read("body-timeout", &self.body_timeout, units::span),
-            shutdown_grace: m.read("shutdown-grace", &self.shutdown_grace, units::span),
+            doors: self.doors.resolve(m),
             log: m.read("log", &self.log, filter),
             log_format: m.read("log-format", &self.log_format, log_format).unwrap_or(LogFormat::Text),
-        };
-        if m.0.is_empty() { Ok(config) } else { Err(m) }
+        }
     }
 }
 

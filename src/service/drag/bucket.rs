@@ -20,14 +20,29 @@ impl Bucket {
 
     /// Takes one; false when there is none.
     pub fn take(&mut self, now: Instant) -> bool {
-        let passed = now.saturating_duration_since(self.seen).as_secs_f64();
-        self.tokens = (self.tokens + passed * self.a_second).min(self.most);
+        self.tokens = self.tokens(now);
         self.seen = self.seen.max(now);
         let enough = self.tokens >= 1.0;
         if enough {
             self.tokens -= 1.0;
         }
         enough
+    }
+
+    /// What there is.
+    #[must_use]
+    pub fn tokens(&self, now: Instant) -> f64 {
+        let passed = now.saturating_duration_since(self.seen).as_secs_f64();
+        (self.tokens + passed * self.a_second).min(self.most)
+    }
+
+    /// Whole seconds from the last look until there is one, at least one.
+    #[must_use]
+    pub fn seconds_to_one(&self) -> u32 {
+        let seconds = ((1.0 - self.tokens) / self.a_second).ceil().clamp(1.0, 3600.0);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 3600")]
+        let seconds = seconds as u32;
+        seconds
     }
 }
 

@@ -1,5 +1,5 @@
-//! Request bodies behind a limit and one deadline for the whole of them. A body that is dropped before its end is drained for a while, so
-//! that a client which writes first and reads later finds the answer instead of a broken connection.
+//! Request bodies behind a limit and one deadline for the whole of them. A body that is dropped before its end is drained, for as long again and
+//! into nothing, so that a client which writes first and reads later finds the answer instead of a broken connection, however large its body is.
 
 use std::future::Future as _;
 use std::pin::Pin;
@@ -17,11 +17,6 @@ use tokio::time::{Sleep, sleep};
 use crate::service::App;
 use crate::service::budget::{Purpose, Reservation};
 use crate::service::problem::{Code, Problem};
-
-/// Longest drain.
-const DRAIN_TIME: Duration = Duration::from_secs(5);
-/// Longest drain, in bodies of the largest size.
-const DRAIN_BODIES: u64 = 2;
 
 /// Why a body ended early.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
@@ -133,23 +128,15 @@ impl Drop for Guard {
         if let Some(body) = self.body.take().filter(|body| !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
-            runtime.spawn(drain(body, self.limit.saturating_mul(DRAIN_BODIES)));
+            runtime.spawn(drain(body, self.within));
         }
     }
 }
 
-async fn drain(mut body: Body, most: u64) {
-    let read = async {
-        let mut read = 0;
-        while let Some(Ok(frame)) = body.frame().await {
-            read += frame.data_ref().map_or(0, |data| data.len() as u64);
-            if read > most {
-                return;
-            }
-        }
-    };
+async fn drain(mut body: Body, within: Duration) {
+    let read = async { while let Some(Ok(_)) = body.frame().await {} };
     // Whether it ended or was given up, the body is dropped now.
-    let _ = tokio::time::timeout(DRAIN_TIME, read).await;
+    let _ = tokio::time::timeout(within, read).await;
 }
 
 /// A guarded body whose client sends nothing before it is told to.

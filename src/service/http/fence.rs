@@ -1,11 +1,10 @@
 //! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane), the
-//! body's limit and deadline, panics, the request's own deadline, problem documents, and one log line.
+//! body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
 
-use std::net::SocketAddr;
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
-use axum::extract::{ConnectInfo, MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::header::{CONTENT_LENGTH, EXPECT};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::middleware::Next;
@@ -14,9 +13,10 @@ use futures_util::FutureExt as _;
 use uuid::Uuid;
 
 use super::body::{Guard, too_large};
+use super::doors::client;
 use super::refuse::finish;
+use super::site::Site;
 use crate::service::App;
-use crate::service::client::Client;
 use crate::service::pool::panic_text;
 use crate::service::problem::{Code, Problem};
 
@@ -29,13 +29,23 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let method = request.method().clone();
     // The pattern, never the path: a log must not hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
-    let client = client(&request);
+    let client = client(&app, &request);
     request.extensions_mut().insert(client);
-    let response = answer(&app, request, next, &id).await;
-    if let Some(problem) = response.extensions().get::<Problem>() {
-        app.metrics().refused(problem);
-    }
-    let mut response = finish(response, &id);
+    let site = Site::new(&app.config().doors, request.headers());
+    let mut response = match site.preflight(&request) {
+        Some(response) => response,
+        None => {
+            let response = match site.check(&request) {
+                Ok(()) => answer(&app, request, next, &id).await,
+                Err(problem) => problem.into_response(),
+            };
+            if let Some(problem) = response.extensions().get::<Problem>() {
+                app.metrics().refused(problem);
+            }
+            finish(response, &id)
+        }
+    };
+    site.tell(response.headers_mut());
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }
@@ -51,28 +61,22 @@ async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
     let config = app.config();
     let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
     let waits_for_permission = request.headers().contains_key(EXPECT);
-    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.body_timeout, waits_for_permission));
+    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.doors.body_timeout, waits_for_permission));
     if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
         return too_large("body_bytes", config.max_body_bytes, length).into_response();
     }
     let run = AssertUnwindSafe(next.run(request)).catch_unwind();
-    match tokio::time::timeout(config.request_timeout, run).await {
+    match tokio::time::timeout(config.doors.request_timeout, run).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
             tracing::error!(message = panic_text(panic.as_ref()), id, "a handler panicked");
             Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
         }
         Err(_) => {
-            let seconds = config.request_timeout.as_secs_f64();
+            let seconds = config.doors.request_timeout.as_secs_f64();
             Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
         }
     }
-}
-
-/// Who asks.
-fn client(request: &Request) -> Client {
-    let peer = request.extensions().get::<ConnectInfo<SocketAddr>>();
-    peer.map_or_else(Client::default, |ConnectInfo(peer)| Client { address: peer.ip().to_canonical(), ..Client::default() })
 }
 
 /// The client's id where it is a short plain word, otherwise a new one.

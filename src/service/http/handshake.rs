@@ -2,21 +2,25 @@
 
 use axum::body::Body;
 use axum::extract::Request;
-use axum::http::header::{CONNECTION, HOST, HeaderName, ORIGIN, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
+use axum::http::header::{
+    CONNECTION, HOST, HeaderName, ORIGIN, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL, SEC_WEBSOCKET_VERSION, UPGRADE,
+};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Version};
 use axum::response::{IntoResponse as _, Response};
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
+use super::doors::{PROTOCOL, protocols};
+use crate::service::doors::cors::Origins;
 use crate::service::problem::{Code, Problem};
 
 const WEBSOCKET: HeaderValue = HeaderValue::from_static("websocket");
 const THIRTEEN: HeaderValue = HeaderValue::from_static("13");
 
-/// The answer to a request that opens a WebSocket.
+/// The answer to a request that opens a WebSocket; pages of these other sites may open one.
 ///
 /// # Errors
 /// What to answer instead: 426 to who asks for something else, 400 to who asks wrongly, 403 to a page of another site.
-pub(super) fn accept(request: &Request) -> Result<Response, Response> {
+pub(super) fn accept(request: &Request, others: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.version() != Version::HTTP_11 || !names(headers, &CONNECTION, "upgrade") || !names(headers, &UPGRADE, "websocket") {
         return Err(required("this route is a WebSocket: it takes an upgrade of an HTTP/1.1 connection"));
@@ -28,10 +32,16 @@ pub(super) fn accept(request: &Request) -> Result<Response, Response> {
     let Some(key) = headers.get(SEC_WEBSOCKET_KEY).filter(|key| key.len() == 24) else {
         return Err(Problem::new(Code::MalformedRequest, "Sec-WebSocket-Key is no key of 16 bytes").into_response());
     };
-    same_site(headers).map_err(axum::response::IntoResponse::into_response)?;
+    same_site(headers, others).map_err(axum::response::IntoResponse::into_response)?;
     let accept = HeaderValue::from_str(&derive_accept_key(key.as_bytes())).expect("base64 is visible ASCII");
-    let headers = [(CONNECTION, HeaderValue::from_static("upgrade")), (UPGRADE, WEBSOCKET), (SEC_WEBSOCKET_ACCEPT, accept)];
-    Ok((StatusCode::SWITCHING_PROTOCOLS, headers, Body::empty()).into_response())
+    let mut answer = HeaderMap::with_capacity(16);
+    answer.insert(CONNECTION, HeaderValue::from_static("upgrade"));
+    answer.insert(UPGRADE, WEBSOCKET);
+    answer.insert(SEC_WEBSOCKET_ACCEPT, accept);
+    if protocols(headers).any(|protocol| protocol == PROTOCOL) {
+        answer.insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(PROTOCOL));
+    }
+    Ok((StatusCode::SWITCHING_PROTOCOLS, answer, Body::empty()).into_response())
 }
 
 fn required(detail: &str) -> Response {
@@ -46,15 +56,18 @@ fn names(headers: &HeaderMap, name: &HeaderName, word: &str) -> bool {
 }
 
 /// A browser lets the page of any site open a WebSocket to any other, and says where the page is from.
-fn same_site(headers: &HeaderMap) -> Result<(), Problem> {
+fn same_site(headers: &HeaderMap, others: &Origins) -> Result<(), Problem> {
     let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
     let ours = headers.get(HOST).and_then(|host| host.to_str().ok());
     let theirs = origin.to_str().ok().and_then(|origin| origin.split_once("://"));
     let same = ours.zip(theirs).is_some_and(|(ours, (scheme, theirs))| authority(ours, scheme) == authority(theirs, scheme));
-    if same {
+    if same || origin.to_str().is_ok_and(|origin| others.has(origin)) {
         return Ok(());
     }
-    Err(Problem::new(Code::Forbidden, "a page of another site may not open this socket: Origin and Host differ"))
+    Err(Problem::new(
+        Code::Forbidden,
+        "a page of another site may not open this socket: Origin and Host differ, and the origin is not among those of --cors-origin",
+    ))
 }
 
 /// Host and port in lower case; a scheme's own port need not be written.
@@ -69,13 +82,14 @@ mod tests {
 
     #[test]
     fn pages_of_the_same_host_and_clients_without_a_page_may() {
+        let others = Origins::parse("https://other.example").unwrap();
         let may = |host: &str, origin: Option<&str>| {
             let mut headers = HeaderMap::new();
             headers.insert(HOST, host.parse().unwrap());
             if let Some(origin) = origin {
                 headers.insert(ORIGIN, origin.parse().unwrap());
             }
-            same_site(&headers).is_ok()
+            same_site(&headers, &others).is_ok()
         };
         assert!(may("bend.example", None));
         for (host, origin) in [
@@ -84,6 +98,7 @@ mod tests {
             ("Bend.example:443", "https://bend.example"),
             ("bend.example", "http://bend.example:80"),
             ("[::1]:8080", "http://[::1]:8080"),
+            ("bend.example", "https://other.example"),
         ] {
             assert!(may(host, Some(origin)), "{host} {origin}");
         }
@@ -93,6 +108,7 @@ mod tests {
             ("bend.example", "https://evil"),
             ("bend.example:443", "http://bend.example"),
             ("bend.example", "null"),
+            ("bend.example", "http://other.example"),
             ("bend.example", "bend.example"),
         ] {
             assert!(!may(host, Some(origin)), "{host} {origin}");

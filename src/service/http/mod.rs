@@ -1,12 +1,14 @@
 //! HTTP: routes, and the layers around them. Every answer that is not a success is a problem document, whoever refused
 //! (but for heads that are no HTTP: hyper answers those, with an empty body).
 //!
-//! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, one log
-//! line a request), then `shed` on the routes that upload (a full queue answers before a body is read), then the handlers.
+//! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, what browsers are
+//! told, one log line a request), then `keyed` on every route that is not open (key, rate, whose sessions are meant), then `shed` on the routes
+//! that upload (a full queue answers before a body is read), then the handlers.
 
 mod accept;
 mod answer;
 mod body;
+mod doors;
 mod fence;
 mod handshake;
 mod health;
@@ -19,6 +21,7 @@ mod points;
 mod refuse;
 pub mod server;
 mod sessions;
+mod site;
 mod socket;
 mod upload;
 mod warp;
@@ -30,40 +33,48 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, get, post, put};
 
+pub use doors::Access;
+
 use super::App;
 use super::pool::Work;
 use super::problem::{Code, Problem};
 
-/// Every route of the contract; the OpenAPI document lists the same (tested). The page's files are not of it.
-fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
+/// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
+fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
+    use Access::{Keyed, Open};
+    let scraped = if app.config().doors.open_metrics { Open } else { Keyed };
     let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
-        ("/warp", post(warp::warp)),
-        ("/sessions", uploads(post(sessions::create))),
-        ("/sessions/{id}", get(sessions::read).delete(sessions::delete).merge(uploads(put(sessions::put)))),
-        ("/sessions/{id}/handles", uploads(put(sessions::handles))),
-        ("/sessions/{id}/warp", post(warp::drag)),
-        ("/sessions/{id}/mesh", post(mesh::mesh)),
-        ("/sessions/{id}/drag", get(socket::drag)),
-        ("/sessions/{id}/points", uploads(post(points::of_session))),
-        ("/points", uploads(post(points::once))),
-        ("/healthz", get(health::alive)),
-        ("/readyz", get(health::ready)),
-        ("/metrics", get(metrics::text)),
-        ("/openapi.json", get(openapi::document)),
+        ("/warp", Keyed, post(warp::warp)),
+        ("/sessions", Keyed, uploads(post(sessions::create))),
+        ("/sessions/{id}", Keyed, get(sessions::read).delete(sessions::delete).merge(uploads(put(sessions::put)))),
+        ("/sessions/{id}/handles", Keyed, uploads(put(sessions::handles))),
+        ("/sessions/{id}/warp", Keyed, post(warp::drag)),
+        ("/sessions/{id}/mesh", Keyed, post(mesh::mesh)),
+        ("/sessions/{id}/drag", Keyed, get(socket::drag)),
+        ("/sessions/{id}/points", Keyed, uploads(post(points::of_session))),
+        ("/points", Keyed, uploads(post(points::once))),
+        ("/healthz", Open, get(health::alive)),
+        ("/readyz", Open, get(health::ready)),
+        ("/metrics", scraped, get(metrics::text)),
+        ("/openapi.json", Open, get(openapi::document)),
     ]
 }
 
-/// The paths of the contract.
+/// The paths of the contract and who may use them.
 #[must_use]
-pub fn paths(app: &App) -> Vec<&'static str> {
-    routes(app).into_iter().map(|(path, _)| path).collect()
+pub fn paths(app: &App) -> Vec<(&'static str, Access)> {
+    routes(app).into_iter().map(|(path, access, _)| (path, access)).collect()
 }
 
 /// The service.
 pub fn router(app: App) -> Router {
     routes(&app)
         .into_iter()
+        .map(|(path, access, route)| match access {
+            Access::Open => (path, route),
+            Access::Keyed => (path, route.layer(from_fn_with_state(app.clone(), doors::keyed))),
+        })
         .fold(page::routes(&app), |router, (path, route)| router.route(path, route))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)

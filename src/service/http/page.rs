@@ -6,9 +6,7 @@ use std::sync::LazyLock;
 
 use axum::Router;
 use axum::extract::{Path, State};
-use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
-};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
@@ -37,7 +35,7 @@ macro_rules! assets {
 static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS,
-        "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
+        "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
         "mesh.js" JS, "open.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
         "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
         "icon.svg" "image/svg+xml",
@@ -75,8 +73,6 @@ impl Asset {
             (ETAG, self.tag.clone()),
             (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
             (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
-            (X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
-            (REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
         ];
         if is_known(asked, &self.tag) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();

@@ -8,13 +8,12 @@ use axum::extract::{Path, Request, State};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
-use hyper_util::server::conn::auto::upgrade::downcast;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::handshake;
 use super::line::{Ending, Heard, Line};
+use super::server::Wire;
 use super::sessions::session_id;
 use super::warp::drag_limit;
 use crate::codec::Format;
@@ -28,8 +27,6 @@ use crate::service::walk::columns;
 
 /// Messages that a client may send in a second, and at once: a hand at 1000 Hz loses nothing.
 const MESSAGES: (f64, f64) = (1000.0, 2000.0);
-/// What the kernel may hold for a client that reads slowly, bytes (it takes twice this). Enough for 100 Mbit/s over 40 ms.
-const SEND_BUFFER: usize = 512 << 10;
 
 /// Opens the socket.
 pub(super) async fn drag(
@@ -38,7 +35,7 @@ pub(super) async fn drag(
     Path(id): Path<String>,
     mut request: Request,
 ) -> Response {
-    let answer = match handshake::accept(&request) {
+    let answer = match handshake::accept(&request, &app.config().doors.cors_origin) {
         Ok(answer) => answer,
         Err(refusal) => return refusal,
     };
@@ -55,13 +52,8 @@ pub(super) async fn drag(
     tokio::spawn(async move {
         // Whoever has left before the answer takes the drag with it.
         let Ok(upgraded) = upgrade.await else { return };
-        match downcast::<TokioIo<TcpStream>>(upgraded) {
-            Ok(parts) => {
-                let stream = parts.io.into_inner();
-                // Without it the kernel holds what it likes, and nothing else changes.
-                let _ = socket2::SockRef::from(&stream).set_send_buffer_size(SEND_BUFFER);
-                talk(&app, drag, Line::new(stream, parts.read_buf, most).await).await;
-            }
+        match upgraded.downcast::<TokioIo<Wire>>() {
+            Ok(parts) => talk(&app, drag, Line::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await,
             Err(upgraded) => talk(&app, drag, Line::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
         }
     });

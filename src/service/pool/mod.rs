@@ -51,6 +51,9 @@ pub enum PoolError {
     Panicked,
 }
 
+/// Uploads get a third of the time that drags get where both want the same processor, and all of it where no drag does.
+const UPLOADS_NICE: i32 = 5;
+
 /// Which gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
@@ -152,13 +155,13 @@ impl Pool {
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let gate = |name: &str, patience: Duration| {
-            let crew = Crew::start(name, workers).map_err(|e| NoThreads(e.to_string()))?;
+        let gate = |name: &str, patience: Duration, nice: i32| {
+            let crew = Crew::start(name, workers, nice).map_err(|e| NoThreads(e.to_string()))?;
             Ok(Gate::new(crew, workers, queue, patience))
         };
         Ok(Self {
-            drags: gate("drag", drag_wait)?,
-            uploads: gate("upload", upload_wait)?,
+            drags: gate("drag", drag_wait, 0)?,
+            uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
             wide: Arc::new(Mutex::new(wide)),
             crowd: Crowd::default(),
             workers,

@@ -14,7 +14,7 @@ pub use drag::{MeshForm, PosedMesh};
 
 use super::App;
 use super::budget::Purpose;
-use super::cache::Kept;
+use super::cache::{Fetched, Kept};
 use super::client::Client;
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
@@ -130,7 +130,11 @@ impl App {
         if draws.is_some() && object.q.is_none() && !object.rest.p.is_empty() {
             return Err(q_is_missing());
         }
-        let image = self.image(ticket, digest, file.clone()).await?;
+        let Fetched { value: image, built } = self.image(ticket, digest, file.clone()).await?;
+        if draws.is_some() && built {
+            // Pictures that are bent once must not drive those of sessions out.
+            self.0.images.demote(digest);
+        }
         timing.decode = began.elapsed();
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
@@ -138,7 +142,7 @@ impl App {
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
-    async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Arc<Kept<Image>>, Problem> {
+    async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Fetched<Image>, Problem> {
         let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
         let decode = async move {
             let theirs = app.clone();
@@ -157,7 +161,7 @@ impl App {
                 Ok(decoded) => decoded,
             }
         };
-        Ok(self.0.images.get(digest, decode, lost).await?.value)
+        self.0.images.get(digest, decode, lost).await
     }
 
     /// The session's picture; decoded again from the stored file when the cache has dropped it.
@@ -166,7 +170,7 @@ impl App {
             Some(image) => Ok(image),
             None => {
                 let file = self.0.store.image(record.id, record.image).await?;
-                self.image(ticket, record.image, file).await
+                Ok(self.image(ticket, record.image, file).await?.value)
             }
         }
     }

@@ -34,6 +34,8 @@ impl App {
     /// # Errors
     /// No room.
     pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+        // Its picture was bent once so far; now it will be again.
+        let _ = self.0.images.has(material.digest);
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.0.store.put(record, file).await?;
         self.know(&session.record, &setup).await?;

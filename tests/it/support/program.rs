@@ -35,7 +35,7 @@ impl Program {
         let address = loop {
             line.clear();
             assert_ne!(lines.read_line(&mut line).unwrap(), 0, "the server ended before it listened");
-            if let Some((_, address)) = line.split_once("http://") {
+            if let Some((_, address)) = line.split_once("://") {
                 let end = address.find(|c: char| !"0123456789.:".contains(c)).unwrap_or(address.len());
                 break address[..end].parse().unwrap();
             }

@@ -1,6 +1,8 @@
 // The service, as the page asks it. Addresses are relative to the page, so that a proxy may put both under any path. What is refused is
 // thrown as a Problem: a problem document, or the lack of any answer.
 
+import { keyHeaders } from "./access.js";
+
 export class Problem extends Error {
   constructor(members, status) {
     super(members.detail ?? members.title ?? "refused");
@@ -30,7 +32,7 @@ const wasAborted = (error) => error?.name === "AbortError";
 export { wasAborted };
 
 async function ask(method, path, { json, accept, signal } = {}) {
-  const headers = { ...(json && { "Content-Type": "application/json" }), ...(accept && { Accept: accept }) };
+  const headers = { ...keyHeaders(), ...(json && { "Content-Type": "application/json" }), ...(accept && { Accept: accept }) };
   let response;
   try {
     response = await fetch(path, { method, headers, body: json && JSON.stringify(json), signal, cache: "no-store" });
@@ -58,6 +60,7 @@ export function openSession(file, name, rest, { progress, signal }) {
     form.append("warp", new Blob([JSON.stringify(rest)], { type: "application/json" }));
     const request = new XMLHttpRequest();
     request.open("POST", "sessions");
+    for (const [name, value] of Object.entries(keyHeaders())) request.setRequestHeader(name, value);
     request.upload.onprogress = (event) => event.lengthComputable && progress?.((100 * event.loaded) / event.total);
     request.onerror = () => reject(Problem.network());
     request.onabort = () => reject(new DOMException("cancelled", "AbortError"));

@@ -7,7 +7,7 @@ const STEPS = 50;
 const FILES = 4;
 
 /** Storage that may be refused, full or private: then nothing is kept, and the page works on. */
-function attempt(what, otherwise = null) {
+export function attempt(what, otherwise = null) {
   try {
     return what();
   } catch {

@@ -1,6 +1,7 @@
 // Poses while the hand moves: newest wins, one answer under way. The drag socket where it opens; where it does not, POST with the same rule.
 // What comes is the posed grid, or, where WebGL is missing, pictures.
 
+import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
 
 /** Failures to open one after another before a session is served by POST. */
@@ -45,6 +46,11 @@ export class Live {
     this.#connect();
   }
 
+  /** Another key: what was refused may be open now. */
+  again() {
+    this.#failures = 0;
+  }
+
   close() {
     this.#asking?.abort();
     this.#id = null;
@@ -76,7 +82,7 @@ export class Live {
   #connect() {
     if (!this.allowSocket || this.#failures >= TRIES) return this.told.way();
     const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "" : "&width=auto"}`;
-    const socket = new WebSocket(api.socketAddress(this.#id, query));
+    const socket = new WebSocket(api.socketAddress(this.#id, query), keyProtocols());
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     const current = (then) => (event) => socket === this.#socket && then(event);

@@ -1,6 +1,7 @@
 // Puts the page together: one store, the views that show it, the inputs that change it, and the state that can be observed from outside
 // (README.md lists it).
 
+import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
@@ -42,12 +43,14 @@ function toast(words) {
   toasting = setTimeout(() => node.classList.remove("seen"), 2600);
 }
 
+const KEYS = new Set(["unauthorized", "forbidden"]);
 const RETRIES = new Set(["network", "overloaded", "rate_limited", "timeout", "internal"]);
 
 /** What buttons and keys share. */
 const does = {
   pick: () => find("file").click(),
   help: () => find("help").showModal(),
+  key: () => showKey(),
   tool: (tool) => store.do("tool", { tool }),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
@@ -56,12 +59,14 @@ const does = {
   /** The name of what can be done about a problem. */
   mending: ({ code, opening }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
+    if (KEYS.has(code)) return "Give a key";
     if (RETRIES.has(code) && !opening) return "Try again";
     return !opening && store.state.past.length ? "Undo" : null;
   },
   mend: (problem) => {
     const action = does.mending(problem);
     if (action === "Open a picture") does.pick();
+    else if (action === "Give a key") does.key();
     else if (action === "Try again") sync.retry();
     else actions.undo(true);
   },
@@ -193,6 +198,38 @@ find("help-close").addEventListener("click", () => find("help").close());
 find("help").addEventListener("click", (event) => event.target === find("help") && find("help").close());
 find("keys").checked = setting("keys") !== "off";
 find("keys").addEventListener("change", ({ target }) => keepSetting("keys", target.checked ? "on" : "off"));
+
+// The key
+
+function showKey() {
+  find("help").close();
+  find("key-field").value = "";
+  find("key-remember").checked = isRemembered();
+  find("key-forget").hidden = !hasKey();
+  find("key-wrong").hidden = true;
+  find("key").showModal();
+}
+/** What was refused for want of a key is asked once more. */
+function takeKey(key, remember) {
+  useKey(key, remember);
+  find("key").close();
+  const { problem } = store.state;
+  toast(key === null ? "The key is forgotten" : "The key is kept in this browser");
+  if (key === null || !KEYS.has(problem?.code)) return;
+  if (problem.opening) {
+    store.do("problem", { problem: null });
+    opener.retry();
+  } else sync.retry();
+}
+find("key-open").addEventListener("click", does.key);
+find("key-close").addEventListener("click", () => find("key").close());
+find("key-forget").addEventListener("click", () => takeKey(null, false));
+find("key-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const key = find("key-field").value.trim();
+  find("key-wrong").hidden = looksLikeKey(key);
+  if (looksLikeKey(key)) takeKey(key, find("key-remember").checked);
+});
 
 find("panel-toggle").addEventListener("click", ({ currentTarget }) => {
   const open = document.body.classList.toggle("panel-open");

@@ -14,6 +14,7 @@ export class Opener {
   link = null;
 
   #cancel = null;
+  #tried = null;
 
   /** `told`: a file has been kept. */
   constructor(store, sync, view, actions, limits, told) {
@@ -76,14 +77,21 @@ export class Opener {
     return api.openSession(blob, name, restOf(document), { progress, signal });
   }
 
+  /** Once more what was refused. */
+  retry() {
+    return this.#tried?.();
+  }
+
   /** Opens something; what fails leaves the page as it was, and is told. */
   async #attempt(name, open) {
     this.cancel();
+    this.#tried = () => this.#attempt(name, open);
     const cancel = new AbortController();
     this.#cancel = cancel;
     this.store.do("uploading", { name });
     try {
       await open(cancel.signal);
+      this.#tried = null;
     } catch (error) {
       if (cancel !== this.#cancel) return;
       this.store.do("uploadEnded");

@@ -1,5 +1,6 @@
 // What can be taken along: the picture, the handles, a command that repeats the picture, a link.
 
+import { hasKey } from "./access.js";
 import * as api from "./api.js";
 import { warpOf, wire } from "./edits.js";
 
@@ -37,16 +38,17 @@ const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.re
 /** A file name in a form field of curl: in double quotes where curl would read a part of it as something else; `-` alone is its standard input. */
 const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
 
-/** A command that answers the bytes of "Download PNG". */
+/** A command that answers the bytes of "Download PNG". Whoever runs it has the key in a variable: it is never a part of what is copied. */
 export function curlLine(sync, { picture, document: bent }) {
   const address = (path) => new URL(path, document.baseURI).href;
   const out = quoted(pictureName(picture.name));
   const warp = quoted(JSON.stringify(warpOf(bent)));
+  const key = hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "";
   if (picture.linked) {
     const body = quoted(JSON.stringify({ q: wire(bent, "q") }));
-    return `curl -sS ${address(`sessions/${sync.session.id}/warp`)} -o ${out} -H 'Content-Type: application/json' -d ${body}`;
+    return `curl -sS ${address(`sessions/${sync.session.id}/warp`)} -o ${out}${key} -H 'Content-Type: application/json' -d ${body}`;
   }
-  const form = (file) => `curl -sS ${address("warp")} -o ${out} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}`;
+  const form = (file) => `curl -sS ${address("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}`;
   if (picture.sample) return `curl -sS ${address(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
   return form(formFile(picture.name));
 }

@@ -111,6 +111,7 @@ export class Sync {
 
   /** Asks again, after a problem. */
   retry() {
+    this.live.again();
     this.#refused = -1;
     this.#stalled = false;
     this.store.do("problem", { problem: null });

@@ -1,0 +1,95 @@
+//! The doors: who is let in, how many, how often. No HTTP here but the name of what a request says; the layers around routes and connections ask.
+
+pub mod cors;
+pub mod keys;
+pub mod network;
+pub mod places;
+pub mod rates;
+pub mod tls;
+
+use std::hash::Hash;
+use std::io::Read as _;
+use std::net::IpAddr;
+use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Instant;
+
+use keys::Keys;
+use network::site;
+use places::Places;
+use rates::Rates;
+
+use super::client::Owner;
+use super::config::DoorsConfig;
+use super::problem::{Code, Problem};
+
+/// What decides at the doors.
+#[derive(Debug)]
+pub struct Doors {
+    /// None where no keys are configured.
+    keys: Option<RwLock<Arc<Keys>>>,
+    by_address: Option<Rates<IpAddr>>,
+    by_owner: Option<Rates<Owner>>,
+    places: Places,
+}
+
+impl Doors {
+    /// Doors as configured.
+    #[must_use]
+    pub fn new(config: &DoorsConfig) -> Self {
+        Self {
+            keys: config.keys.as_ref().map(|keys| RwLock::new(Arc::new(keys.all.clone()))),
+            by_address: config.rate_per_address.map(Rates::new),
+            by_owner: config.rate_per_key.map(Rates::new),
+            places: Places::new(config.max_connections, config.max_connections_per_address),
+        }
+    }
+
+    /// Places for connections.
+    #[must_use]
+    pub const fn places(&self) -> &Places {
+        &self.places
+    }
+
+    /// Other keys from now on.
+    pub fn replace_keys(&self, new: Keys) {
+        if let Some(keys) = &self.keys {
+            *keys.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
+        }
+    }
+
+    /// Whose sessions are meant by who comes from this address with this key.
+    ///
+    /// # Errors
+    /// [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
+    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Owner, Problem> {
+        let now = Instant::now();
+        // The address first: guesses count too.
+        count(self.by_address.as_ref(), site(address), now)?;
+        let Some(keys) = &self.keys else { return Ok(Owner::ANYBODY) };
+        let keys = Arc::clone(&keys.read().unwrap_or_else(PoisonError::into_inner));
+        let Some(key) = key else {
+            return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
+        };
+        let owner = keys.owner_of(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
+        count(self.by_owner.as_ref(), owner, now)?;
+        Ok(owner)
+    }
+}
+
+/// Takes one of whoever asks.
+fn count<K: Copy + Eq + Hash>(rates: Option<&Rates<K>>, who: K, now: Instant) -> Result<(), Problem> {
+    let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
+    Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
+}
+
+/// A small file.
+///
+/// # Errors
+/// It cannot be read, or is larger than `most` bytes.
+pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(|e| e.to_string())?;
+    file.take(most + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+    if bytes.len() as u64 > most { Err(format!("larger than {most} bytes")) } else { Ok(bytes) }
+}

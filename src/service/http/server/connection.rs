@@ -1,0 +1,182 @@
+//! One connection from its first byte to its end, every step of it within a time: the TLS handshake or the first bytes, which tell the version;
+//! the head; the body (`body.rs`); the answer (`steady.rs`, `streams.rs`); and what lies between two requests.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::ConnectInfo;
+use axum::http::{Request, Response};
+use hyper::body::Incoming;
+use hyper::server::conn::{http1, http2};
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::TcpStream;
+use tokio::sync::watch;
+use tokio::time::timeout;
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::ServerConfig;
+
+use super::steady::Steady;
+use super::streams::{Streams, paced};
+use super::wire::Wire;
+use crate::service::App;
+use crate::service::config::DoorsConfig;
+use crate::service::doors::places::Place;
+use crate::service::doors::tls::H2;
+
+/// Streams that one HTTP/2 connection may have open.
+const STREAMS: u32 = 64;
+/// Streams that a client has reset and that are not yet accepted: one more ends the connection (CVE-2023-44487).
+const PENDING_RESETS: usize = 20;
+/// Streams that were reset from here for the client's mistakes: one more ends the connection (CVE-2025-8671).
+const LOCAL_RESETS: usize = 1024;
+/// Largest head, bytes: 431 on HTTP/1.1, a stream's error on HTTP/2.
+const HEAD: usize = 64 << 10;
+const HEAD_H2: u32 = 16 << 10;
+/// What an HTTP/2 client may send ahead on a stream, and on all of them: bytes that are kept until they are read.
+const STREAM_WINDOW: u32 = 256 << 10;
+const CONNECTION_WINDOW: u32 = 512 << 10;
+/// What waits of a stream's answer for the client's window.
+const STREAM_SEND: usize = 64 << 10;
+
+/// What an HTTP/2 connection begins with (RFC 9113, section 3.4).
+const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+/// How often a connection that has sent a part of the preface is looked at again.
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Version {
+    Http1,
+    Http2,
+}
+
+/// What all connections share.
+pub(super) struct Connections {
+    router: Router,
+    config: DoorsConfig,
+    tls: Option<watch::Receiver<Arc<ServerConfig>>>,
+    stopping: watch::Receiver<bool>,
+}
+
+impl Connections {
+    pub(super) fn new(app: &App, router: Router, tls: Option<watch::Receiver<Arc<ServerConfig>>>, stopping: watch::Receiver<bool>) -> Self {
+        Self { router, config: app.config().doors.clone(), tls, stopping }
+    }
+
+    /// Serves a connection until it ends.
+    pub(super) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: Place) {
+        let opened = match Steady::new(socket, self.config.write_timeout, place) {
+            Ok(steady) => {
+                timeout(self.config.header_timeout, self.open(steady)).await.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+            }
+            Err(error) => Err(error),
+        };
+        match opened {
+            Ok((wire, Version::Http1)) => self.http1(wire, peer).await,
+            Ok((wire, Version::Http2)) => self.http2(wire, peer).await,
+            Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
+        }
+    }
+
+    async fn open(&self, steady: Steady) -> io::Result<(Wire, Version)> {
+        let Some(tls) = &self.tls else {
+            let version = version(steady.socket()).await?;
+            return Ok((Wire::Plain(steady), version));
+        };
+        let config = Arc::clone(&tls.borrow());
+        let stream = TlsAcceptor::from(config).accept(steady).await?;
+        let version = if stream.get_ref().1.alpn_protocol() == Some(H2) { Version::Http2 } else { Version::Http1 };
+        Ok((Wire::Tls(Box::new(stream)), version))
+    }
+
+    async fn http1(&self, wire: Wire, peer: SocketAddr) {
+        let mut builder = http1::Builder::new();
+        builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
+        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)).with_upgrades());
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.stopping() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        log_end(ended);
+    }
+
+    async fn http2(&self, wire: Wire, peer: SocketAddr) {
+        let streams = Streams::new(self.config.write_timeout);
+        let mut builder = http2::Builder::new(streams.clone());
+        builder
+            .timer(TokioTimer::new())
+            .max_concurrent_streams(STREAMS)
+            .max_pending_accept_reset_streams(PENDING_RESETS)
+            .max_local_error_reset_streams(LOCAL_RESETS)
+            .max_header_list_size(HEAD_H2)
+            .initial_stream_window_size(STREAM_WINDOW)
+            .initial_connection_window_size(CONNECTION_WINDOW)
+            .max_send_buf_size(STREAM_SEND)
+            .keep_alive_interval(self.config.header_timeout)
+            .keep_alive_timeout(self.config.header_timeout);
+        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)));
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.stopping() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+            () = streams.idle(self.config.header_timeout) => {
+                connection.as_mut().graceful_shutdown();
+                // What is left is in the hands of the client: the last bytes of an answer, or nothing.
+                match timeout(self.config.write_timeout, connection).await {
+                    Ok(ended) => ended,
+                    Err(_) => return tracing::debug!("a connection without requests did not end: it is cut"),
+                }
+            }
+        };
+        log_end(ended);
+    }
+
+    fn service(
+        &self,
+        peer: SocketAddr,
+    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = std::convert::Infallible, Future: Send> + Clone + Send + use<>
+    {
+        let router = TowerToHyperService::new(self.router.clone());
+        service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(ConnectInfo(peer));
+            let answer = router.call(request);
+            async move { Ok(answer.await?.map(paced)) }
+        })
+    }
+
+    async fn stopping(&self) {
+        // Whoever says so is there as long as connections are served.
+        let _ = self.stopping.clone().wait_for(|stopping| *stopping).await;
+    }
+}
+
+fn log_end(ended: hyper::Result<()>) {
+    if let Err(error) = ended {
+        tracing::debug!(%error, "a connection ended early");
+    }
+}
+
+/// Ends when the version is known: hyper's header timeout begins only then. `P` may be the beginning of `POST` or of the preface.
+async fn version(stream: &TcpStream) -> io::Result<Version> {
+    let mut first = [0; PREFACE.len()];
+    loop {
+        let seen = stream.peek(&mut first).await?;
+        if seen == PREFACE.len() && first == *PREFACE {
+            return Ok(Version::Http2);
+        }
+        if seen == 0 || first[..seen] != PREFACE[..seen] {
+            return Ok(Version::Http1);
+        }
+        tokio::time::sleep(LOOK_AGAIN).await;
+    }
+}

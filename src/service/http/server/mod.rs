@@ -1,0 +1,192 @@
+//! The listener and its end. Connections have tasks of their own (`connection.rs`); every wait for a client has an end. SIGTERM and Ctrl-C stop
+//! accepting, let requests finish for the grace period, and end the server. Keys and certificate are read again when their files change.
+
+mod connection;
+mod reread;
+mod steady;
+mod streams;
+mod wire;
+
+use std::future::Future;
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::time::Duration;
+
+use thiserror::Error;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use connection::Connections;
+use reread::Reread;
+pub(super) use wire::Wire;
+
+use super::router;
+use crate::service::config::Config;
+use crate::service::doors::tls::TlsFiles;
+use crate::service::{App, NotStarted};
+
+/// Longest time for drag sockets to close when the service stops.
+const FAREWELL: Duration = Duration::from_secs(3);
+/// Pause when the operating system has no room for another connection.
+const NO_ROOM: Duration = Duration::from_millis(100);
+/// Files beside connections: the runtime's, the store's, the log.
+const OTHER_FILES: u64 = 256;
+
+/// Why the server did not start, or ended.
+#[derive(Debug, Error)]
+pub enum ServeError {
+    /// The address is not free, or not ours.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        source: io::Error,
+    },
+    /// No threads, or no store.
+    #[error("{0}")]
+    NotStarted(#[from] NotStarted),
+    /// The certificate or its key.
+    #[error("{0}")]
+    Tls(String),
+    /// The runtime or the listener failed.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+}
+
+/// Serves until a signal, on a runtime of its own.
+///
+/// # Errors
+/// See [`ServeError`].
+pub fn run(config: Config) -> Result<(), ServeError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let ended = runtime.block_on(async {
+        let listener = listen(config.listen)?;
+        let app = App::new(config)?;
+        serve(app, listener, stop_signal()?).await
+    });
+    // What still runs belongs to clients that have been cut off.
+    runtime.shutdown_timeout(Duration::from_millis(100));
+    ended
+}
+
+/// Binds, before anything else is started.
+///
+/// # Errors
+/// [`ServeError::Listen`].
+pub fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
+    let bind = || {
+        let listener = TcpListener::bind(address)?;
+        listener.set_nonblocking(true)?;
+        Ok(listener)
+    };
+    bind().map_err(|source| ServeError::Listen { address, source })
+}
+
+/// Serves on a bound socket until `stop` ends, then drains.
+///
+/// # Errors
+/// The listener failed, or the certificate cannot be read.
+pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
+    let config = app.config().clone();
+    let doors = &config.doors;
+    app.spawn_sweeper();
+    let address = listener.local_addr()?;
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    raise_open_files(doors.max_connections);
+    let tls = doors.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
+    let (stopping, stopped) = watch::channel(false);
+    let connections = Arc::new(Connections::new(&app, router(app.clone()), tls.as_ref().map(watch::Sender::subscribe), stopped));
+    let reread = Reread::new(&app, tls);
+    let scheme = if doors.tls.is_some() { "https" } else { "http" };
+    let work = config.work;
+    tracing::info!(
+        workers = work.workers,
+        queue = work.queue,
+        memory = work.memory_bytes,
+        keys = reread.keys(),
+        "listening on {scheme}://{address}"
+    );
+    let mut tasks = JoinSet::new();
+    tokio::select! {
+        () = accept(&app, &listener, &connections, &mut tasks) => {}
+        () = reread.run() => {}
+        () = stop => {}
+    }
+    drop(listener);
+    app.drain();
+    tracing::info!(grace = ?doors.shutdown_grace, connections = tasks.len(), "stopping");
+    stopping.send_replace(true);
+    let all_ended = async { while tasks.join_next().await.is_some() {} };
+    // Those that go on after the grace are cut off.
+    let _ = tokio::time::timeout(doors.shutdown_grace, all_ended).await;
+    tasks.abort_all();
+    // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
+    let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+/// Takes connections, one task each, for ever.
+async fn accept(app: &App, listener: &tokio::net::TcpListener, connections: &Arc<Connections>, tasks: &mut JoinSet<()>) {
+    let trusted = &app.config().doors.trusted_proxies;
+    loop {
+        let (socket, peer) = tokio::select! {
+            accepted = listener.accept() => match accepted {
+                Ok(accepted) => accepted,
+                // One that has left already.
+                Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset) => continue,
+                Err(error) => {
+                    // No file or no memory is left for another: it waits in the backlog until there is.
+                    tracing::warn!(%error, "no connection can be taken");
+                    tokio::time::sleep(NO_ROOM).await;
+                    continue;
+                }
+            },
+            Some(_) = tasks.join_next() => continue,
+        };
+        let is_proxy = trusted.iter().any(|network| network.has(peer.ip()));
+        let Some(place) = app.doors().places().take(peer.ip(), is_proxy) else {
+            tracing::debug!(peer = %peer.ip(), "no place for another connection: it is closed");
+            continue;
+        };
+        let connections = Arc::clone(connections);
+        tasks.spawn(async move { connections.serve(socket, peer, place).await });
+    }
+}
+
+/// Every connection is an open file. A soft limit that is too low is raised as far as the hard one allows.
+fn raise_open_files(connections: usize) {
+    #[cfg(unix)]
+    {
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+        let wanted = connections as u64 + OTHER_FILES;
+        let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+        if current.is_none_or(|current| current >= wanted) {
+            return;
+        }
+        let raised = maximum.map_or(wanted, |maximum| maximum.min(wanted));
+        let set = setrlimit(Resource::Nofile, Rlimit { current: Some(raised), maximum });
+        if set.is_err() || raised < wanted {
+            tracing::warn!(limit = raised, wanted, "the limit of open files is too low for --max-connections: raise it (ulimit -n)");
+        }
+    }
+}
+
+/// Ends at SIGTERM or Ctrl-C. Listens from the moment it is made.
+fn stop_signal() -> io::Result<impl Future<Output = ()> + Send + 'static> {
+    #[cfg(unix)]
+    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
+    #[cfg(unix)]
+    let mut interrupt = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::interrupt())?;
+    Ok(async move {
+        #[cfg(unix)]
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+        #[cfg(not(unix))]
+        let _ = tokio::signal::ctrl_c().await;
+    })
+}

@@ -1,0 +1,102 @@
+"""A server that wants a key: the page asks for it, keeps it in this browser, and never gives it away."""
+
+import base64
+import os
+import subprocess
+
+import pytest
+
+from support import BLUE, RED, SOCKET, Server, near
+
+KEY = "a-key-of-the-tests-0123456789"
+OTHER = "another-key-of-the-tests-98765"
+
+
+@pytest.fixture(scope="module")
+def locked():
+    server = Server("--keys", f"ann {KEY},bob {OTHER}")
+    yield server
+    server.stop()
+    log = open(server.log.name, "rb").read()
+    assert KEY.encode() not in log
+
+
+def give(visit, key, remember=False):
+    visit.page.fill("#key-field", key)
+    visit.page.set_checked("#key-remember", remember)
+    visit.page.click("#key-use")
+
+
+def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture, tmp_path):
+    visit = visits(locked)
+    visit.expects("401", "403")
+    sockets = []
+    visit.page.on("websocket", lambda socket: sockets.append(socket))
+    asked = []
+    visit.page.on("request", lambda request: asked.append(request.url))
+    visit.page.set_input_files("#file", picture)
+    visit.body("[data-problem=unauthorized]")
+    assert visit.text("problem-title") == "This server wants a key"
+    visit.page.click("#problem-action")
+    # By its name, with the keyboard; what is no key is told here, a wrong one by the server.
+    field = visit.page.get_by_label("Key", exact=True)
+    assert field.get_attribute("type") == "password"
+    field.fill("short")
+    field.press("Enter")
+    assert visit.page.locator("#key-wrong").is_visible()
+    visit.keep("key")
+    field.fill("a-wrong-key-0123456789")
+    field.press("Enter")
+    visit.body("[data-problem=forbidden]")
+    visit.page.click("#problem-action")
+    give(visit, KEY)
+    visit.body("[data-state=ready]")
+    visit.click(*RED)
+    visit.click(*BLUE)
+    visit.ready()
+    visit.drag(RED, (120, 120))
+    visit.ready()
+    assert near(visit.look().centre("red"), (120, 120), 1.5)
+    assert visit["live"] == "socket" and sockets
+    # Never in an address.
+    secret = base64.urlsafe_b64encode(KEY.encode()).decode().rstrip("=")
+    for url in asked + [socket.url for socket in sockets] + [visit.page.url]:
+        assert KEY not in url and secret not in url
+    # What is taken along has a variable in its place.
+    png = visit.saved("download")[1]
+    line = visit.copied("copy-curl")
+    assert '-H "Authorization: Bearer $MLSWARP_KEY"' in line and KEY not in line
+    assert KEY not in visit.copied("copy-link")
+    (tmp_path / picture.name).write_bytes(picture.read_bytes())
+    subprocess.run(["sh", "-c", line], cwd=tmp_path, env={**os.environ, "MLSWARP_KEY": KEY}, check=True)
+    assert (tmp_path / f"{picture.stem}-bent.png").read_bytes() == png
+
+
+def test_the_key_lives_as_long_as_is_wished(visits, locked, picture):
+    visit = visits(locked)
+    visit.expects("401", SOCKET)
+    visit.page.click("#help-open")
+    visit.page.click("#key-open")
+    assert not visit.page.locator("#key-forget").is_visible()
+    give(visit, OTHER)
+    visit.open(picture)
+    visit.page.reload()
+    visit.body("[data-state=ready]")
+    # A tab of its own has none.
+    stored = "() => [sessionStorage, localStorage].map((storage) => storage.getItem('mlswarp.key'))"
+    assert visit.page.evaluate(stored) == [OTHER, None]
+    visit.page.click("#help-open")
+    visit.page.click("#key-open")
+    give(visit, OTHER, remember=True)
+    assert visit.page.evaluate(stored) == [None, OTHER]
+    visit.page.click("#help-open")
+    visit.page.click("#key-open")
+    assert visit.page.locator("#key-field").input_value() == "" and visit.page.locator("#key-remember").is_checked()
+    visit.page.click("#key-forget")
+    assert visit.page.evaluate(stored) == [None, None]
+    visit.click(*RED)
+    visit.body("[data-problem=unauthorized]")
+    visit.page.click("#problem-action")
+    give(visit, OTHER)
+    visit.ready()
+    assert visit["problem"] == ""

@@ -1,0 +1,252 @@
+//! Keys: who has none is told so, who has another's learns nothing of what is not its own, and none of them is ever written down.
+
+use std::time::{Duration, Instant};
+
+use data_encoding::BASE64URL_NOPAD;
+use futures_util::{SinkExt as _, StreamExt as _};
+use mlswarp::service::http::{Access, paths};
+use reqwest::{Method, RequestBuilder, Response};
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio_tungstenite::client_async;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+use tokio_tungstenite::tungstenite::{Error, Message};
+
+use crate::support::program::{Program, mlswarp};
+use crate::support::server::{form, header, problem};
+use crate::support::{Server, photo};
+
+const ANN: &str = "ann-s-key-0123456789";
+const BOB: &str = "bob-s-key-9876543210";
+const NOBODY: &str = "8f3b1c1e-6f0a-4c8e-9d53-0f1a2b3c4d5e";
+
+async fn server() -> Server {
+    Server::start(&["--keys", &format!("ann {ANN},bob {BOB}")]).await
+}
+
+fn rest() -> Value {
+    json!({"p": [[4, 4], [12, 8]]})
+}
+
+/// Every method of every route, as the document lists them.
+async fn operations(server: &Server) -> Vec<(Method, String, Access)> {
+    let document: Value = server.get("/openapi.json").send().await.unwrap().json().await.unwrap();
+    let methods = |path: &str| -> Vec<Method> {
+        let item = document["paths"][path].as_object().unwrap_or_else(|| panic!("{path} is not in the document"));
+        item.iter().filter(|(_, i)| i["responses"].is_object()).map(|(method, _)| method.to_uppercase().parse().unwrap()).collect()
+    };
+    let served = paths(&server.app);
+    served.into_iter().flat_map(|(path, access)| methods(path).into_iter().map(move |method| (method, path.to_owned(), access))).collect()
+}
+
+/// A request of this route that would succeed for whoever owns the session.
+fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuilder {
+    let request = server.client.request(method.clone(), server.url(&path.replace("{id}", id)));
+    match (method.as_str(), path) {
+        ("POST", "/warp") => request.json(&json!({"session": id, "q": [[5, 4], [12, 8]]})),
+        ("POST", "/sessions") | ("PUT", "/sessions/{id}") => request.multipart(form(&photo(16, 12), rest().to_string())),
+        ("GET" | "DELETE", "/sessions/{id}") => request,
+        ("PUT", "/sessions/{id}/handles") => request.json(&json!({"p": [[1, 1]]})),
+        ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8]]})),
+        ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8]], "points": [[1, 1]]})),
+        ("POST", "/points") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]], "points": [[3, 3]]})),
+        ("GET", "/sessions/{id}/drag") => request
+            .header("Connection", "upgrade")
+            .header("Upgrade", "websocket")
+            .header("Sec-WebSocket-Version", "13")
+            .header("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
+        ("GET", _) => request,
+        other => panic!("{other:?} is new: say here what asks for it"),
+    }
+}
+
+/// What an answer tells, but for what differs with every request.
+async fn told(response: Response) -> (u16, Value) {
+    let status = response.status().as_u16();
+    let mut document: Value = response.json().await.unwrap_or_default();
+    document["request_id"] = Value::Null;
+    (status, document)
+}
+
+#[tokio::test]
+async fn every_route_wants_a_key_unless_it_is_open() {
+    let server = server().await;
+    let operations = operations(&server).await;
+    assert!(operations.iter().filter(|(.., access)| *access == Access::Keyed).count() >= 11, "{operations:?}");
+    for (method, path, access) in operations {
+        let none = asked(&server, &method, &path, NOBODY).send().await.unwrap();
+        if access == Access::Open {
+            assert_eq!(none.status(), 200, "{method} {path}");
+            continue;
+        }
+        assert_eq!(header(&none, "www-authenticate"), "Bearer", "{method} {path}");
+        problem(none, 401, "unauthorized").await;
+        let basic = asked(&server, &method, &path, NOBODY).header("Authorization", format!("Basic {ANN}"));
+        problem(basic.send().await.unwrap(), 401, "unauthorized").await;
+        for wrong in [&ANN[1..], &format!("{ANN}0"), "x"] {
+            problem(asked(&server, &method, &path, NOBODY).bearer_auth(wrong).send().await.unwrap(), 403, "forbidden").await;
+        }
+    }
+    for open in ["/", "/page/main.js", "/healthz", "/readyz", "/openapi.json"] {
+        assert_eq!(server.get(open).send().await.unwrap().status(), 200, "{open}");
+    }
+    // A key in the address is no key.
+    problem(server.post(&format!("/points?key={ANN}")).json(&json!({})).send().await.unwrap(), 401, "unauthorized").await;
+}
+
+/// For another's session every route answers byte for byte as for one that never was.
+#[tokio::test]
+async fn two_keys_do_not_see_each_others_sessions() {
+    let server = server().await;
+    let opened = server.post("/sessions").bearer_auth(ANN).multipart(form(&photo(16, 12), rest().to_string())).send().await.unwrap();
+    let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let picture = async || {
+        let body = json!({"q": [[5, 4], [12, 8]]});
+        let answer = server.post(&format!("/sessions/{id}/warp")).bearer_auth(ANN).json(&body).send().await.unwrap();
+        assert_eq!(answer.status(), 200);
+        answer.bytes().await.unwrap()
+    };
+    let session = async || told(server.get(&format!("/sessions/{id}")).bearer_auth(ANN).send().await.unwrap()).await.1;
+    let (before, was) = (picture().await, session().await);
+    let mut tried = 0;
+    for (method, path, access) in operations(&server).await {
+        let names_a_session = path.contains("{id}") || path == "/warp";
+        // Bob may give a session of his own the same name; see below.
+        if access == Access::Open || !names_a_session || (method == Method::PUT && path == "/sessions/{id}") {
+            continue;
+        }
+        let theirs = told(asked(&server, &method, &path, &id).bearer_auth(BOB).send().await.unwrap()).await;
+        let unknown = told(asked(&server, &method, &path, NOBODY).bearer_auth(BOB).send().await.unwrap()).await;
+        assert_eq!(theirs.0, 404, "{method} {path}");
+        assert_eq!(theirs, unknown, "{method} {path}");
+        tried += 1;
+    }
+    assert!(tried >= 8, "{tried}");
+    // The same name is another session of another owner: neither replaces the other.
+    let own = asked(&server, &Method::PUT, "/sessions/{id}", &id).bearer_auth(BOB).send().await.unwrap();
+    assert_eq!(own.status(), 201);
+    let handles = asked(&server, &Method::PUT, "/sessions/{id}/handles", &id).bearer_auth(BOB).send().await.unwrap();
+    assert_eq!(handles.status(), 200);
+    assert_eq!(picture().await, before);
+    assert_eq!(session().await["p"], was["p"]);
+    let ended = asked(&server, &Method::DELETE, "/sessions/{id}", &id).bearer_auth(BOB).send().await.unwrap();
+    assert_eq!(ended.status(), 204);
+    assert_eq!(picture().await, before);
+}
+
+/// Opens a drag socket with subprotocols; the one that is answered.
+async fn open(server: &Server, path: &str, protocols: &str) -> Result<Option<String>, u16> {
+    let mut request = format!("ws://{}{path}", server.address).into_client_request().unwrap();
+    request.headers_mut().insert("Sec-WebSocket-Protocol", protocols.parse().unwrap());
+    match client_async(request, TcpStream::connect(server.address).await.unwrap()).await {
+        Ok((mut socket, answer)) => {
+            assert!(matches!(socket.next().await, Some(Ok(Message::Text(_)))), "hello");
+            socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+            assert!(matches!(socket.next().await, Some(Ok(Message::Binary(_)))), "a frame");
+            Ok(answer.headers().get("Sec-WebSocket-Protocol").map(|p| p.to_str().unwrap().to_owned()))
+        }
+        Err(Error::Http(refused)) => Err(refused.status().as_u16()),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[tokio::test]
+async fn a_browsers_socket_brings_its_key_as_a_subprotocol() {
+    let server = server().await;
+    let opened = server.post("/sessions").bearer_auth(ANN).multipart(form(&photo(16, 12), rest().to_string())).send().await.unwrap();
+    let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let path = format!("/sessions/{id}/drag");
+    let offers = |key: &str| format!("mlswarp, mlswarp.bearer.{}", BASE64URL_NOPAD.encode(key.as_bytes()));
+    // The key's subprotocol is never the one that is chosen: it would come back in the answer.
+    assert_eq!(open(&server, &path, &offers(ANN)).await, Ok(Some("mlswarp".to_owned())));
+    assert_eq!(open(&server, &path, &offers(BOB)).await, Err(404));
+    assert_eq!(open(&server, &path, &offers("another-key-0123456789")).await, Err(403));
+    assert_eq!(open(&server, &path, "mlswarp").await, Err(401));
+    assert_eq!(open(&server, &format!("{path}?key={ANN}"), &offers(ANN)).await, Err(422), "the query has no key");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn keys_change_without_a_restart_and_a_broken_file_changes_nothing() {
+    let file = std::env::temp_dir().join(format!("mlswarp-test-keys-{}", std::process::id()));
+    let write = |text: &str| {
+        let new = file.with_extension("new");
+        std::fs::write(&new, text).unwrap();
+        std::fs::rename(&new, &file).unwrap();
+    };
+    write(&format!("# before\nann {ANN}\n"));
+    let server = Server::start(&["--keys-file", file.to_str().unwrap()]).await;
+    let opened = server.post("/sessions").bearer_auth(ANN).multipart(form(&photo(16, 12), rest().to_string())).send().await.unwrap();
+    let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let status = async |key: &str| server.get(&format!("/sessions/{id}")).bearer_auth(key).send().await.unwrap().status().as_u16();
+    let until = async |key: &str, wanted: u16| {
+        let began = Instant::now();
+        while status(key).await != wanted {
+            assert!(began.elapsed() < Duration::from_secs(30), "{key} {wanted}");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    assert_eq!((status(ANN).await, status(BOB).await), (200, 403));
+    // Both keys of one name, then the new one alone: the session stays.
+    write(&format!("ann {ANN}\nann {BOB}\n"));
+    until(BOB, 200).await;
+    write(&format!("ann {BOB}\n"));
+    until(ANN, 403).await;
+    assert_eq!(status(BOB).await, 200);
+    for broken in ["ann short", "", "no key here at all"] {
+        write(broken);
+        tokio::time::sleep(Duration::from_millis(1500)).await;
+        assert_eq!((status(ANN).await, status(BOB).await), (403, 200), "{broken}");
+    }
+    std::fs::remove_file(&file).unwrap();
+}
+
+/// A whole conversation, everything logged that can be: no key, no session's name, no picture.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_secret_is_logged() {
+    let program = Program::start(&["--log", "trace", "--keys", &format!("ann {ANN}")]);
+    let client = reqwest::Client::new();
+    let url = |path: &str| format!("http://{}{path}", program.address);
+    let upload = client.post(url("/sessions?secret=in-the-query-77")).bearer_auth(ANN).multipart(form(&photo(32, 24), rest().to_string()));
+    let refused = upload.send().await.unwrap();
+    let _ = refused.bytes().await;
+    let opened = client.post(url("/sessions")).bearer_auth(ANN).multipart(form(&photo(32, 24), rest().to_string())).send().await.unwrap();
+    let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let body = json!({"q": [[5, 4], [12, 8]]});
+    let warped = client.post(url(&format!("/sessions/{id}/warp"))).bearer_auth(ANN).json(&body).send().await.unwrap();
+    assert_eq!(warped.status(), 200);
+    let _ = warped.bytes().await.unwrap();
+    let wrong = client.get(url(&format!("/sessions/{id}"))).bearer_auth("a-wrong-key-that-is-long").send().await.unwrap();
+    assert_eq!(wrong.status(), 403);
+    let key = BASE64URL_NOPAD.encode(ANN.as_bytes());
+    let mut request = format!("ws://{}/sessions/{id}/drag", program.address).into_client_request().unwrap();
+    request.headers_mut().insert("Sec-WebSocket-Protocol", format!("mlswarp, mlswarp.bearer.{key}").parse().unwrap());
+    let (mut socket, _) = client_async(request, TcpStream::connect(program.address).await.unwrap()).await.unwrap();
+    socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+    while !matches!(socket.next().await, Some(Ok(Message::Binary(_)))) {}
+    socket.close(None).await.unwrap();
+    // HTTP/2 has a library of its own that logs.
+    let curl = std::process::Command::new("curl")
+        .args(["-sS", "--http2-prior-knowledge", "-H", &format!("Authorization: Bearer {ANN}"), &url(&format!("/sessions/{id}"))])
+        .output();
+    assert!(curl.is_ok_and(|output| output.status.success()), "curl with HTTP/2");
+    let end = client.delete(url(&format!("/sessions/{id}"))).bearer_auth(ANN).send().await.unwrap();
+    assert_eq!(end.status(), 204);
+    program.terminate();
+    let (status, log) = tokio::task::spawn_blocking(move || program.wait()).await.unwrap();
+    assert!(status.success());
+    assert!(log.contains("TRACE") && log.matches("answered").count() >= 6, "the log is a whole one");
+    for secret in [ANN, &key, &id, "in-the-query-77", "a-wrong-key", "IHDR"] {
+        let line = log.lines().find(|line| line.contains(secret));
+        assert_eq!(line, None, "{secret} is in the log");
+    }
+}
+
+#[test]
+fn beyond_the_loopback_a_key_is_wanted() {
+    let ended = mlswarp(&["--listen", "0.0.0.0:0"]).output().unwrap();
+    let told = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(2), "{told}");
+    for word in ["--listen (MLSWARP_LISTEN)", "MLSWARP_KEYS_FILE", "MLSWARP_ALLOW_ANONYMOUS=true"] {
+        assert!(told.contains(word), "{told}");
+    }
+}

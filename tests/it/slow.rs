@@ -1,0 +1,416 @@
+//! Clients that are slow, silent or take nothing: each is closed or bounded at its deadline, and a healthy client gets every answer meanwhile.
+//! How fast it gets them is printed (`--nocapture`), not asserted.
+
+use std::net::SocketAddr;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::{TcpSocket, TcpStream};
+
+use crate::support::program::Program;
+use crate::support::server::form;
+use crate::support::{Server, eventually, photo};
+
+const HEADER: Duration = Duration::from_millis(600);
+const BODY: Duration = Duration::from_millis(900);
+const WRITE: Duration = Duration::from_millis(800);
+const DEADLINES: [&str; 6] = ["--header-timeout", "600ms", "--body-timeout", "900ms", "--write-timeout", "800ms"];
+
+/// A client that drags from one connection and must get every answer, until it is told to stop.
+struct Healthy {
+    stop: Arc<AtomicBool>,
+    client: tokio::task::JoinHandle<Vec<Duration>>,
+}
+
+impl Healthy {
+    async fn begin(address: SocketAddr) -> Self {
+        let client = reqwest::Client::new();
+        let opened = client.post(format!("http://{address}/sessions")).multipart(form(&photo(128, 96), r#"{"p": [[20, 20], [100, 24]]}"#));
+        let id = opened.send().await.unwrap().json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let client = tokio::spawn(async move {
+            let mut waits = Vec::new();
+            while !stopped.load(Ordering::Relaxed) {
+                let began = Instant::now();
+                let body = json!({"q": [[20 + waits.len() % 9, 20], [100, 24]]});
+                let answer = client.post(format!("http://{address}/sessions/{id}/warp")).json(&body).send().await.unwrap();
+                assert_eq!(answer.status(), 200);
+                assert!(answer.bytes().await.unwrap().starts_with(b"\x89PNG"));
+                waits.push(began.elapsed());
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+            waits
+        });
+        Self { stop, client }
+    }
+
+    async fn end(self, meanwhile: &str) {
+        self.stop.store(true, Ordering::Relaxed);
+        let mut waits = self.client.await.unwrap();
+        waits.sort_unstable();
+        assert!(waits.len() >= 10, "{}", waits.len());
+        let p99 = waits[(waits.len() * 99).div_ceil(100) - 1];
+        eprintln!("{meanwhile}: {} answers, p99 {:.1} ms, longest {:.1} ms", waits.len(), ms(p99), ms(waits[waits.len() - 1]));
+    }
+}
+
+fn ms(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+/// Reads until the server closes; how long that took, and what it had said.
+async fn closed(mut stream: impl tokio::io::AsyncRead + Unpin, began: Instant) -> (Duration, Vec<u8>) {
+    let mut said = Vec::new();
+    let read = tokio::time::timeout(Duration::from_secs(60), stream.read_to_end(&mut said)).await;
+    assert!(read.is_ok(), "the server does not close");
+    (began.elapsed(), said)
+}
+
+fn in_time(took: Duration, deadline: Duration) {
+    assert!(took >= deadline.mul_f64(0.9) && took < 10 * deadline, "{took:?}, where {deadline:?} are allowed");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
+    let server = Server::start(&DEADLINES).await;
+    let address = server.address;
+    let well = Healthy::begin(address).await;
+    let silent = (0..20).map(|_| tokio::spawn(async move { closed(TcpStream::connect(address).await.unwrap(), Instant::now()).await }));
+    // A byte now and then is no head, whether it may become HTTP/1.1 or HTTP/2.
+    let trickle = |bytes: Vec<u8>| {
+        tokio::spawn(async move {
+            let (read, mut write) = TcpStream::connect(address).await.unwrap().into_split();
+            let began = Instant::now();
+            let writes = tokio::spawn(async move {
+                for byte in bytes {
+                    if write.write_all(&[byte]).await.is_err() {
+                        break;
+                    }
+                    tokio::time::sleep(Duration::from_millis(50)).await;
+                }
+                write
+            });
+            let closed = closed(read, began).await;
+            writes.abort();
+            closed
+        })
+    };
+    let heads = (0..20).map(|n| trickle(format!("GET /healthz HTTP/1.1\r\nX-{n}: {}", "x".repeat(1000)).into_bytes()));
+    let preface = trickle([&b"PRI * HTTP/2.0\r\n\r\n"[..], &[b'S'; 100]].concat());
+    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
+    let bodies = (0..20).map(|_| {
+        tokio::spawn(async move {
+            let mut stream = TcpStream::connect(address).await.unwrap();
+            stream.write_all(head.as_bytes()).await.unwrap();
+            let began = Instant::now();
+            let (mut said, mut piece) = (Vec::new(), [0; 4096]);
+            while !said.starts_with(b"HTTP/1.1 408") {
+                assert!(began.elapsed() < Duration::from_secs(30));
+                let _ = stream.write_all(b" ").await;
+                match tokio::time::timeout(Duration::from_millis(50), stream.read(&mut piece)).await {
+                    Ok(Ok(read)) if read > 0 => said.extend_from_slice(&piece[..read]),
+                    Ok(other) => panic!("{other:?} after {}", String::from_utf8_lossy(&said)),
+                    Err(_) => {}
+                }
+            }
+            began.elapsed()
+        })
+    });
+    let (silent, heads, bodies): (Vec<_>, Vec<_>, Vec<_>) = (silent.collect(), heads.collect(), bodies.collect());
+    for (client, said) in silent.into_iter().map(|task| (task, false)).chain(heads.into_iter().map(|task| (task, true))) {
+        let (took, answer) = client.await.unwrap();
+        in_time(took, HEADER);
+        assert!(answer.is_empty() || said, "{}", String::from_utf8_lossy(&answer));
+    }
+    in_time(preface.await.unwrap().0, HEADER);
+    for body in bodies {
+        in_time(body.await.unwrap(), BODY);
+    }
+    well.end("silent sockets, slow heads, slow bodies").await;
+    eventually("every connection is given back", || server.app.doors().places().open() <= 2).await;
+}
+
+/// A session whose picture is some megabytes, never compressed.
+async fn large(server: &Server) -> String {
+    server.session(&photo(1600, 1200), &json!({"p": [[20, 20]], "grid": {"cell": 100}})).await
+}
+
+async fn take(address: SocketAddr, id: &str) -> TcpStream {
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_recv_buffer_size(16 << 10).unwrap();
+    let mut stream = socket.connect(address).await.unwrap();
+    let body = json!({"q": [[22, 20]], "output": {"compression": "none"}}).to_string();
+    let length = body.len();
+    let head = format!("POST /sessions/{id}/warp HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
+    stream.write_all(format!("{head}Connection: close\r\n\r\n{body}").as_bytes()).await.unwrap();
+    stream
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn who_takes_nothing_is_cut_and_who_takes_little_is_not() {
+    let server = Server::start(&["--write-timeout", "6s"]).await;
+    let id = large(&server).await;
+    let well = Healthy::begin(server.address).await;
+    let nothing = take(server.address, &id).await;
+    let mut slow = take(server.address, &id).await;
+    let began = Instant::now();
+    // 10 kB/s, for three times the deadline; then all of it. (The kernel hands over up to 64 KiB at once: a deadline must be longer than those take.)
+    let mut said = vec![0; 1000];
+    let mut taken = 0;
+    while began.elapsed() < Duration::from_secs(18) {
+        let read = tokio::time::timeout(Duration::from_secs(5), slow.read(&mut said)).await.unwrap().unwrap();
+        assert!(read > 0, "cut after {:?} and {taken} bytes", began.elapsed());
+        taken += read;
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let mut rest = Vec::new();
+    slow.read_to_end(&mut rest).await.unwrap();
+    assert!(rest.ends_with(b"0\r\n\r\n") && taken + rest.len() > 1600 * 1200 * 3, "the picture is whole: {}", taken + rest.len());
+    // The other one has been cut long ago: its place is free, and what it reads ends early.
+    eventually("it is cut", || server.app.doors().places().open() <= 2).await;
+    let (_, said) = closed_or_reset(nothing).await;
+    assert!(said < 1600 * 1200 * 3, "{said}");
+    well.end("a reader that takes nothing, one at 10 kB/s").await;
+}
+
+/// Reads to the end, or to the reset.
+async fn closed_or_reset(mut stream: TcpStream) -> (Duration, usize) {
+    let began = Instant::now();
+    let mut said = Vec::new();
+    let _ = tokio::time::timeout(Duration::from_secs(30), stream.read_to_end(&mut said)).await.unwrap();
+    (began.elapsed(), said.len())
+}
+
+/// As many connections as the program takes, none of which says anything.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_thousand_idle_connections_are_closed_at_their_deadline() {
+    use rustix::process::{Resource, getrlimit, setrlimit};
+    const IDLE: usize = 2000;
+    let mut limit = getrlimit(Resource::Nofile);
+    if limit.current.is_some_and(|files| files < 4096) {
+        limit.current = limit.maximum.map_or(Some(4096), |most| Some(most.min(4096)));
+        setrlimit(Resource::Nofile, limit).unwrap();
+    }
+    // Started with a soft limit that is too low: it raises its own.
+    let program = Program::start(&["--header-timeout", "3s", "--max-connections-per-address", "2040", "--max-connections", "2040"]);
+    let limits = std::fs::read_to_string(format!("/proc/{}/limits", program.id())).unwrap();
+    let files = limits.lines().find(|line| line.starts_with("Max open files")).unwrap();
+    let soft: u64 = files.split_whitespace().nth(3).unwrap().parse().unwrap();
+    assert!(soft > 2040, "{files}");
+    let well = Healthy::begin(program.address).await;
+    let began = Instant::now();
+    let mut idle = Vec::new();
+    for _ in 0..IDLE {
+        idle.push(TcpStream::connect(program.address).await.unwrap());
+    }
+    let opened = began.elapsed();
+    let health = Command::new(env!("CARGO_BIN_EXE_mlswarp")).args(["health", "--listen", &program.address.to_string()]).output().unwrap();
+    assert!(health.status.success(), "{health:?}");
+    for stream in idle {
+        assert!(closed(stream, began).await.1.is_empty());
+    }
+    let took = began.elapsed();
+    eprintln!("{IDLE} idle connections: opened in {:.0} ms, all closed after {:.1} s", ms(opened), took.as_secs_f64());
+    assert!(took < opened + Duration::from_secs(30), "{took:?}");
+    well.end("2,000 idle connections").await;
+}
+
+/// A client of HTTP/2 that says what it wants, frame by frame, and answers every ping.
+struct Frames {
+    stream: TcpStream,
+    read: Vec<u8>,
+}
+
+#[derive(Debug)]
+struct Frame {
+    kind: u8,
+    flags: u8,
+    stream: u32,
+    payload: Vec<u8>,
+}
+
+const DATA: u8 = 0;
+const HEADERS: u8 = 1;
+const RST_STREAM: u8 = 3;
+const SETTINGS: u8 = 4;
+const PING: u8 = 6;
+const GOAWAY: u8 = 7;
+const WINDOW_UPDATE: u8 = 8;
+
+impl Frames {
+    /// `window`: what each of its streams may be sent.
+    async fn open(address: SocketAddr, window: u32) -> Self {
+        let mut frames = Self { stream: TcpStream::connect(address).await.unwrap(), read: Vec::new() };
+        frames.stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await.unwrap();
+        frames.say(SETTINGS, 0, 0, &[&[0, 4][..], &window.to_be_bytes()].concat()).await;
+        frames
+    }
+
+    async fn say(&mut self, kind: u8, flags: u8, stream: u32, payload: &[u8]) {
+        let length = (payload.len() as u32).to_be_bytes();
+        let head = [&length[1..], &[kind, flags], &stream.to_be_bytes()].concat();
+        // The server may have closed: whoever reads sees that.
+        let _ = self.stream.write_all(&[&head, payload].concat()).await;
+    }
+
+    /// HPACK without a table: indexed where the static table has it, else a literal.
+    async fn request(&mut self, stream: u32, method: u8, path: &str, is_whole: bool) {
+        let literal = |index: &[u8], value: &str| [index, &[value.len() as u8], value.as_bytes()].concat();
+        let block =
+            [&[method, 0x86][..], &literal(&[0x04], path), &literal(&[0x01], "x"), &literal(&[0x0f, 0x10], "application/json")].concat();
+        self.say(HEADERS, 4 | u8::from(is_whole), stream, &block).await;
+    }
+
+    /// The next frame that is neither a ping nor settings; none at the end of the connection.
+    async fn next(&mut self) -> Option<Frame> {
+        loop {
+            let mut piece = [0; 16 << 10];
+            while self.read.len() < 9 || self.read.len() < 9 + length(&self.read) {
+                match tokio::time::timeout(Duration::from_secs(60), self.stream.read(&mut piece)).await.expect("the server says something")
+                {
+                    Ok(0) | Err(_) => return None,
+                    Ok(read) => self.read.extend_from_slice(&piece[..read]),
+                }
+            }
+            let rest = self.read.split_off(9 + length(&self.read));
+            let whole = std::mem::replace(&mut self.read, rest);
+            let stream = u32::from_be_bytes(whole[5..9].try_into().unwrap());
+            let frame = Frame { kind: whole[3], flags: whole[4], stream, payload: whole[9..].to_vec() };
+            match (frame.kind, frame.flags & 1) {
+                (PING, 0) => self.say(PING, 1, 0, &frame.payload).await,
+                (SETTINGS, 0) => self.say(SETTINGS, 1, 0, &[]).await,
+                (PING | SETTINGS, _) => {}
+                _ => return Some(frame),
+            }
+        }
+    }
+}
+
+fn length(read: &[u8]) -> usize {
+    u32::from_be_bytes([0, read[0], read[1], read[2]]) as usize
+}
+
+const GET: u8 = 0x82;
+const POST: u8 = 0x83;
+
+/// It answers pings, asks for pictures, and grants no window: every stream is reset, the connection is ended, and one beside it goes on.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn http_2_without_window_falls_to_the_write_deadline() {
+    let server = Server::start(&DEADLINES).await;
+    let well = Healthy::begin(server.address).await;
+    let began = Instant::now();
+    let mut frames = Frames::open(server.address, 0).await;
+    for n in 0..32 {
+        frames.request(1 + 2 * n, GET, "/page/cat.jpg", true).await;
+    }
+    let mut reset = std::collections::BTreeSet::new();
+    let mut bytes = 0;
+    while reset.len() < 32 {
+        let frame = frames.next().await.expect("streams end before the connection");
+        match frame.kind {
+            RST_STREAM => {
+                in_time(began.elapsed(), WRITE);
+                assert!(reset.insert(frame.stream), "{frame:?}");
+            }
+            DATA => bytes += frame.payload.len(),
+            HEADERS | GOAWAY | WINDOW_UPDATE => {}
+            _ => panic!("{frame:?}"),
+        }
+    }
+    assert_eq!(bytes, 0, "there was no window");
+    while frames.next().await.is_some() {}
+    assert!(began.elapsed() < 10 * (WRITE + HEADER + WRITE), "{:?}", began.elapsed());
+    well.end("HTTP/2 without window").await;
+    eventually("its place is given back", || server.app.doors().places().open() <= 2).await;
+}
+
+/// One byte of window for each answer, and pings: what is left of the answers does not stay.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn http_2_with_one_byte_of_window_does_not_stay() {
+    let server = Server::start(&DEADLINES).await;
+    let began = Instant::now();
+    let mut frames = Frames::open(server.address, 1).await;
+    for n in 0..64 {
+        frames.request(1 + 2 * n, GET, "/healthz", true).await;
+    }
+    while frames.next().await.is_some() {}
+    assert!(began.elapsed() < 10 * (WRITE + HEADER + WRITE), "{:?}", began.elapsed());
+}
+
+/// Streams that are opened and send no body; the 65th is refused at once.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn http_2_streams_without_bodies_fall_to_the_body_deadline() {
+    let server = Server::start(&DEADLINES).await;
+    let well = Healthy::begin(server.address).await;
+    let mut frames = Frames::open(server.address, 65535).await;
+    // Whoever has read the server's settings knows that there are 64.
+    let began = Instant::now();
+    for n in 0..64 {
+        frames.request(1 + 2 * n, POST, "/points", false).await;
+    }
+    frames.request(129, POST, "/points", false).await;
+    let mut answered = std::collections::BTreeSet::new();
+    let mut refused = false;
+    while answered.len() < 64 {
+        let frame = frames.next().await.expect("every stream is answered");
+        match (frame.kind, frame.stream) {
+            (RST_STREAM, 129) => refused = true,
+            (HEADERS, stream) => {
+                in_time(began.elapsed(), BODY);
+                answered.insert(stream);
+            }
+            _ => {}
+        }
+    }
+    assert!(refused, "one stream more than 64");
+    while frames.next().await.is_some() {}
+    well.end("HTTP/2 with 64 silent streams").await;
+}
+
+/// Streams that are opened and reset at once, over and over: the connection is ended, and nobody else notices (CVE-2023-44487).
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn http_2_resets_end_the_connection() {
+    let server = Server::start(&DEADLINES).await;
+    let well = Healthy::begin(server.address).await;
+    let mut frames = Frames::open(server.address, 65535).await;
+    for n in 0..20_000 {
+        frames.request(1 + 2 * n, POST, "/points", false).await;
+        frames.say(RST_STREAM, 0, 1 + 2 * n, &8_u32.to_be_bytes()).await;
+    }
+    let mut goaway = false;
+    while let Some(frame) = frames.next().await {
+        goaway |= frame.kind == GOAWAY;
+    }
+    assert!(goaway, "the connection is ended with its reason");
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    well.end("HTTP/2 resets").await;
+}
+
+/// A TLS handshake that begins and does not end.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_tls_handshake_without_end_is_cut() {
+    let folder = crate::tls::Folder::new("slow");
+    let server = folder.server(&DEADLINES).await;
+    // The head of a record that holds a ClientHello of 512 bytes, most of which never comes.
+    for begin in [&b""[..], b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"] {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        stream.write_all(begin).await.unwrap();
+        in_time(closed(stream, Instant::now()).await.0, HEADER);
+    }
+    // And one that ends, after which nothing is asked.
+    let stream = folder.connect(server.address, &[b"http/1.1"]).await.unwrap();
+    let began = Instant::now();
+    let mut said = Vec::new();
+    let mut stream = stream;
+    let _ = stream.read_to_end(&mut said).await;
+    in_time(began.elapsed(), HEADER);
+    let mut stream = folder.connect(server.address, &[b"h2"]).await.unwrap();
+    let began = Instant::now();
+    let _ = stream.read_to_end(&mut said).await;
+    assert!(began.elapsed() < 10 * (HEADER + WRITE));
+}
