@@ -175,6 +175,7 @@ impl Collector for App {
         self.write_doors(sheet)?;
         self.write_memory(sheet)?;
         self.write_caches(sheet)?;
+        self.write_store(sheet)?;
         self.write_pictures(sheet)
     }
 }
@@ -222,6 +223,14 @@ impl App {
         sheet.counter("cache_hits", "Looks that found a value", &each(|usage| usage.hits))?;
         sheet.counter("cache_builds", "Values that were made because they were not there", &each(|usage| usage.built))?;
         sheet.counter("cache_evictions", "Values that made room for others", &each(|usage| usage.evicted))
+    }
+
+    fn write_store(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let figures = self.0.store.figures();
+        sheet.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
+        sheet.bytes("store_size", "Their records, and their files where those are this process's to keep", &one(figures.bytes))?;
+        sheet.counter("store_damaged", "Sessions that were left out because what was stored of them was damaged", &one(figures.damaged))?;
+        sheet.counter("store_failures", "Times that the store did not do what it was asked", &one(figures.failures))
     }
 
     fn write_pictures(&self, sheet: &mut Sheet<'_>) -> fmt::Result {

@@ -35,8 +35,8 @@ use metrics::Metrics;
 use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
-use store::memory::{Bounds, MemoryStore};
-use store::{Store, StoreError};
+use store::{NotOpened, Store, StoreError};
+use thiserror::Error;
 use tokio::sync::watch;
 
 use crate::warp::{Image, Plan, Setup};
@@ -51,6 +51,8 @@ const RETRY_QUEUE: u32 = 1;
 const RETRY_MEMORY: u32 = 2;
 /// Seconds after which a request that found the store full may come again.
 const RETRY_STORE: u32 = 30;
+/// Seconds after which a request that the store did not answer may come again.
+const RETRY_AWAY: u32 = 2;
 
 /// Everything that requests share. Cloning shares it.
 #[derive(Clone, Debug)]
@@ -113,14 +115,25 @@ pub struct Counters {
     pub poses_superseded: u64,
 }
 
+/// Why the application was not started.
+#[derive(Debug, Error)]
+pub enum NotStarted {
+    /// The operating system gives no threads.
+    #[error("cannot start compute threads: {0}")]
+    Threads(#[from] pool::NoThreads),
+    /// The store cannot be opened.
+    #[error("cannot open {0}")]
+    Store(#[from] NotOpened),
+}
+
 impl App {
-    /// Starts the compute pool; sessions live in memory.
+    /// Opens the store and starts the compute pool.
     ///
     /// # Errors
-    /// The operating system gives no threads.
-    pub fn new(config: Config) -> Result<Self, pool::NoThreads> {
-        let bounds = Bounds { idle: config.session_idle, sessions: config.max_sessions, bytes: config.store_bytes };
-        Self::with_store(config, Arc::new(MemoryStore::new(bounds)))
+    /// See [`NotStarted`].
+    pub fn new(config: Config) -> Result<Self, NotStarted> {
+        let store = store::open(&config.store.place, config.store.bounds)?;
+        Ok(Self::with_store(config, store)?)
     }
 
     /// Starts the compute pool over a store.
@@ -262,18 +275,18 @@ impl App {
         self.0.seats.empty().await;
     }
 
-    /// Whether work that arrives now would be admitted.
+    /// Whether work that arrives now would be admitted, and the store does its work. Answers within about a second.
     ///
     /// # Errors
     /// [`Code::Overloaded`], with the reason.
-    pub fn ready(&self) -> Result<(), Problem> {
+    pub async fn ready(&self) -> Result<(), Problem> {
         self.ready_for_drags()?;
         // Somebody who has nothing here yet would be sent away.
         if [Work::Drag, Work::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
             return Err(PoolError::Full.into());
         }
         if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
-            return Ok(());
+            return Ok(self.0.store.ready().await?);
         }
         Err(Problem::new(Code::Overloaded, "there is no memory for another picture").retry_after(RETRY_MEMORY))
     }
@@ -297,7 +310,7 @@ impl App {
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
     pub fn spawn_sweeper(&self) {
         let store = Arc::downgrade(&self.0.store);
-        let pause = (self.0.config.session_idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
+        let pause = (self.0.config.store.bounds.idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;
@@ -341,6 +354,8 @@ impl From<StoreError> for Problem {
             StoreError::Full { what, limit, actual } => {
                 Self::new(Code::Overloaded, detail).limit(what, limit, actual).retry_after(RETRY_STORE)
             }
+            StoreError::NoRoom => Self::new(Code::Overloaded, detail).retry_after(RETRY_STORE),
+            StoreError::Away => Self::new(Code::Overloaded, detail).retry_after(RETRY_AWAY),
         }
     }
 }

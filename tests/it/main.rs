@@ -5,6 +5,7 @@
 mod bad_input;
 mod binary;
 mod clients;
+mod crash;
 mod decoders;
 mod doors;
 mod drag;
@@ -27,5 +28,6 @@ mod sessions;
 mod slow;
 mod socket;
 mod socket_abuse;
+mod stores;
 mod support;
 mod tls;

@@ -3,6 +3,7 @@
 
 mod doors;
 mod memory;
+mod store;
 mod units;
 mod work;
 
@@ -15,6 +16,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 
 pub use doors::{DoorsConfig, KeysConfig};
+pub use store::StoreConfig;
 pub use work::{WorkConfig, WorkOptions};
 
 use crate::warp::{ImageLimits, Limits};
@@ -82,15 +84,8 @@ pub struct Options {
     /// Largest table of coefficients; a larger one is evaluated without a table.
     #[arg(long, env = "MLSWARP_MAX_PLAN_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
     max_plan_bytes: String,
-    /// How long a session lives without being used.
-    #[arg(long, env = "MLSWARP_SESSION_IDLE", value_name = "TIME", default_value = "15m", global = true)]
-    session_idle: String,
-    /// Most sessions; one more is answered 503.
-    #[arg(long, env = "MLSWARP_MAX_SESSIONS", value_name = "N", default_value = "10000", global = true)]
-    max_sessions: String,
-    /// Memory for the sessions' picture files; one more is answered 503.
-    #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
-    store_bytes: String,
+    #[command(flatten)]
+    store: store::StoreArgs,
     /// Most drag sockets; one more is answered 503.
     #[arg(long, env = "MLSWARP_MAX_SOCKETS", value_name = "N", default_value = "256", global = true)]
     max_sockets: String,
@@ -132,12 +127,8 @@ pub struct Config {
     pub max_warp_json_bytes: u64,
     /// What one warp may ask for.
     pub limits: Limits,
-    /// How long a session lives without being used.
-    pub session_idle: Duration,
-    /// Most sessions.
-    pub max_sessions: usize,
-    /// Memory for the sessions' picture files.
-    pub store_bytes: u64,
+    /// Where sessions live, and how many.
+    pub store: StoreConfig,
     /// Most drag sockets.
     pub max_sockets: usize,
     /// How long a drag socket may be silent before it is pinged, and then before it is closed.
@@ -214,9 +205,7 @@ impl Options {
                 columns: m.read("max-columns", &self.max_columns, |t| whole(t, 1, 1_000_000)),
                 plan_bytes: m.read("max-plan-bytes", &self.max_plan_bytes, size),
             },
-            session_idle: m.read("session-idle", &self.session_idle, units::span),
-            max_sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
-            store_bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
+            store: self.store.resolve(m),
             max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
@@ -302,7 +291,7 @@ mod tests {
         assert_eq!((config.limits.columns, config.limits.plan_bytes), (10_000, 512 << 20));
         assert_eq!(config.work.queue, (4 * config.work.workers).max(work::LEAST_QUEUE));
         assert_eq!((config.work.drag_wait, config.work.upload_wait), (Duration::from_millis(200), Duration::from_secs(5)));
-        assert_eq!(config.session_idle, Duration::from_secs(900));
+        assert_eq!(config.store.bounds.idle, Duration::from_secs(900));
     }
 
     #[test]

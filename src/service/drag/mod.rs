@@ -219,9 +219,11 @@ impl Drag {
         }
     }
 
-    /// Looks whether the session is still there.
+    /// Looks whether the session is still there. A store that does not answer has not said that it is not.
     pub async fn look(&mut self) {
-        if let Err(problem) = self.app.session(self.id).await {
+        if let Err(problem) = self.app.session(self.id).await
+            && problem.code != Code::Overloaded
+        {
             self.is_over = true;
             self.complain(None, &problem);
         }

@@ -13,8 +13,8 @@ pub(super) async fn alive() -> Response {
     answer::json(&json!({"status": "alive", "version": env!("CARGO_PKG_VERSION")}))
 }
 
-/// Work that arrives now would be admitted; 503 while the queue is full and while the service stops.
+/// Work that arrives now would be admitted; 503 while the queue is full, while the store is away and while the service stops.
 pub(super) async fn ready(State(app): State<App>) -> Result<Response, Problem> {
-    app.ready()?;
+    app.ready().await?;
     Ok(answer::json(&json!({"status": "ready"})))
 }

@@ -103,7 +103,13 @@ async fn file(State(_): State<App>, Path(name): Path<String>, headers: HeaderMap
 /// `name=number ...`: bytes, pixels, pixels, seconds.
 fn limits(config: &Config) -> String {
     let image = config.limits.image;
-    format!("body={} pixels={} side={} idle={}", config.max_body_bytes, image.max_pixels, image.max_side, config.session_idle.as_secs())
+    format!(
+        "body={} pixels={} side={} idle={}",
+        config.max_body_bytes,
+        image.max_pixels,
+        image.max_side,
+        config.store.bounds.idle.as_secs()
+    )
 }
 
 #[cfg(test)]

@@ -1,19 +1,34 @@
-//! Where sessions and the files of their pictures live. The trait is asynchronous and object safe, so that a store in a file or on
-//! another machine takes the place of memory without a change elsewhere; [`memory`] is the one that is built in.
+//! Where sessions and the files of their pictures live. The trait is asynchronous and object safe; three stores keep its promises, and one suite
+//! of tests holds all of them to it:
+//!
+//! | store | what was answered is there | when it does not answer |
+//! |---|---|---|
+//! | [`memory`] | until the process ends | never |
+//! | [`file`] | after a kill or a power cut: it has reached the disk before | looking and dragging go on, changes are refused |
+//! | [`redis`] | for as long as that server keeps it; for every process that uses it | sessions that were used here go on for one idle period |
 //!
 //! A record never changes: a session whose handles or picture are replaced has another one, with another revision. The time of its last use and
-//! the highest `seq` seen move by [`Store::touch`] alone, in one step. A picture's file is held once, by its digest, for as long as a session names it.
+//! the highest `seq` seen move by [`Store::touch`] alone, in one step. A session's name is opaque here: whose it is, is a part of it.
 
+pub mod file;
+mod index;
 pub mod memory;
+mod place;
+pub mod record;
+pub mod redis;
+#[cfg(test)]
+mod suite;
 
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use thiserror::Error;
+
+pub use place::{Address, Place};
 
 use super::session::{Revision, SessionId};
 use crate::pixmap::Extent;
@@ -50,6 +65,17 @@ impl Record {
         let made = |record: &Self| (record.image, record.folds, record.output);
         made(self) == made(other) && self.rest == other.rest
     }
+}
+
+/// Bounds of a store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// How long a session lives without being used.
+    pub idle: Duration,
+    /// Most sessions.
+    pub sessions: usize,
+    /// Most bytes of files and records.
+    pub bytes: u64,
 }
 
 /// What became of a record that was put.
@@ -93,13 +119,29 @@ pub enum StoreError {
         /// What there would be.
         actual: u64,
     },
+    /// The disk is full, or the other server's memory is.
+    #[error("the session store has no room")]
+    NoRoom,
+    /// The store does not do its work now; it may later. What it said is in the log: it may hold paths and addresses.
+    #[error("the session store does not answer")]
+    Away,
+}
+
+/// What is in a store, for those who watch it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Figures {
+    /// Sessions that this process knows of.
+    pub sessions: u64,
+    /// Bytes of their records, and of their files where those are this process's to keep.
+    pub bytes: u64,
+    /// Records that were left out since the process started, because they or their files were damaged.
+    pub damaged: u64,
+    /// Times that the store did not do what it was asked, or had no room.
+    pub failures: u64,
 }
 
 /// Sessions and the files of their pictures.
 pub trait Store: Send + Sync + fmt::Debug {
-    /// Keeps a new session and its picture's file.
-    fn create(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Session>;
-
     /// Makes the session of that name, or makes it anew: its numbers start again, and it lives for another idle period.
     fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put>;
 
@@ -115,9 +157,40 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// Ends the session; the file goes with the last session that names it.
     fn delete(&self, id: SessionId) -> Answer<'_, ()>;
 
-    /// The file of a living session's picture.
-    fn image(&self, digest: Digest) -> Answer<'_, Bytes>;
+    /// The file of that session's picture, if it is still the one of that digest.
+    fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
+
+    /// Some living session is known here whose picture has that file.
+    fn names(&self, digest: Digest) -> bool;
 
     /// Drops what has expired; says how many.
     fn sweep(&self) -> Answer<'_, usize>;
+
+    /// Whether the store would do its work now. Answers within about a second.
+    fn ready(&self) -> Answer<'_, ()>;
+
+    /// What is in it, as this process knows it; without waiting.
+    fn figures(&self) -> Figures;
+}
+
+/// Opens the store of that place. Another server need not be there yet.
+///
+/// # Errors
+/// The file cannot be opened, is none of ours, is damaged beyond reading, or is another process's.
+pub fn open(place: &Place, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
+    Ok(match place {
+        Place::Memory => Arc::new(memory::MemoryStore::new(bounds)),
+        Place::File(path) => Arc::new(file::FileStore::open(path, bounds)?),
+        Place::Redis(address) => Arc::new(redis::RedisStore::new(address, bounds)?),
+    })
+}
+
+/// Why a store was not opened.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{what}: {why}")]
+pub struct NotOpened {
+    /// Which store.
+    pub what: String,
+    /// Why.
+    pub why: String,
 }

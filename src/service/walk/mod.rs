@@ -169,7 +169,7 @@ impl App {
         match self.0.images.peek(record.image) {
             Some(image) => Ok(image),
             None => {
-                let file = self.0.store.image(record.image).await?;
+                let file = self.0.store.image(record.id, record.image).await?;
                 Ok(self.image(ticket, record.image, file).await?.value)
             }
         }

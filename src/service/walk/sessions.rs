@@ -24,6 +24,8 @@ impl App {
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
         let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        // Whoever waits for the store computes nothing.
+        drop(ticket);
         self.keep(client, material).await
     }
 
@@ -35,7 +37,7 @@ impl App {
         // Its picture was bent once so far; now it will be again.
         let _ = self.0.images.has(material.digest);
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
-        let session = self.0.store.create(record, file).await?;
+        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.0.store.put(record, file).await?;
         self.know(&session.record, &setup).await?;
         Ok((session, setup))
     }
@@ -47,6 +49,8 @@ impl App {
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
         let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        // Whoever waits for the store computes nothing.
+        drop(ticket);
         let (record, file, setup) = material.recorded(id);
         let put = self.0.store.put(record, file).await?;
         match &put {
@@ -96,7 +100,7 @@ impl App {
         let setup = self.0.setups.remove(shelf_key(record));
         // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
         // and handles, if there is one, builds them again.
-        if self.0.store.image(record.image).await.is_err() {
+        if !self.0.store.names(record.image) {
             self.0.images.remove(record.image);
             if let Some(setup) = setup {
                 self.0.plans.remove(setup.plan_key());

@@ -24,7 +24,12 @@ pub(crate) struct Program {
 
 impl Program {
     pub(crate) fn start(args: &[&str]) -> Self {
-        let mut child = mlswarp(&[&["serve", "--listen", "127.0.0.1:0"], args].concat()).stderr(Stdio::piped()).spawn().unwrap();
+        Self::spawn(mlswarp(&[&["serve", "--listen", "127.0.0.1:0"], args].concat()))
+    }
+
+    /// A command that comes to be the server.
+    pub(crate) fn spawn(mut command: Command) -> Self {
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
         let address = loop {

@@ -22,10 +22,9 @@ use reread::Reread;
 pub(super) use wire::Wire;
 
 use super::router;
-use crate::service::App;
 use crate::service::config::Config;
 use crate::service::doors::tls::TlsFiles;
-use crate::service::pool::NoThreads;
+use crate::service::{App, NotStarted};
 
 /// Longest time for drag sockets to close when the service stops.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -45,9 +44,9 @@ pub enum ServeError {
         /// Why.
         source: io::Error,
     },
-    /// No threads.
-    #[error("cannot start compute threads: {0}")]
-    Threads(#[from] NoThreads),
+    /// No threads, or no store.
+    #[error("{0}")]
+    NotStarted(#[from] NotStarted),
     /// The certificate or its key.
     #[error("{0}")]
     Tls(String),

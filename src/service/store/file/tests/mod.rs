@@ -1,0 +1,254 @@
+use std::path::PathBuf;
+
+use super::*;
+use crate::service::store::suite::{self, bounds, file, made_anew, with_weights};
+
+mod power;
+
+/// A place for a file that goes with the test.
+struct Place(PathBuf);
+
+impl Place {
+    fn new() -> Self {
+        Self(std::env::temp_dir().join(format!("mlswarp-{}.db", uuid::Uuid::new_v4())))
+    }
+
+    fn open(&self) -> FileStore {
+        FileStore::open(&self.0, bounds()).unwrap()
+    }
+
+    /// Bytes of the file.
+    fn size(&self) -> u64 {
+        std::fs::metadata(&self.0).unwrap().len()
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+#[tokio::test]
+async fn keeps_the_rules_of_every_store() {
+    let places = Mutex::new(Vec::new());
+    suite::bounded(async |wanted| {
+        let place = Place::new();
+        let store = FileStore::open(&place.0, wanted).unwrap();
+        places.lock().unwrap().push(place);
+        store
+    })
+    .await;
+}
+
+#[tokio::test]
+async fn sessions_are_there_after_the_store_was_opened_again() {
+    let place = Place::new();
+    let (a, b, c) = (suite::record(1), suite::record(1), suite::record(2));
+    let store = place.open();
+    for (record, picture) in [(&a, 1), (&b, 1), (&c, 2)] {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    store.touch(a.id, Some(41)).await.unwrap();
+    store.sweep().await.unwrap();
+    // Not swept: told when the store is closed.
+    store.touch(a.id, Some(43)).await.unwrap();
+    let revised = with_weights(&b, 3);
+    store.revise(b.revision, Arc::clone(&revised)).await.unwrap().unwrap();
+    store.delete(c.id).await.unwrap();
+    let figures = store.figures();
+    drop(store);
+
+    let store = place.open();
+    assert_eq!(store.figures(), figures);
+    let back = store.peek(a.id).await.unwrap();
+    assert_eq!((back.record, back.seq), (a.clone(), Some(43)));
+    assert_eq!(store.peek(b.id).await.unwrap().record, revised);
+    assert_eq!(store.peek(c.id).await.unwrap_err(), StoreError::NoSuchSession);
+    assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+    assert!(store.0.disk.change(|change| change.files()).unwrap() == [a.image], "the deleted picture's file has gone");
+    // Made anew, its numbers start anew, also on the disk.
+    store.put(made_anew(&a, 3), file(3)).await.unwrap();
+    drop(store);
+    assert_eq!(place.open().peek(a.id).await.unwrap().seq, None);
+}
+
+#[tokio::test]
+async fn a_file_of_many_pieces_comes_back_whole() {
+    let place = Place::new();
+    let store = place.open();
+    for len in [1, disk::PIECE - 1, disk::PIECE, disk::PIECE + 1, 3 * disk::PIECE + 7] {
+        let bytes: Bytes = (0..len).map(|k| u8::try_from(k * k % 251).unwrap()).collect();
+        let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
+        store.put(Arc::clone(&record), bytes.clone()).await.unwrap();
+        assert!(store.image(record.id, record.image).await.unwrap() == bytes, "{len} bytes");
+    }
+}
+
+#[tokio::test]
+async fn a_second_process_is_told_that_the_file_is_taken() {
+    let place = Place::new();
+    let _first = place.open();
+    let refused = FileStore::open(&place.0, bounds()).unwrap_err();
+    assert!(refused.to_string().contains("another process"), "{refused}");
+}
+
+#[test]
+fn what_is_no_session_file_is_left_as_it_is() {
+    let other = redb::TableDefinition::<u8, u8>::new("theirs");
+    for what in [Some(&b"a diary"[..]), Some(b""), Some(b"redb, they said"), Some(&[0; 9000]), None] {
+        let place = Place::new();
+        match what {
+            Some(bytes) => std::fs::write(&place.0, bytes).unwrap(),
+            None => {
+                let database = redb::Database::create(&place.0).unwrap();
+                let change = database.begin_write().unwrap();
+                change.open_table(other).unwrap();
+                change.commit().unwrap();
+            }
+        }
+        let before = std::fs::read(&place.0).unwrap();
+        let refused = FileStore::open(&place.0, bounds()).unwrap_err();
+        assert!(refused.to_string().contains(&*place.0.to_string_lossy()), "{refused}");
+        assert!(what.is_none() || std::fs::read(&place.0).unwrap() == before, "{what:?}");
+    }
+    assert!(FileStore::open(Path::new("/nowhere/at/all"), bounds()).is_err());
+}
+
+#[tokio::test]
+async fn damaged_records_are_left_out_and_the_others_are_there() {
+    let place = Place::new();
+    let records: Vec<_> = (0..8).map(suite::record).collect();
+    let store = place.open();
+    for (picture, record) in (0..).zip(&records) {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    let [whole, torn, flipped, newer, another, no_file, bad_file, short_file] = &records[..] else { panic!("eight") };
+    let mut bits = record::write(flipped);
+    bits[200] ^= 4;
+    let json = String::from_utf8(record::write(newer)[9..].to_vec()).unwrap().replace("\"version\":1", "\"version\":2");
+    let version = format!("{:08x}\n{json}", crc32fast::hash(json.as_bytes()));
+    let damage = store.0.disk.change(|change| {
+        change.records.insert(&torn.id.to_bytes(), &record::write(torn)[..100])?;
+        change.records.insert(&flipped.id.to_bytes(), bits.as_slice())?;
+        change.records.insert(&newer.id.to_bytes(), version.as_bytes())?;
+        change.records.insert(&another.id.to_bytes(), record::write(whole).as_slice())?;
+        change.remove_file(no_file.image)?;
+        for (record, bytes) in [(bad_file, &[1; 1000][..]), (short_file, &[7; 999])] {
+            change.remove_file(record.image)?;
+            change.add_file(record.image, bytes)?;
+        }
+        Ok(())
+    });
+    damage.unwrap();
+    drop(store);
+
+    let store = place.open();
+    assert_eq!((store.figures().damaged, store.figures().sessions), (7, 1));
+    assert_eq!(store.peek(whole.id).await.unwrap().record, *whole);
+    assert_eq!(store.image(whole.id, whole.image).await.unwrap(), file(0));
+    for lost in &records[1..] {
+        assert_eq!(store.peek(lost.id).await.unwrap_err(), StoreError::NoSuchSession);
+    }
+    // Their names and pictures may be used again.
+    for (picture, record) in (0..).zip(&records) {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    drop(store);
+    let store = place.open();
+    assert_eq!((store.figures().damaged, store.figures().sessions), (0, 8));
+    assert_eq!(store.image(bad_file.id, bad_file.image).await.unwrap(), file(6));
+}
+
+#[tokio::test]
+async fn a_picture_that_is_damaged_later_ends_its_sessions_and_may_be_sent_again() {
+    let place = Place::new();
+    let store = place.open();
+    let (a, b) = (suite::record(1), suite::record(2));
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&b), file(2)).await.unwrap();
+    store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();
+    assert_eq!(store.image(a.id, a.image).await, Err(StoreError::NoSuchSession));
+    assert_eq!((store.peek(a.id).await.unwrap_err(), store.figures().damaged), (StoreError::NoSuchSession, 1));
+    assert!(store.peek(b.id).await.is_ok());
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+}
+
+/// Wherever a byte of the file changes, the program starts with what is whole, or says that it cannot.
+#[tokio::test]
+async fn a_flipped_byte_anywhere_is_survived() {
+    let place = Place::new();
+    let store = place.open();
+    let records: Vec<_> = (0..6).map(suite::record).collect();
+    for (picture, record) in (0..).zip(&records) {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    drop(store);
+    let sound = std::fs::read(&place.0).unwrap();
+    // Most of a small file is empty: places in what is not.
+    let full: Vec<usize> = (0..sound.len()).filter(|&k| sound[k] != 0).collect();
+    let (mut whole, mut fewer, mut refused) = (0, 0, 0);
+    for k in full.iter().step_by(full.len() / 150) {
+        let mut bytes = sound.clone();
+        bytes[*k] ^= 0x55;
+        std::fs::write(&place.0, &bytes).unwrap();
+        let Ok(store) = FileStore::open(&place.0, bounds()) else {
+            refused += 1;
+            continue;
+        };
+        let figures = store.figures();
+        *(if figures.sessions == 6 { &mut whole } else { &mut fewer }) += 1;
+        for (picture, record) in (0..).zip(&records) {
+            if let Ok(there) = store.peek(record.id).await {
+                assert_eq!(there.record, *record);
+                assert!(store.image(record.id, record.image).await.is_ok_and(|bytes| bytes == file(picture)));
+            }
+        }
+    }
+    println!("a flipped byte: {whole} times all sessions were there, {fewer} times some, {refused} times the file was refused");
+    assert!(fewer > 0);
+}
+
+#[tokio::test]
+async fn space_is_given_back_when_the_file_is_opened() {
+    let place = Place::new();
+    let wide = Bounds { bytes: 1 << 30, ..bounds() };
+    let store = FileStore::open(&place.0, wide).unwrap();
+    let mut records = Vec::new();
+    for k in 0..40_u8 {
+        let bytes = Bytes::from(vec![k; 1 << 20]);
+        let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
+        store.put(Arc::clone(&record), bytes).await.unwrap();
+        records.push(record);
+    }
+    let full = place.size();
+    println!("40 MiB in files of 1 MiB: a file of {full} bytes");
+    assert!(full < 2 * store.figures().bytes);
+    for record in &records[1..] {
+        store.delete(record.id).await.unwrap();
+    }
+    drop(store);
+    let store = FileStore::open(&place.0, wide).unwrap();
+    println!("1 MiB of it left: {} bytes before the start, {} after", full, place.size());
+    assert!(place.size() < 8 << 20, "{}", place.size());
+    assert_eq!(store.image(records[0].id, records[0].image).await.unwrap().len(), 1 << 20);
+    store.put(suite::record(1), file(1)).await.unwrap();
+}
+
+/// The process that makes the file may be killed at any moment: what is there is whole or not there.
+#[test]
+fn a_half_made_file_is_never_in_the_place() {
+    let place = Place::new();
+    drop(place.open());
+    let beside = place.0.file_name().unwrap().to_string_lossy().into_owned();
+    let directory = place.0.parent().unwrap();
+    let left: Vec<_> = std::fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    let left: Vec<_> = left.iter().filter(|name| name.to_string_lossy().starts_with(&beside)).collect();
+    assert_eq!(left.len(), 1, "{left:?}");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        assert_eq!(std::fs::metadata(&place.0).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+}

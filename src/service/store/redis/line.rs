@@ -1,0 +1,170 @@
+//! One connection to the server for many requests, with a bound on every wait. A connection that broke is made anew by the next request; one
+//! that cannot be made, or does not answer, is left alone for a second, in which all who ask are told so at once.
+
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use redis::aio::MultiplexedConnection;
+use redis::{AsyncConnectionConfig, Client, RedisError, RedisResult};
+use tokio::sync::Mutex;
+use tokio::time::timeout;
+
+use crate::service::store::{Address, StoreError};
+
+/// Longest wait for a connection.
+const CONNECT: Duration = Duration::from_secs(1);
+/// How long a server that does not answer is left alone.
+const PAUSE: Duration = Duration::from_secs(1);
+/// Requests that wait to be written.
+const WAITING: usize = 1024;
+
+/// A connection, or the want of one. Cloning shares it.
+#[derive(Clone)]
+pub(super) struct Line(Arc<Shared>);
+
+struct Shared {
+    /// What it is for, for the log.
+    name: &'static str,
+    client: Client,
+    slot: Mutex<Slot>,
+    failures: AtomicU64,
+}
+
+#[derive(Default)]
+struct Slot {
+    connection: Option<MultiplexedConnection>,
+    /// Counts connections: a failure is of one of them.
+    made: u64,
+    not_before: Option<Instant>,
+    is_away: bool,
+}
+
+impl Line {
+    pub(super) fn new(name: &'static str, address: &Address) -> Result<Self, RedisError> {
+        let client = Client::open(address.info().clone())?;
+        Ok(Self(Arc::new(Shared { name, client, slot: Mutex::default(), failures: AtomicU64::new(0) })))
+    }
+
+    /// Requests that were not answered, or answered that there is no room.
+    pub(super) fn failures(&self) -> u64 {
+        self.0.failures.load(Ordering::Relaxed)
+    }
+
+    /// The server was heard on another line: it is not left alone any longer.
+    pub(super) async fn relent(&self) {
+        self.0.slot.lock().await.not_before = None;
+    }
+
+    /// What the server says to `ask` within `patience`. `again`: asking twice does no harm, so a connection that turns out to be broken is made anew
+    /// for it.
+    pub(super) async fn ask<T, F>(&self, patience: Duration, again: bool, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
+    where
+        F: Future<Output = RedisResult<T>>,
+    {
+        let asked = timeout(patience, async {
+            let (made, connection) = self.connection().await?;
+            match ask(connection).await {
+                Err(error) if again && error.is_connection_dropped() => {
+                    self.lose(made, None).await;
+                    let (made, connection) = self.connection().await?;
+                    Ok((made, ask(connection).await))
+                }
+                answered => Ok((made, answered)),
+            }
+        });
+        match asked.await {
+            Ok(Ok((_, Ok(answer)))) => {
+                self.is_back().await;
+                Ok(answer)
+            }
+            Ok(Ok((made, Err(error)))) => Err(self.fail(made, &error).await),
+            Ok(Err(away)) => Err(away),
+            Err(_) => {
+                let made = self.0.slot.lock().await.made;
+                self.away(&format!("no answer within {patience:?}")).await;
+                self.lose(made, Some(Instant::now() + PAUSE)).await;
+                Err(StoreError::Away)
+            }
+        }
+    }
+
+    /// The connection that is there, or another one. Connecting goes on when the one who asked for it leaves.
+    async fn connection(&self) -> Result<(u64, MultiplexedConnection), StoreError> {
+        let slot = self.0.slot.lock().await;
+        if let Some(connection) = &slot.connection {
+            return Ok((slot.made, connection.clone()));
+        }
+        if slot.not_before.is_some_and(|not_before| Instant::now() < not_before) {
+            self.0.failures.fetch_add(1, Ordering::Relaxed);
+            return Err(StoreError::Away);
+        }
+        drop(slot);
+        let line = self.clone();
+        tokio::spawn(async move { line.connect().await }).await.unwrap_or(Err(StoreError::Away))
+    }
+
+    async fn connect(&self) -> Result<(u64, MultiplexedConnection), StoreError> {
+        // Those who come meanwhile wait here.
+        let mut slot = self.0.slot.lock().await;
+        if let Some(connection) = &slot.connection {
+            return Ok((slot.made, connection.clone()));
+        }
+        if slot.not_before.is_some_and(|not_before| Instant::now() < not_before) {
+            return Err(StoreError::Away);
+        }
+        // Waits for answers are bounded by who asks.
+        let config = AsyncConnectionConfig::new().set_connection_timeout(None).set_response_timeout(None).set_pipeline_buffer_size(WAITING);
+        let why = match timeout(CONNECT, self.0.client.get_multiplexed_async_connection_with_config(&config)).await {
+            Ok(Ok(connection)) => {
+                slot.made += 1;
+                slot.connection = Some(connection.clone());
+                return Ok((slot.made, connection));
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => format!("no connection within {CONNECT:?}"),
+        };
+        slot.not_before = Some(Instant::now() + PAUSE);
+        drop(slot);
+        self.away(&why).await;
+        Err(StoreError::Away)
+    }
+
+    /// That connection is not used again, and no other one is made before that time.
+    async fn lose(&self, made: u64, not_before: Option<Instant>) {
+        let mut slot = self.0.slot.lock().await;
+        if slot.made == made && slot.connection.take().is_some() {
+            slot.not_before = not_before;
+        }
+    }
+
+    /// What an error means. A server that is full goes on answering; any other one may have become another server's replica, or be starting.
+    async fn fail(&self, made: u64, error: &RedisError) -> StoreError {
+        let text = error.to_string();
+        if text.contains("OOM") {
+            self.0.failures.fetch_add(1, Ordering::Relaxed);
+            tracing::warn!("the session store has no room: {text}");
+            return StoreError::NoRoom;
+        }
+        self.away(&text).await;
+        let not_before = if error.is_connection_dropped() { None } else { Some(Instant::now() + PAUSE) };
+        self.lose(made, not_before).await;
+        StoreError::Away
+    }
+
+    /// Told once, until it is back.
+    async fn away(&self, why: &str) {
+        self.0.failures.fetch_add(1, Ordering::Relaxed);
+        let mut slot = self.0.slot.lock().await;
+        if !std::mem::replace(&mut slot.is_away, true) {
+            tracing::error!("the session store is away ({}): {why}", self.0.name);
+        }
+    }
+
+    async fn is_back(&self) {
+        if std::mem::take(&mut self.0.slot.lock().await.is_away) {
+            tracing::info!("the session store is back ({})", self.0.name);
+        }
+    }
+}

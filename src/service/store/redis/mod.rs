@@ -1,0 +1,314 @@
+//! Sessions on a Redis or Valkey that several processes share: what one answers, the others see at once. Every operation is one script on the
+//! server ([`script`] has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
+//! its `maxmemory`. A picture's file is kept once a session.
+//!
+//! What is known of sessions that were used here is remembered ([`warm`]). While the server does not answer, those sessions go on for one idle
+//! period, with numbers that rise in this process alone and are told to the server when it is back; everything else is refused.
+
+mod line;
+mod script;
+#[cfg(test)]
+mod tests;
+mod warm;
+
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
+
+use bytes::Bytes;
+use redis::{Cmd, FromRedisValue};
+
+use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
+use crate::service::session::{Revision, SessionId};
+use crate::warp::Digest;
+use line::Line;
+use script::{number, said};
+use warm::{Known, Memory};
+
+/// Longest wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Longest wait for an answer that can be done without.
+const IMPATIENCE: Duration = Duration::from_millis(200);
+/// Longest wait for a file.
+const PATIENCE_FOR_FILES: Duration = Duration::from_secs(10);
+/// Longest wait of those who ask whether the server is there, and how long its answer is believed.
+const READINESS: Duration = Duration::from_secs(1);
+
+/// A store on a server that others share. Cloning shares the connections.
+#[derive(Clone)]
+pub struct RedisStore(Arc<Shared>);
+
+struct Shared {
+    idle: Duration,
+    line: Line,
+    /// Files take longer than records, and would hold them up.
+    files: Line,
+    memory: Memory,
+    /// A server that made a drag wait is not asked by drags before.
+    spared: Mutex<Option<Instant>>,
+    seen: Mutex<Option<(Instant, bool)>>,
+    damaged: AtomicU64,
+}
+
+impl fmt::Debug for RedisStore {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RedisStore").finish_non_exhaustive()
+    }
+}
+
+impl RedisStore {
+    /// A store on the server of that address, which need not be there yet.
+    ///
+    /// # Errors
+    /// The client library does not take the address.
+    pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
+        let line = |name| Line::new(name, address).map_err(|e| NotOpened { what: address.to_string(), why: e.to_string() });
+        Ok(Self(Arc::new(Shared {
+            idle: bounds.idle,
+            line: line("records")?,
+            files: line("files")?,
+            memory: Memory::new(bounds.idle, bounds.bytes),
+            spared: Mutex::default(),
+            seen: Mutex::default(),
+            damaged: AtomicU64::new(0),
+        })))
+    }
+}
+
+impl Shared {
+    async fn run<T: FromRedisValue>(&self, patience: Duration, again: bool, command: &Cmd) -> Result<T, StoreError> {
+        self.line.ask(patience, again, |mut connection| async move { command.query_async(&mut connection).await }).await
+    }
+
+    fn session(&self, record: Arc<Record>, seq: Option<u64>, left: Duration) -> Session {
+        Session { record, seq, expires: SystemTime::now() + left.min(self.idle) }
+    }
+
+    /// There is no such session, says the server.
+    fn gone(&self, id: SessionId, said: i64) -> StoreError {
+        self.memory.forget(id);
+        if said == said::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
+    }
+
+    /// The record, if it is whole and of that session.
+    fn whole(&self, id: SessionId, bytes: &[u8]) -> Option<Arc<Record>> {
+        let why = match record::read(bytes) {
+            Ok(record) if record.id == id => return Some(record),
+            Ok(_) => "it is another session's".to_owned(),
+            Err(why) => why.to_string(),
+        };
+        self.damaged.fetch_add(1, Ordering::Relaxed);
+        tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
+        None
+    }
+
+    async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
+        // A file that is there need not be sent.
+        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, true, &script::same(&record, self.idle)).await?;
+        if said == said::HERE {
+            match self.whole(record.id, &bytes) {
+                Some(same) => return self.same(same, &seq),
+                None => self.run::<i64>(PATIENCE, true, &script::delete(record.id)).await.map(drop)?,
+            }
+        }
+        self.files.relent().await;
+        // 4 MB a second.
+        let patience = PATIENCE + Duration::from_micros(image.len() as u64 / 4);
+        let transaction = script::put(&record, &image, self.idle);
+        let ask = |mut connection| {
+            let transaction = &transaction;
+            async move { transaction.query_async(&mut connection).await }
+        };
+        let ((said, bytes, seq),): ((i64, Vec<u8>, String),) = self.files.ask(patience, false, ask).await?;
+        if said == said::HERE {
+            let same = self.whole(record.id, &bytes).ok_or(StoreError::Away)?;
+            return self.same(same, &seq);
+        }
+        self.memory.learn(Arc::clone(&record), None);
+        let old = if said == said::OTHER { self.whole(record.id, &bytes) } else { None };
+        let session = self.session(record, None, self.idle);
+        Ok(match old {
+            Some(old) => Put::Replaced(session, old),
+            None => Put::Created(session),
+        })
+    }
+
+    fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
+        let seq = number(seq)?;
+        self.memory.learn(Arc::clone(&record), seq);
+        Ok(Put::Same(self.session(record, seq, self.idle)))
+    }
+
+    async fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
+        let command = script::revise(&record::hex(old.as_bytes()), &new, self.idle);
+        let (said, seq): (i64, String) = self.run(PATIENCE, false, &command).await?;
+        match said {
+            said::HERE => {
+                let seq = number(&seq)?;
+                self.memory.learn(Arc::clone(&new), seq);
+                Ok(Some(self.session(new, seq, self.idle)))
+            }
+            said::OTHER => Ok(None),
+            said => Err(self.gone(new.id, said)),
+        }
+    }
+
+    async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+        let warm = self.memory.warm(id);
+        let known = warm.as_deref().map(|warm| (warm.record.as_ref(), warm.known().seq));
+        let command = script::touch(id, seq, known, self.idle);
+        let answer: Result<(i64, Vec<u8>, String), _> = match &warm {
+            Some(_) => self.ask_briefly(&command).await,
+            None => self.run(PATIENCE, true, &command).await,
+        };
+        match (answer, warm) {
+            (Ok((said::HERE, bytes, seq)), warm) => {
+                let seq = number(&seq)?;
+                let record = match warm {
+                    Some(warm) if bytes.is_empty() => {
+                        *warm.known() = Known { seq, asked: Instant::now() };
+                        Arc::clone(&warm.record)
+                    }
+                    _ => {
+                        let record = self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?;
+                        self.memory.learn(Arc::clone(&record), seq);
+                        record
+                    }
+                };
+                Ok(self.session(record, seq, self.idle))
+            }
+            (Ok((said, ..)), _) => Err(self.gone(id, said)),
+            // The server does not answer: what is known here goes on.
+            (Err(StoreError::Away | StoreError::NoRoom), Some(warm)) => {
+                let mut known = warm.known();
+                known.seq = known.seq.max(seq);
+                Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
+            }
+            (Err(error), _) => Err(error),
+        }
+    }
+
+    /// Asks a server that has not made anybody wait just now, and does not wait long.
+    async fn ask_briefly<T: FromRedisValue>(&self, command: &Cmd) -> Result<T, StoreError> {
+        let spared = || self.spared.lock().unwrap_or_else(PoisonError::into_inner);
+        if spared().is_some_and(|until| Instant::now() < until) {
+            return Err(StoreError::Away);
+        }
+        // Whether it is away is for those to find out who can wait.
+        match tokio::time::timeout(IMPATIENCE, self.run(PATIENCE, true, command)).await {
+            Ok(answer) => answer,
+            Err(_) => {
+                *spared() = Some(Instant::now() + READINESS);
+                Err(StoreError::Away)
+            }
+        }
+    }
+
+    async fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
+        let warm = self.memory.warm(id);
+        let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
+        let answer: Result<(i64, Vec<u8>, String, i64), _> = match &warm {
+            Some(_) => self.ask_briefly(&command).await,
+            None => self.run(PATIENCE, true, &command).await,
+        };
+        match (answer, warm) {
+            (Ok((said::HERE, bytes, seq, left)), warm) => {
+                let record = match warm {
+                    Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
+                    _ => self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?,
+                };
+                Ok(self.session(record, number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0))))
+            }
+            (Ok((said, ..)), _) => Err(self.gone(id, said)),
+            (Err(StoreError::Away), Some(warm)) => {
+                let known = *warm.known();
+                Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
+            }
+            (Err(error), _) => Err(error),
+        }
+    }
+
+    async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
+        let said: i64 = self.run(PATIENCE, false, &script::delete(id)).await?;
+        let gone = self.gone(id, said);
+        if said == said::HERE { Ok(()) } else { Err(gone) }
+    }
+
+    async fn image(&self, id: SessionId, digest: Digest) -> Result<Bytes, StoreError> {
+        let command = script::file(id);
+        let ask = |mut connection| {
+            let command = &command;
+            async move { command.query_async(&mut connection).await }
+        };
+        let file: Option<Vec<u8>> = self.files.ask(PATIENCE_FOR_FILES, true, ask).await?;
+        let file = Bytes::from(file.ok_or(StoreError::NoSuchSession)?);
+        let theirs = file.clone();
+        let found = tokio::task::spawn_blocking(move || Digest::of(&theirs)).await.map_err(|_| StoreError::Away)?;
+        // Another one is another picture's: the session has been made anew.
+        if found == digest { Ok(file) } else { Err(StoreError::NoSuchSession) }
+    }
+
+    async fn ready(&self) -> Result<(), StoreError> {
+        let seen = || self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = seen().filter(|(at, _)| at.elapsed() < READINESS);
+        let here = match known {
+            Some((_, here)) => here,
+            None => {
+                let here = self.run::<String>(READINESS, true, &redis::cmd("PING")).await.is_ok();
+                *seen() = Some((Instant::now(), here));
+                here
+            }
+        };
+        if here { Ok(()) } else { Err(StoreError::Away) }
+    }
+}
+
+impl Store for RedisStore {
+    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
+        Box::pin(self.0.put(record, image))
+    }
+
+    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
+        Box::pin(self.0.revise(old, new))
+    }
+
+    fn peek(&self, id: SessionId) -> Answer<'_, Session> {
+        Box::pin(self.0.peek(id))
+    }
+
+    fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
+        Box::pin(self.0.touch(id, seq))
+    }
+
+    fn delete(&self, id: SessionId) -> Answer<'_, ()> {
+        Box::pin(self.0.delete(id))
+    }
+
+    fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        Box::pin(self.0.image(id, digest))
+    }
+
+    fn names(&self, digest: Digest) -> bool {
+        self.0.memory.names(digest)
+    }
+
+    /// The server drops what has expired; here it is what is remembered of it.
+    fn sweep(&self) -> Answer<'_, usize> {
+        Box::pin(std::future::ready(Ok(self.0.memory.sweep())))
+    }
+
+    fn ready(&self) -> Answer<'_, ()> {
+        Box::pin(self.0.ready())
+    }
+
+    fn figures(&self) -> Figures {
+        let (sessions, bytes) = self.0.memory.size();
+        Figures {
+            sessions,
+            bytes,
+            damaged: self.0.damaged.load(Ordering::Relaxed),
+            failures: self.0.line.failures() + self.0.files.failures(),
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! What is asked of the server, each as one script that happens as a whole. The keys of a session carry its name as their hash tag, so they lie
+//! together:
+//!
+//! | key | what | lives |
+//! |---|---|---|
+//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (digest of what it was made from), `revision`, `life` (when), `seq` | one idle period |
+//! | `mlswarp:{NAME}:file` | its picture's file | one idle period |
+//! | `mlswarp:{NAME}:grave` | nothing: a session of that name was there | two idle periods |
+//!
+//! NAME is owner and session as hexadecimal digits. Numbers (`seq`) have twenty digits, so that they compare as texts. A server that is full
+//! refuses a script's first write when that could take memory; a script that only prolongs a life begins with what takes none.
+
+use std::time::{Duration, UNIX_EPOCH};
+
+use redis::{Cmd, Pipeline};
+
+use crate::service::session::SessionId;
+use crate::service::store::record::{hex, made, write};
+use crate::service::store::{Record, StoreError};
+
+/// What a script says first.
+pub(super) mod said {
+    pub(in super::super) const EXPIRED: i64 = 1;
+    pub(in super::super) const HERE: i64 = 2;
+    pub(in super::super) const OTHER: i64 = 3;
+}
+
+/// ARGV idle, made. Uses a session that was made from the same and is whole.
+const SAME: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq')
+if is[1] ~= ARGV[2] or redis.call('EXISTS', KEYS[2]) == 0 then return {0, '', ''} end
+redis.call('PEXPIRE', KEYS[1], ARGV[1])
+redis.call('PEXPIRE', KEYS[2], ARGV[1])
+redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
+return {2, is[2], is[3] or ''}";
+
+/// ARGV idle, made, record, revision, life. The file has been set in the same transaction.
+const PUT: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq')
+if is[1] == ARGV[2] then
+  redis.call('PEXPIRE', KEYS[1], ARGV[1])
+  redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
+  return {2, is[2], is[3] or ''}
+end
+redis.call('DEL', KEYS[1])
+redis.call('HSET', KEYS[1], 'made', ARGV[2], 'record', ARGV[3], 'revision', ARGV[4], 'life', ARGV[5])
+redis.call('PEXPIRE', KEYS[1], ARGV[1])
+redis.call('SET', KEYS[3], '', 'PX', 2 * ARGV[1])
+if not is[1] then return {0, '', ''} end
+return {3, is[2], ''}";
+
+/// ARGV idle, seq, and what is known already: revision, life, seq. A record that is known is not sent again.
+const TOUCH: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'revision', 'life', 'seq')
+if not is[1] then return {redis.call('EXISTS', KEYS[3]), '', ''} end
+redis.call('PEXPIRE', KEYS[1], ARGV[1])
+redis.call('PEXPIRE', KEYS[2], ARGV[1])
+redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
+local before = is[3] or ''
+local seq = before
+if ARGV[2] > seq then seq = ARGV[2] end
+if is[2] == ARGV[4] and ARGV[5] > seq then seq = ARGV[5] end
+if seq ~= before then redis.call('HSET', KEYS[1], 'seq', seq) end
+if is[1] == ARGV[3] then return {2, '', seq} end
+return {2, redis.call('HGET', KEYS[1], 'record'), seq}";
+
+/// ARGV idle, known revision.
+const PEEK: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'revision', 'seq')
+if not is[1] then return {redis.call('EXISTS', KEYS[3]), '', '', 0} end
+local left = redis.call('PTTL', KEYS[1])
+if is[1] == ARGV[2] then return {2, '', is[2] or '', left} end
+return {2, redis.call('HGET', KEYS[1], 'record'), is[2] or '', left}";
+
+/// ARGV idle, old revision, made, record, revision.
+const REVISE: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'revision', 'seq')
+if not is[1] then return {redis.call('EXISTS', KEYS[3]), ''} end
+if is[1] ~= ARGV[2] then return {3, ''} end
+redis.call('HSET', KEYS[1], 'made', ARGV[3], 'record', ARGV[4], 'revision', ARGV[5])
+redis.call('PEXPIRE', KEYS[1], ARGV[1])
+redis.call('PEXPIRE', KEYS[2], ARGV[1])
+redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
+return {2, is[2] or ''}";
+
+const DELETE: &str = r"
+if redis.call('EXISTS', KEYS[1]) == 0 then return redis.call('EXISTS', KEYS[3]) end
+redis.call('DEL', KEYS[1], KEYS[2], KEYS[3])
+return 2";
+
+/// Numbers as texts that compare like numbers; nothing is below every number.
+pub(super) fn digits(seq: Option<u64>) -> String {
+    seq.map_or_else(String::new, |seq| format!("{seq:020}"))
+}
+
+/// The number that the text is.
+pub(super) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
+    if digits.is_empty() { Ok(None) } else { digits.parse().map(Some).map_err(|_| StoreError::Away) }
+}
+
+fn key(id: SessionId, what: &str) -> String {
+    format!("mlswarp:{{{}}}:{what}", hex(&id.to_bytes()))
+}
+
+fn life(record: &Record) -> String {
+    record.created.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos().to_string()
+}
+
+fn script(script: &str, id: SessionId, idle: Duration) -> Cmd {
+    let mut command = redis::cmd("EVAL");
+    command.arg(script).arg(3).arg(key(id, "session")).arg(key(id, "file")).arg(key(id, "grave")).arg(millis(idle));
+    command
+}
+
+fn millis(idle: Duration) -> u64 {
+    // Twice as much is still a number to the server.
+    u64::try_from(idle.as_millis()).unwrap_or(u64::MAX).clamp(1, 1 << 50)
+}
+
+pub(super) fn same(record: &Record, idle: Duration) -> Cmd {
+    let mut command = script(SAME, record.id, idle);
+    command.arg(hex(&made(record).0));
+    command
+}
+
+/// The file and the record, both or neither.
+pub(super) fn put(record: &Record, file: &[u8], idle: Duration) -> Pipeline {
+    let mut command = script(PUT, record.id, idle);
+    command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record));
+    let mut transaction = redis::pipe();
+    transaction.atomic().cmd("SET").arg(key(record.id, "file")).arg(file).arg("PX").arg(millis(idle)).ignore();
+    transaction.add_command(command);
+    transaction
+}
+
+pub(super) fn touch(id: SessionId, seq: Option<u64>, known: Option<(&Record, Option<u64>)>, idle: Duration) -> Cmd {
+    let mut command = script(TOUCH, id, idle);
+    command.arg(digits(seq));
+    match known {
+        Some((record, seq)) => command.arg(hex(record.revision.as_bytes())).arg(life(record)).arg(digits(seq)),
+        None => command.arg("").arg("").arg(""),
+    };
+    command
+}
+
+pub(super) fn peek(id: SessionId, known: Option<&Record>, idle: Duration) -> Cmd {
+    let mut command = script(PEEK, id, idle);
+    command.arg(known.map_or_else(String::new, |known| hex(known.revision.as_bytes())));
+    command
+}
+
+pub(super) fn revise(old: &str, new: &Record, idle: Duration) -> Cmd {
+    let mut command = script(REVISE, new.id, idle);
+    command.arg(old).arg(hex(&made(new).0)).arg(write(new)).arg(hex(new.revision.as_bytes()));
+    command
+}
+
+pub(super) fn delete(id: SessionId) -> Cmd {
+    script(DELETE, id, Duration::ZERO)
+}
+
+pub(super) fn file(id: SessionId) -> Cmd {
+    let mut command = redis::cmd("GET");
+    command.arg(key(id, "file"));
+    command
+}

@@ -1,0 +1,195 @@
+use super::*;
+use crate::service::store::Place;
+use crate::service::store::suite::{self, bounds, file, made_anew, with_weights};
+
+#[path = "../../../../tests/it/support/redis.rs"]
+mod server;
+use server::Redis;
+
+fn store_of(server: &Redis, bounds: Bounds) -> RedisStore {
+    let Ok(Place::Redis(address)) = server.address().parse() else { panic!("an address") };
+    RedisStore::new(&address, bounds).unwrap()
+}
+
+/// Longer than a server is left alone.
+const LATER: Duration = Duration::from_millis(1100);
+
+/// Asks until the server is heard again.
+async fn once_it_is_back<T>(mut ask: impl AsyncFnMut() -> Result<T, StoreError>) -> Result<T, StoreError> {
+    for _ in 0..100 {
+        match ask().await {
+            Err(StoreError::Away) => tokio::time::sleep(Duration::from_millis(100)).await,
+            answer => return answer,
+        }
+    }
+    panic!("the server is never asked again");
+}
+
+#[tokio::test]
+async fn keeps_the_rules_of_every_store() {
+    let server = Redis::start(&[]);
+    suite::all(async |wanted| store_of(&server, wanted)).await;
+}
+
+#[tokio::test]
+async fn another_process_sees_the_session_its_numbers_and_its_handles_at_once() {
+    let server = Redis::start(&[]);
+    let (one, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let a = suite::record(1);
+    one.put(Arc::clone(&a), file(1)).await.unwrap();
+    one.touch(a.id, Some(41)).await.unwrap();
+    let there = other.touch(a.id, Some(3)).await.unwrap();
+    assert_eq!((&there.record, there.seq), (&a, Some(41)));
+    assert_eq!(other.image(a.id, a.image).await.unwrap(), file(1));
+
+    let b = with_weights(&a, 2);
+    other.revise(a.revision, Arc::clone(&b)).await.unwrap().unwrap();
+    assert!(one.revise(a.revision, with_weights(&a, 3)).await.unwrap().is_none());
+    assert_eq!(one.touch(a.id, None).await.unwrap().record, b);
+
+    let c = made_anew(&a, 2);
+    assert!(matches!(other.put(Arc::clone(&c), file(2)).await, Ok(Put::Replaced(..))));
+    let there = one.touch(a.id, Some(0)).await.unwrap();
+    assert_eq!((&there.record, there.seq), (&c, Some(0)), "numbers of the old life do not count");
+    assert_eq!(one.image(a.id, a.image).await, Err(StoreError::NoSuchSession));
+
+    other.delete(a.id).await.unwrap();
+    assert_eq!(one.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
+    assert_eq!(server.say("DBSIZE"), ":0\r\n", "nothing of it is left");
+}
+
+#[tokio::test]
+async fn a_warm_session_goes_on_while_the_server_is_away_and_its_numbers_are_told_later() {
+    let mut server = Redis::start(&["--appendonly", "yes", "--appendfsync", "always"]);
+    let (store, cold) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    assert_eq!(cold.ready().await, Ok(()));
+    server.kill();
+    for seq in [5, 3, 8] {
+        store.touch(a.id, Some(seq)).await.unwrap();
+    }
+    assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(8));
+    assert_eq!(store.peek(a.id).await.unwrap().seq, Some(8));
+    assert_eq!(cold.touch(a.id, None).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.put(suite::record(2), file(2)).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.revise(a.revision, with_weights(&a, 1)).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.delete(a.id).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.image(a.id, a.image).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.ready().await, Err(StoreError::Away));
+    assert!(store.figures().failures > 0);
+
+    server.start_again();
+    once_it_is_back(async || cold.peek(a.id).await).await.unwrap();
+    once_it_is_back(async || store.ready().await).await.unwrap();
+    assert_eq!(store.touch(a.id, Some(6)).await.unwrap().seq, Some(8));
+    assert_eq!(cold.touch(a.id, None).await.unwrap().seq, Some(8), "the others know it too");
+}
+
+#[tokio::test]
+async fn a_warm_session_does_not_outlive_its_idle_time_without_the_server() {
+    let mut server = Redis::start(&[]);
+    let store = store_of(&server, Bounds { idle: Duration::from_secs(1), ..bounds() });
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    server.kill();
+    store.touch(a.id, None).await.unwrap();
+    tokio::time::sleep(LATER).await;
+    assert_eq!(store.touch(a.id, None).await.unwrap_err(), StoreError::Away);
+}
+
+#[tokio::test]
+async fn a_server_that_comes_back_empty_has_lost_the_sessions_and_takes_new_ones() {
+    let mut server = Redis::start(&[]);
+    let store = store_of(&server, bounds());
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    server.kill();
+    store.touch(a.id, None).await.unwrap();
+    server.start_again();
+    once_it_is_back(async || store.ready().await).await.unwrap();
+    assert_eq!(store.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
+    assert!(matches!(once_it_is_back(async || store.put(Arc::clone(&a), file(1)).await).await, Ok(Put::Created(_))));
+}
+
+#[tokio::test]
+async fn a_server_that_says_nothing_is_waited_for_once_and_not_long() {
+    let server = Redis::start(&[]);
+    let (store, cold) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    assert_eq!(cold.ready().await, Ok(()));
+    server.signal("-STOP");
+    let began = Instant::now();
+    for _ in 0..20 {
+        store.touch(a.id, None).await.unwrap();
+    }
+    assert!(began.elapsed() < 10 * IMPATIENCE, "{:?}", began.elapsed());
+    let began = Instant::now();
+    assert_eq!(cold.touch(a.id, None).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.ready().await, Err(StoreError::Away));
+    assert!(began.elapsed() < 10 * PATIENCE, "{:?}", began.elapsed());
+    server.signal("-CONT");
+    once_it_is_back(async || cold.touch(a.id, None).await).await.unwrap();
+    once_it_is_back(async || store.ready().await).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_full_server_refuses_newcomers_and_goes_on_with_the_living() {
+    let server = Redis::start(&["--maxmemory-policy", "noeviction"]);
+    let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    // An empty server takes more than that.
+    assert_eq!(server.say("CONFIG SET maxmemory 100kb"), "+OK\r\n");
+    let large = Bytes::from(vec![5; 1 << 20]);
+    let record = Arc::new(Record { image: Digest::of(&large), ..(*suite::record(2)).clone() });
+    assert_eq!(store.put(record, large).await.unwrap_err(), StoreError::NoRoom);
+    assert_eq!(store.put(suite::record(3), file(3)).await.unwrap_err(), StoreError::NoRoom);
+    assert_eq!(server.say("DBSIZE"), ":3\r\n", "what was refused has left nothing");
+    assert_eq!(store.revise(a.revision, with_weights(&a, 1)).await.unwrap_err(), StoreError::NoRoom);
+    for (store, seq) in [(&store, 4), (&other, 5)] {
+        assert_eq!(store.touch(a.id, Some(seq)).await.unwrap().seq, Some(seq));
+    }
+    assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(5), "numbers are told also then");
+    assert_eq!(other.image(a.id, a.image).await.unwrap(), file(1));
+    assert_eq!((store.ready().await, store.figures().failures), (Ok(()), 3));
+    store.delete(a.id).await.unwrap();
+    assert_eq!(server.say("CONFIG SET maxmemory 0"), "+OK\r\n");
+    store.put(suite::record(3), file(3)).await.unwrap();
+}
+
+#[tokio::test]
+async fn damaged_records_are_left_out_and_may_be_made_anew() {
+    let server = Redis::start(&[]);
+    let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let (a, whole) = (suite::record(1), suite::record(2));
+    for (record, picture) in [(&a, 1), (&whole, 2)] {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    let key = format!("mlswarp:{{{}}}:session", record::hex(&a.id.to_bytes()));
+    assert_eq!(server.say(&format!("HSET {key} record nothing")), ":0\r\n");
+    for error in [other.peek(a.id).await.unwrap_err(), other.touch(a.id, None).await.unwrap_err()] {
+        assert_eq!(error, StoreError::NoSuchSession);
+    }
+    assert_eq!(other.figures().damaged, 2);
+    assert!(other.peek(whole.id).await.is_ok());
+    assert!(matches!(other.put(Arc::clone(&a), file(1)).await, Ok(Put::Created(_))));
+    assert_eq!(other.touch(a.id, None).await.unwrap().record, a);
+}
+
+#[tokio::test]
+async fn a_password_is_asked_for_and_not_told() {
+    let server = Redis::start(&["--requirepass", "s3cret"]);
+    let with = |user: &str| server.address().replace("//", &format!("//{user}@"));
+    let open = |address: &str| {
+        let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+        RedisStore::new(&address, bounds()).unwrap()
+    };
+    assert_eq!(open(&with(":s3cret")).ready().await, Ok(()));
+    for wrong in [with(":other"), server.address()] {
+        let store = open(&wrong);
+        assert_eq!(store.ready().await, Err(StoreError::Away));
+        assert!(!format!("{store:?}").contains("other"));
+    }
+}
