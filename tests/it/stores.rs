@@ -81,6 +81,24 @@ fn two_programs_do_not_share_a_file() {
     assert!(second.status.code() == Some(1) && said.contains("another process has it open"), "{said}");
 }
 
+#[tokio::test]
+async fn numbers_are_written_when_the_program_stops() {
+    let scratch = Scratch::new();
+    let store = format!("file:{}", scratch.path("sessions.db"));
+    let http = Client::new();
+    let program = Program::start(&["--store", &store]);
+    let url = |program: &Program| format!("http://{}/sessions/{NAME}", program.address);
+    let upload = form(&photo(40, 30), json!({"p": [[5, 5]]}).to_string());
+    assert_eq!(http.put(url(&program)).multipart(upload).send().await.unwrap().status(), 201);
+    let drag = |program: &Program, seq: u64| http.post(url(program) + "/warp").json(&json!({"q": [[6, 5]], "seq": seq})).send();
+    assert_eq!(drag(&program, 9).await.unwrap().status(), 200);
+    program.terminate();
+    assert_eq!(program.wait().0.code(), Some(0));
+    let program = Program::start(&["--store", &store]);
+    problem(drag(&program, 8).await.unwrap(), 409, "superseded").await;
+    assert_eq!(drag(&program, 9).await.unwrap().status(), 200);
+}
+
 /// A limit on the file's length is a disk that is full for this process alone.
 #[tokio::test]
 async fn a_full_disk_refuses_uploads_and_goes_on() {

@@ -148,7 +148,7 @@ impl Disk {
         self.lock().database.is_some()
     }
 
-    /// Opens the database again if it had failed.
+    /// Opens the database again if it had failed. One at a time.
     pub(super) fn revive(&self) -> Result<Opened, StoreError> {
         let mut open = self.lock();
         if open.database.is_some() {
@@ -158,7 +158,11 @@ impl Disk {
             return Err(StoreError::Away);
         }
         open.tried = Instant::now();
-        match guarded(|| Ok(builder().open(&self.path)?)) {
+        // Those who only look do not wait for the disk.
+        drop(open);
+        let opened = guarded(|| Ok(builder().open(&self.path)?));
+        let mut open = self.lock();
+        match opened {
             Ok(database) => {
                 open.database = Some(Arc::new(database));
                 tracing::info!("the session file is open again");

@@ -16,6 +16,7 @@ use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use bytes::Bytes;
 use redb::ReadableTable as _;
@@ -25,6 +26,9 @@ use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, Sto
 use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 use disk::{Change, Disk, Opened};
+
+/// Longest wait of those who ask whether the store is there.
+const READINESS: Duration = Duration::from_secs(1);
 
 /// A store in a file. Cloning shares it.
 #[derive(Clone)]
@@ -323,7 +327,8 @@ impl Store for FileStore {
         if self.0.disk.is_open() {
             return ready(Ok(()));
         }
-        self.blocking(|shared| shared.begin().map(drop))
+        let opened = self.blocking(|shared| shared.begin().map(drop));
+        Box::pin(async { tokio::time::timeout(READINESS, opened).await.unwrap_or(Err(StoreError::Away)) })
     }
 
     fn figures(&self) -> Figures {

@@ -57,16 +57,16 @@ impl Line {
         self.0.slot.lock().await.not_before = None;
     }
 
-    /// What the server says to `ask` within `patience`. `again`: asking twice does no harm, so a connection that turns out to be broken is made anew
-    /// for it.
-    pub(super) async fn ask<T, F>(&self, patience: Duration, again: bool, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
+    /// What the server says to `ask` within `patience`. A connection that turns out to be broken, as after a pause in which the server was started
+    /// anew, is made anew and asked once more: whatever is asked comes to the same when it is done twice.
+    pub(super) async fn ask<T, F>(&self, patience: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {
         let asked = timeout(patience, async {
             let (made, connection) = self.connection().await?;
             match ask(connection).await {
-                Err(error) if again && error.is_connection_dropped() => {
+                Err(error) if error.is_connection_dropped() => {
                     self.lose(made, None).await;
                     let (made, connection) = self.connection().await?;
                     Ok((made, ask(connection).await))

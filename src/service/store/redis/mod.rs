@@ -77,8 +77,8 @@ impl RedisStore {
 }
 
 impl Shared {
-    async fn run<T: FromRedisValue>(&self, patience: Duration, again: bool, command: &Cmd) -> Result<T, StoreError> {
-        self.line.ask(patience, again, |mut connection| async move { command.query_async(&mut connection).await }).await
+    async fn run<T: FromRedisValue>(&self, patience: Duration, command: &Cmd) -> Result<T, StoreError> {
+        self.line.ask(patience, |mut connection| async move { command.query_async(&mut connection).await }).await
     }
 
     fn session(&self, record: Arc<Record>, seq: Option<u64>, left: Duration) -> Session {
@@ -105,11 +105,11 @@ impl Shared {
 
     async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
         // A file that is there need not be sent.
-        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, true, &script::same(&record, self.idle)).await?;
+        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &script::same(&record, self.idle)).await?;
         if said == said::HERE {
             match self.whole(record.id, &bytes) {
                 Some(same) => return self.same(same, &seq),
-                None => self.run::<i64>(PATIENCE, true, &script::delete(record.id)).await.map(drop)?,
+                None => self.run::<i64>(PATIENCE, &script::delete(record.id)).await.map(drop)?,
             }
         }
         self.files.relent().await;
@@ -120,7 +120,7 @@ impl Shared {
             let transaction = &transaction;
             async move { transaction.query_async(&mut connection).await }
         };
-        let ((said, bytes, seq),): ((i64, Vec<u8>, String),) = self.files.ask(patience, false, ask).await?;
+        let ((said, bytes, seq),): ((i64, Vec<u8>, String),) = self.files.ask(patience, ask).await?;
         if said == said::HERE {
             let same = self.whole(record.id, &bytes).ok_or(StoreError::Away)?;
             return self.same(same, &seq);
@@ -142,7 +142,7 @@ impl Shared {
 
     async fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
         let command = script::revise(&record::hex(old.as_bytes()), &new, self.idle);
-        let (said, seq): (i64, String) = self.run(PATIENCE, false, &command).await?;
+        let (said, seq): (i64, String) = self.run(PATIENCE, &command).await?;
         match said {
             said::HERE => {
                 let seq = number(&seq)?;
@@ -160,7 +160,7 @@ impl Shared {
         let command = script::touch(id, seq, known, self.idle);
         let answer: Result<(i64, Vec<u8>, String), _> = match &warm {
             Some(_) => self.ask_briefly(&command).await,
-            None => self.run(PATIENCE, true, &command).await,
+            None => self.run(PATIENCE, &command).await,
         };
         match (answer, warm) {
             (Ok((said::HERE, bytes, seq)), warm) => {
@@ -196,7 +196,7 @@ impl Shared {
             return Err(StoreError::Away);
         }
         // Whether it is away is for those to find out who can wait.
-        match tokio::time::timeout(IMPATIENCE, self.run(PATIENCE, true, command)).await {
+        match tokio::time::timeout(IMPATIENCE, self.run(PATIENCE, command)).await {
             Ok(answer) => answer,
             Err(_) => {
                 *spared() = Some(Instant::now() + READINESS);
@@ -210,7 +210,7 @@ impl Shared {
         let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
         let answer: Result<(i64, Vec<u8>, String, i64), _> = match &warm {
             Some(_) => self.ask_briefly(&command).await,
-            None => self.run(PATIENCE, true, &command).await,
+            None => self.run(PATIENCE, &command).await,
         };
         match (answer, warm) {
             (Ok((said::HERE, bytes, seq, left)), warm) => {
@@ -230,7 +230,7 @@ impl Shared {
     }
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let said: i64 = self.run(PATIENCE, false, &script::delete(id)).await?;
+        let said: i64 = self.run(PATIENCE, &script::delete(id)).await?;
         let gone = self.gone(id, said);
         if said == said::HERE { Ok(()) } else { Err(gone) }
     }
@@ -241,7 +241,7 @@ impl Shared {
             let command = &command;
             async move { command.query_async(&mut connection).await }
         };
-        let file: Option<Vec<u8>> = self.files.ask(PATIENCE_FOR_FILES, true, ask).await?;
+        let file: Option<Vec<u8>> = self.files.ask(PATIENCE_FOR_FILES, ask).await?;
         let file = Bytes::from(file.ok_or(StoreError::NoSuchSession)?);
         let theirs = file.clone();
         let found = tokio::task::spawn_blocking(move || Digest::of(&theirs)).await.map_err(|_| StoreError::Away)?;
@@ -255,7 +255,7 @@ impl Shared {
         let here = match known {
             Some((_, here)) => here,
             None => {
-                let here = self.run::<String>(READINESS, true, &redis::cmd("PING")).await.is_ok();
+                let here = self.run::<String>(READINESS, &redis::cmd("PING")).await.is_ok();
                 *seen() = Some((Instant::now(), here));
                 here
             }
