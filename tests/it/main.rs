@@ -9,10 +9,13 @@ mod decoders;
 mod drag;
 mod formats;
 mod golden;
+mod hostile;
 mod identity;
 mod laws;
 mod layers;
 mod leaving;
+#[path = "../fuzz/mutation.rs"]
+mod mutation;
 mod offline;
 mod openapi;
 mod oracle;
