@@ -24,6 +24,7 @@ mod page;
 mod problems;
 mod revisions;
 mod sessions;
+mod soak;
 mod socket;
 mod socket_abuse;
 mod support;
