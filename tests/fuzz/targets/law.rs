@@ -68,8 +68,9 @@ pub(super) fn hold(bytes: &[u8]) {
         assert!(d.iter().all(|c| c.is_finite()), "the plan says {d:?} at {v:?}");
         // Where rotations fit almost equally well, which one is found hangs on the last digit.
         if let Some(gain) = probes.gain(*v).filter(|_| quality.least_rotation > 1e-2) {
+            let rounding = 1e-15 * ((*v - Point::default()).norm() + exact.norm());
             let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
-            let allowed = 2e-6 * farthest * gain.max(1.0) / f64::from(quality.least_rotation) + 1e-30;
+            let allowed = 2e-6 * farthest * gain.max(1.0) / f64::from(quality.least_rotation) + rounding;
             assert!(off <= allowed, "{method:?} alpha {alpha}: the plan is {off:e} off at {v:?}, allowed {allowed:e}; {exact:?}");
         }
     }
