@@ -12,6 +12,9 @@ use crate::pixmap::{Channels, Pixmap, Samples};
 /// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
 pub(super) const MAX_ICC: usize = 1 << 20;
 
+/// The most that a profile takes, inflated and as it will be written back.
+pub const PROFILE_BYTES: u64 = 2 * MAX_ICC as u64;
+
 /// An upright picture and what must travel with it.
 #[derive(Debug, Clone)]
 pub struct Decoded {

@@ -26,7 +26,7 @@ mod write_jpeg;
 #[forbid(unsafe_code)]
 mod write_webp;
 
-pub use decode::{Decoded, decode};
+pub use decode::{Decoded, PROFILE_BYTES, decode};
 pub use error::CodecError;
 pub use limits::Limits;
 pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};

@@ -105,6 +105,21 @@ impl Writer {
         }
     }
 
+    /// Upper bound of the memory that writing takes, the file included, bytes: what to reserve before it begins. For whole pictures that is their
+    /// samples, what an encoder makes of them, and a file that is no larger than they are: noise compresses a little, and nothing is worse.
+    #[must_use]
+    pub fn work_bytes(&self) -> u64 {
+        /// Of the samples: themselves, a copy without alpha or in 8 bit, what the encoder holds, the file.
+        const COPIES: u64 = 4;
+        match &self.0 {
+            Kind::Strips(png) => png.max_bytes(),
+            Kind::Whole { shape, icc, .. } => {
+                let samples = shape.extent.pixels() * (shape.channels.count() * shape.depth.bytes()) as u64;
+                samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
+            }
+        }
+    }
+
     /// What comes before the first strip.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {

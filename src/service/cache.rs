@@ -1,33 +1,41 @@
 //! Byte-weighted LRU shelves with one build for many waiting requests: decoded pictures by the digest of their file, plans by everything
-//! that their coefficients depend on. An entry larger than its shelf is used but not kept. Weights are KiB (moka weighs in u32).
+//! that their coefficients depend on. What is kept holds its reservation of the account of memory, also when it was taken off the shelf and someone
+//! still uses it. An entry larger than its shelf is used but not kept.
 //!
 //! A build is a task of its own: a client that leaves does not stop it, so those who wait for the same entry get theirs.
 
-use std::fmt;
+use std::collections::HashMap;
 use std::future::Future;
-use std::sync::Arc;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use moka::future::Cache;
-use moka::policy::EvictionPolicy;
+use lru::LruCache;
+use tokio::sync::watch;
 
+use super::budget::Reservation;
+use super::problem::Problem;
 use crate::warp::Digest;
 
-/// A cache of built values. Cloning shares it.
-pub struct Shelf<V> {
-    cache: Cache<Digest, Arc<V>>,
-    built: Arc<AtomicU64>,
+/// A value and the memory that it takes.
+#[derive(Debug)]
+pub struct Kept<V> {
+    value: V,
+    held: Reservation,
 }
 
-impl<V> fmt::Debug for Shelf<V> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Shelf").field("built", &self.built).finish_non_exhaustive()
+impl<V> Kept<V> {
+    /// `held` is what the value weighs.
+    pub const fn new(value: V, held: Reservation) -> Self {
+        Self { value, held }
     }
 }
 
-impl<V> Clone for Shelf<V> {
-    fn clone(&self) -> Self {
-        Self { cache: self.cache.clone(), built: Arc::clone(&self.built) }
+impl<V> Deref for Kept<V> {
+    type Target = V;
+
+    fn deref(&self) -> &V {
+        &self.value
     }
 }
 
@@ -35,113 +43,272 @@ impl<V> Clone for Shelf<V> {
 #[derive(Debug)]
 pub struct Fetched<V> {
     /// The value.
-    pub value: Arc<V>,
+    pub value: Arc<Kept<V>>,
     /// It was not there before and nobody else was building it.
     pub built: bool,
 }
 
-impl<V: Send + Sync + 'static> Shelf<V> {
-    /// Holds `capacity` bytes as measured by `bytes`.
-    pub fn new(name: &str, capacity: u64, bytes: impl Fn(&V) -> u64 + Send + Sync + 'static) -> Self {
-        let cache = Cache::builder()
-            .name(name)
-            .max_capacity(capacity / 1024)
-            .weigher(move |_, value: &Arc<V>| u32::try_from(bytes(value).div_ceil(1024).max(1)).unwrap_or(u32::MAX))
-            // The default policy refuses newcomers while old entries are hot: a new session would never be warm.
-            .eviction_policy(EvictionPolicy::lru())
-            .build();
-        Self { cache, built: Arc::default() }
+/// What has happened at a shelf so far, and what is on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Use {
+    /// Looks that found the value.
+    pub hits: u64,
+    /// Values that were built.
+    pub built: u64,
+    /// Values that made room for others.
+    pub evicted: u64,
+    /// Bytes on the shelf.
+    pub bytes: u64,
+    /// Values on the shelf.
+    pub values: u64,
+}
+
+type Outcome<V> = Option<Result<Arc<Kept<V>>, Problem>>;
+
+#[derive(Debug)]
+struct Entries<V> {
+    kept: LruCache<Digest, Arc<Kept<V>>>,
+    bytes: u64,
+    /// Where those who want the same value wait.
+    building: HashMap<Digest, watch::Receiver<Outcome<V>>>,
+}
+
+#[derive(Debug)]
+struct Shared<V> {
+    capacity: u64,
+    entries: Mutex<Entries<V>>,
+    hits: AtomicU64,
+    built: AtomicU64,
+    evicted: AtomicU64,
+}
+
+/// A cache of built values. Cloning shares it.
+#[derive(Debug)]
+pub struct Shelf<V>(Arc<Shared<V>>);
+
+impl<V> Clone for Shelf<V> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+/// A build under way; whoever waits is told when it is dropped, whatever has become of it.
+struct Building<V> {
+    shelf: Shelf<V>,
+    key: Digest,
+    told: watch::Sender<Outcome<V>>,
+}
+
+impl<V> Drop for Building<V> {
+    fn drop(&mut self) {
+        self.shelf.lock().building.remove(&self.key);
+    }
+}
+
+impl<V> Entries<V> {
+    fn remove(&mut self, key: Digest) -> Option<Arc<Kept<V>>> {
+        let value = self.kept.pop(&key)?;
+        self.bytes -= value.held.bytes();
+        Some(value)
+    }
+}
+
+impl<V> Shelf<V> {
+    /// Holds `capacity` bytes.
+    #[must_use]
+    pub fn new(capacity: u64) -> Self {
+        let entries = Entries { kept: LruCache::unbounded(), bytes: 0, building: HashMap::new() };
+        let none = || AtomicU64::new(0);
+        Self(Arc::new(Shared { capacity, entries: Mutex::new(entries), hits: none(), built: none(), evicted: none() }))
     }
 
-    /// How many values were built so far.
+    fn lock(&self) -> MutexGuard<'_, Entries<V>> {
+        // Nothing panics half-way through a change.
+        self.0.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What has happened so far.
     #[must_use]
-    pub fn built(&self) -> u64 {
-        self.built.load(Ordering::Relaxed)
+    pub fn usage(&self) -> Use {
+        let entries = self.lock();
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Use {
+            hits: read(&self.0.hits),
+            built: read(&self.0.built),
+            evicted: read(&self.0.evicted),
+            bytes: entries.bytes,
+            values: entries.kept.len() as u64,
+        }
+    }
+
+    /// The value is there, and stays where it is in the order.
+    #[must_use]
+    pub fn has(&self, key: Digest) -> bool {
+        self.lock().kept.contains(&key)
     }
 
     /// The value of `key`, if it is there.
-    pub async fn peek(&self, key: Digest) -> Option<Arc<V>> {
-        self.cache.get(&key).await
+    #[must_use]
+    pub fn peek(&self, key: Digest) -> Option<Arc<Kept<V>>> {
+        let value = self.lock().kept.get(&key).cloned();
+        self.0.hits.fetch_add(value.is_some().into(), Ordering::Relaxed);
+        value
     }
 
     /// Takes the value of `key` off the shelf.
-    pub async fn remove(&self, key: Digest) -> Option<Arc<V>> {
-        self.cache.remove(&key).await
+    pub fn remove(&self, key: Digest) -> Option<Arc<Kept<V>>> {
+        self.lock().remove(key)
     }
 
     /// Drops everything, as if it had been evicted.
     pub fn clear(&self) {
-        self.cache.invalidate_all();
+        let mut entries = self.lock();
+        entries.bytes = 0;
+        // Dropped when the lock is free again.
+        let _kept = std::mem::replace(&mut entries.kept, LruCache::unbounded());
+        drop(entries);
     }
 
+    /// Something could give way.
+    #[must_use]
+    pub fn is_any_idle(&self) -> bool {
+        self.lock().kept.iter().any(|(_, value)| Arc::strong_count(value) == 1)
+    }
+
+    /// Takes the value off that was used least recently of those that nobody uses now. False when there is none.
+    pub fn give_way(&self) -> bool {
+        let mut entries = self.lock();
+        let idle = entries.kept.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
+        let gone = idle.and_then(|key| entries.remove(key));
+        drop(entries);
+        self.0.evicted.fetch_add(gone.is_some().into(), Ordering::Relaxed);
+        gone.is_some()
+    }
+
+    /// Puts a value that was built on the shelf.
+    fn put(&self, key: Digest, value: Arc<Kept<V>>) {
+        let bytes = value.held.bytes();
+        if bytes > self.0.capacity {
+            return;
+        }
+        let mut gone = Vec::new();
+        let mut entries = self.lock();
+        gone.extend(entries.remove(key));
+        while entries.bytes + bytes > self.0.capacity {
+            let Some((_, value)) = entries.kept.pop_lru() else { break };
+            entries.bytes -= value.held.bytes();
+            self.0.evicted.fetch_add(1, Ordering::Relaxed);
+            gone.push(value);
+        }
+        entries.bytes += bytes;
+        entries.kept.put(key, value);
+        drop(entries);
+    }
+}
+
+impl<V: Send + Sync + 'static> Shelf<V> {
     /// The value of `key`; `build` runs when it is not there and nobody else builds it.
     ///
     /// # Errors
     /// Those of the build; they are told to everyone who waits and then forgotten. `lost` makes the error of a build that was torn down.
-    pub async fn get<E, B>(&self, key: Digest, build: B, lost: impl FnOnce() -> E) -> Result<Fetched<V>, E>
+    pub async fn get<B>(&self, key: Digest, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
-        E: Clone + Send + Sync + 'static,
-        B: Future<Output = Result<V, E>> + Send + 'static,
+        B: Future<Output = Result<Kept<V>, Problem>> + Send + 'static,
     {
-        if let Some(value) = self.cache.get(&key).await {
-            return Ok(Fetched { value, built: false });
+        let (mut outcome, built) = {
+            let mut entries = self.lock();
+            if let Some(value) = entries.kept.get(&key).cloned() {
+                self.0.hits.fetch_add(1, Ordering::Relaxed);
+                return Ok(Fetched { value, built: false });
+            }
+            match entries.building.get(&key) {
+                Some(outcome) => (outcome.clone(), false),
+                None => {
+                    let (told, outcome) = watch::channel(None);
+                    entries.building.insert(key, outcome.clone());
+                    tokio::spawn(Building { shelf: self.clone(), key, told }.finish(build));
+                    (outcome, true)
+                }
+            }
+        };
+        // The sender goes without a word when the build was torn down.
+        let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
+        let value = outcome.ok().flatten().ok_or_else(lost)??;
+        Ok(Fetched { value, built })
+    }
+}
+
+impl<V> Building<V> {
+    async fn finish(self, build: impl Future<Output = Result<Kept<V>, Problem>>) {
+        let outcome = build.await.map(Arc::new);
+        if let Ok(value) = &outcome {
+            self.shelf.0.built.fetch_add(1, Ordering::Relaxed);
+            self.shelf.put(self.key, Arc::clone(value));
         }
-        let shelf = self.clone();
-        let task = tokio::spawn(async move {
-            let mut built = false;
-            let init = async {
-                let value = build.await?;
-                built = true;
-                shelf.built.fetch_add(1, Ordering::Relaxed);
-                Ok(Arc::new(value))
-            };
-            let value = shelf.cache.try_get_with(key, init).await.map_err(|e: Arc<E>| (*e).clone())?;
-            Ok(Fetched { value, built })
-        });
-        task.await.unwrap_or_else(|_| Err(lost()))
+        self.told.send_replace(Some(outcome));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::budget::{Budget, Purpose};
+    use crate::service::problem::Code;
     use tokio::sync::Semaphore;
-
-    fn shelf(capacity: u64) -> Shelf<u64> {
-        Shelf::new("test", capacity, |v| *v)
-    }
 
     const KEY: Digest = Digest([1; 32]);
 
+    fn budget() -> Budget {
+        Budget::new(1 << 30)
+    }
+
+    fn kept(budget: &Budget, bytes: u64) -> Result<Kept<u64>, Problem> {
+        Ok(Kept::new(bytes, budget.take(Purpose::Plan, bytes).unwrap()))
+    }
+
+    fn lost() -> Problem {
+        Problem::new(Code::Internal, "lost")
+    }
+
+    async fn put(shelf: &Shelf<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<Kept<u64>> {
+        let built = kept(budget, bytes);
+        shelf.get(Digest([key; 32]), async { built }, lost).await.unwrap().value
+    }
+
     #[tokio::test]
     async fn many_requests_share_one_build() {
-        let shelf = shelf(1 << 20);
-        let requests = (0..16).map(|_| shelf.get(KEY, async { Ok::<_, ()>(7) }, || ()));
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let requests = (0..16).map(|_| {
+            let built = kept(&budget, 7);
+            shelf.get(KEY, async { built }, lost)
+        });
         let fetched = futures_util::future::try_join_all(requests).await.unwrap();
-        assert!(fetched.iter().all(|f| *f.value == 7));
+        assert!(fetched.iter().all(|f| **f.value == 7));
         assert_eq!(fetched.iter().filter(|f| f.built).count(), 1);
-        assert_eq!(shelf.built(), 1);
+        assert_eq!(shelf.usage(), Use { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
+        assert_eq!(budget.taken(), 7);
+        assert!(shelf.lock().building.is_empty());
     }
 
     #[tokio::test]
     async fn a_builder_that_leaves_serves_those_who_wait() {
-        let shelf = shelf(1 << 20);
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
         let gate = Arc::new(Semaphore::new(0));
         let build = {
-            let gate = Arc::clone(&gate);
+            let (gate, built) = (Arc::clone(&gate), kept(&budget, 7));
             async move {
                 let _ = gate.acquire().await;
-                Ok::<_, ()>(7)
+                built
             }
         };
         let first = tokio::spawn({
             let shelf = shelf.clone();
-            async move { shelf.get(KEY, build, || ()).await.map(|f| f.built) }
+            async move { shelf.get(KEY, build, lost).await.map(|f| f.built) }
         });
         tokio::task::yield_now().await;
         let second = tokio::spawn({
-            let shelf = shelf.clone();
-            async move { shelf.get(KEY, async { Ok(8) }, || ()).await.map(|f| *f.value) }
+            let (shelf, built) = (shelf.clone(), kept(&budget, 8));
+            async move { shelf.get(KEY, async { built }, lost).await.map(|f| **f.value) }
         });
         tokio::task::yield_now().await;
         first.abort();
@@ -152,36 +319,56 @@ mod tests {
 
     #[tokio::test]
     async fn the_least_recently_used_goes_first_and_a_newcomer_is_kept() {
-        let shelf = shelf(4 << 10);
-        let key = |k: u8| Digest([k; 32]);
-        for k in 0..4 {
-            shelf.get(key(k), async { Ok::<_, ()>(1024) }, || ()).await.unwrap();
+        let (shelf, budget) = (Shelf::new(4 << 10), budget());
+        for key in 0..4 {
+            put(&shelf, &budget, key, 1024).await;
         }
-        for _ in 0..50 {
-            for k in 1..4 {
-                shelf.get(key(k), async { Ok::<_, ()>(1024) }, || ()).await.unwrap();
-            }
+        for key in 1..4 {
+            assert!(shelf.peek(Digest([key; 32])).is_some());
         }
-        shelf.get(key(9), async { Ok::<_, ()>(1024) }, || ()).await.unwrap();
-        shelf.cache.run_pending_tasks().await;
-        assert!(shelf.cache.contains_key(&key(9)), "the newcomer is kept");
-        assert!(!shelf.cache.contains_key(&key(0)), "the oldest has gone");
+        put(&shelf, &budget, 9, 1024).await;
+        assert!(shelf.has(Digest([9; 32])), "the newcomer is kept");
+        assert!(!shelf.has(Digest([0; 32])), "the oldest has gone");
+        assert_eq!(shelf.usage(), Use { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
+        assert_eq!(budget.taken(), 4096);
+        shelf.remove(Digest([9; 32]));
+        assert_eq!((shelf.usage().bytes, budget.taken()), (3072, 3072));
+        shelf.clear();
+        assert_eq!((shelf.usage().bytes, budget.taken()), (0, 0));
     }
 
     #[tokio::test]
     async fn an_entry_larger_than_the_shelf_is_used_but_not_kept() {
-        let shelf = shelf(4 << 10);
-        let small = shelf.get(Digest([2; 32]), async { Ok::<_, ()>(1024) }, || ()).await.unwrap();
-        let large = shelf.get(KEY, async { Ok::<_, ()>(1 << 20) }, || ()).await.unwrap();
-        shelf.cache.run_pending_tasks().await;
-        assert_eq!((*small.value, *large.value), (1024, 1 << 20));
-        assert!(!shelf.cache.contains_key(&KEY) && shelf.cache.contains_key(&Digest([2; 32])));
+        let (shelf, budget) = (Shelf::new(4 << 10), budget());
+        put(&shelf, &budget, 2, 1024).await;
+        let large = put(&shelf, &budget, 1, 1 << 20).await;
+        assert_eq!(**large, 1 << 20);
+        assert!(!shelf.has(KEY) && shelf.has(Digest([2; 32])));
+        assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, on the shelf or not");
+        drop(large);
+        assert_eq!(budget.taken(), 1024);
     }
 
     #[tokio::test]
-    async fn a_failed_build_is_told_and_forgotten() {
-        let shelf = shelf(1 << 20);
-        assert_eq!(shelf.get(KEY, async { Err::<u64, _>("no") }, || "lost").await.unwrap_err(), "no");
-        assert_eq!(*shelf.get(KEY, async { Ok::<_, &str>(3) }, || "lost").await.unwrap().value, 3);
+    async fn what_is_in_use_does_not_give_way() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let used = put(&shelf, &budget, 1, 100).await;
+        put(&shelf, &budget, 2, 10).await;
+        assert!(shelf.give_way());
+        assert_eq!((shelf.has(KEY), budget.taken()), (true, 100));
+        assert!(!shelf.give_way());
+        drop(used);
+        assert!(shelf.give_way());
+        assert_eq!(budget.taken(), 0);
+    }
+
+    #[tokio::test]
+    async fn a_build_that_fails_or_panics_is_told_and_forgotten() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let no = Problem::new(Code::BadImage, "no");
+        let theirs = no.clone();
+        assert_eq!(shelf.get(KEY, async { Err(theirs) }, lost).await.unwrap_err(), no);
+        assert_eq!(shelf.get(KEY, async { panic!("on purpose") }, lost).await.unwrap_err(), lost());
+        assert_eq!(**put(&shelf, &budget, 1, 3).await, 3);
     }
 }

@@ -34,7 +34,7 @@ impl fmt::Debug for Owner {
 }
 
 /// Who sent a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Client {
     /// Whose sessions it may use.
     pub owner: Owner,

@@ -1,6 +1,7 @@
 //! The application: what stays between requests (pool, caches, sessions) and the walk of one request through the warp. No HTTP outside
 //! of [`http`]; every error is a [`Problem`].
 
+pub mod budget;
 pub mod cache;
 pub mod client;
 pub mod config;
@@ -8,6 +9,7 @@ pub mod drag;
 pub mod formats;
 pub mod health;
 pub mod http;
+pub mod metrics;
 pub mod offline;
 pub mod picture;
 pub mod pool;
@@ -22,10 +24,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use budget::{Budget, NoRoom, Purpose, Reservation};
 use cache::Shelf;
-use config::Config;
+use config::{Config, WorkConfig};
 use drag::seats::Seats;
-use pool::{Pool, PoolError};
+use metrics::Metrics;
+use pool::{Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
 use store::memory::{Bounds, MemoryStore};
@@ -36,8 +40,12 @@ use crate::warp::{Image, Plan, Setup};
 
 /// Setups of sessions are small beside plans; they take this share of the plans' memory.
 const SETUP_SHARE: u64 = 8;
+/// Memory that a small picture takes: where there is less, a server is not ready for newcomers.
+const LEAST_LEFT: u64 = 1 << 20;
 /// Seconds after which a request that found the queue full may come again.
 const RETRY_QUEUE: u32 = 1;
+/// Seconds after which a request that found no memory may come again.
+const RETRY_MEMORY: u32 = 2;
 /// Seconds after which a request that found the store full may come again.
 const RETRY_STORE: u32 = 30;
 
@@ -48,23 +56,18 @@ pub struct App(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     config: Config,
+    budget: Budget,
     pool: Pool,
     images: Shelf<Image>,
     plans: Shelf<Plan>,
-    setups: Shelf<Known>,
+    setups: Shelf<Arc<Setup>>,
     store: Arc<dyn Store>,
     lanes: Lanes,
     draining: watch::Sender<bool>,
     pictures: Pictures,
     seats: Seats,
     drags: Drags,
-}
-
-/// A session's setup and what it weighs.
-#[derive(Debug)]
-struct Known {
-    setup: Arc<Setup>,
-    bytes: u64,
+    metrics: Metrics,
 }
 
 /// Pictures begun, and how they ended.
@@ -121,18 +124,23 @@ impl App {
     /// # Errors
     /// The operating system gives no threads.
     pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, pool::NoThreads> {
+        let work = config.work;
+        let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
+        let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(Shared {
-            pool: Pool::new(config.workers, config.queue)?,
-            images: Shelf::new("images", config.image_cache_bytes, Image::bytes),
-            plans: Shelf::new("plans", config.plan_cache_bytes, Plan::bytes),
-            setups: Shelf::new("setups", config.plan_cache_bytes / SETUP_SHARE, |known: &Known| known.bytes),
+            budget: Budget::new(work.memory_bytes),
+            pool: Pool::new(shape)?,
+            images: Shelf::new(work.image_cache_bytes),
+            plans: Shelf::new(work.plan_cache_bytes),
+            setups: Shelf::new(work.plan_cache_bytes / SETUP_SHARE),
             store,
             lanes: Lanes::default(),
             draining: watch::Sender::new(false),
             pictures: Pictures::default(),
             // Half of the places: the others are left to requests.
-            seats: Seats::new(config.max_sockets, config.workers.max(config.queue / 2)),
+            seats: Seats::new(config.max_sockets, workers.max(queue / 2)),
             drags: Drags::default(),
+            metrics: Metrics::default(),
             config,
         })))
     }
@@ -149,14 +157,61 @@ impl App {
         &self.0.pool
     }
 
+    /// The account of memory.
+    #[must_use]
+    pub fn budget(&self) -> &Budget {
+        &self.0.budget
+    }
+
+    /// Takes memory before it is allocated; what is cached and not in use gives way.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] for what never fits, [`Code::Overloaded`] for what does not fit now.
+    pub fn reserve(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, Problem> {
+        self.giving_way(|| self.0.budget.take(purpose, bytes))
+    }
+
+    /// Takes so much more.
+    ///
+    /// # Errors
+    /// As [`App::reserve`].
+    pub fn reserve_more(&self, held: &mut Reservation, more: u64) -> Result<(), Problem> {
+        self.giving_way(|| held.grow(more))
+    }
+
+    fn giving_way<T>(&self, mut take: impl FnMut() -> Result<T, NoRoom>) -> Result<T, Problem> {
+        loop {
+            let refused = match take() {
+                Ok(taken) => return Ok(taken),
+                Err(refused) => refused,
+            };
+            if refused.is_forever() || !self.give_way() {
+                self.0.budget.count_refusal();
+                return Err(refused.into());
+            }
+        }
+    }
+
+    /// Something is cached and not in use: it would give way.
+    fn is_idle_cached(&self) -> bool {
+        self.0.images.is_any_idle() || self.0.plans.is_any_idle()
+    }
+
+    /// Drops something that is cached and not in use. False when there is nothing.
+    fn give_way(&self) -> bool {
+        let (images, plans) = (&self.0.images, &self.0.plans);
+        let images_first = images.usage().bytes >= plans.usage().bytes;
+        (images_first && images.give_way()) || plans.give_way() || images.give_way()
+    }
+
     /// What has happened so far.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let pictures = &self.0.pictures;
         Counters {
-            plans_built: self.0.plans.built(),
-            images_decoded: self.0.images.built(),
+            plans_built: self.0.plans.usage().built,
+            images_decoded: self.0.images.usage().built,
             pictures_begun: read(&pictures.begun),
             pictures_finished: read(&pictures.finished),
             pictures_abandoned: read(&pictures.abandoned),
@@ -165,6 +220,12 @@ impl App {
             frames_sent: read(&self.0.drags.frames),
             poses_superseded: read(&self.0.drags.superseded),
         }
+    }
+
+    /// What is collected of requests as they are answered.
+    #[must_use]
+    pub fn metrics(&self) -> &Metrics {
+        &self.0.metrics
     }
 
     /// Drops every cached picture, plan and setup, as if all had been evicted. Sessions stay.
@@ -196,7 +257,12 @@ impl App {
     /// [`Code::Overloaded`], with the reason.
     pub fn ready(&self) -> Result<(), Problem> {
         self.ready_for_drags()?;
-        self.admits()
+        self.admits(Work::Drag)?;
+        self.admits(Work::Upload)?;
+        if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
+            return Ok(());
+        }
+        Err(Problem::new(Code::Overloaded, "there is no memory for another picture").retry_after(RETRY_MEMORY))
     }
 
     /// Whether a drag may begin: unless the service is stopping.
@@ -207,12 +273,12 @@ impl App {
         Ok(())
     }
 
-    /// Whether the queue has a place.
+    /// Whether somebody who has nothing here yet would be let in.
     ///
     /// # Errors
     /// [`Code::Overloaded`].
-    pub fn admits(&self) -> Result<(), Problem> {
-        if self.0.pool.is_full() { Err(PoolError::Full.into()) } else { Ok(()) }
+    pub fn admits(&self, work: Work) -> Result<(), Problem> {
+        if self.0.pool.is_full(work) { Err(PoolError::Full.into()) } else { Ok(()) }
     }
 
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
@@ -236,9 +302,20 @@ impl App {
 impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
-            PoolError::Full => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_QUEUE),
+            PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_QUEUE),
             PoolError::Panicked => Self::new(Code::Internal, "the server made a mistake; its log has more"),
         }
+    }
+}
+
+impl From<NoRoom> for Problem {
+    fn from(error: NoRoom) -> Self {
+        let problem = if error.is_forever() {
+            Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
+        } else {
+            Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_MEMORY)
+        };
+        problem.limit("memory_bytes", error.limit, error.asked)
     }
 }
 

@@ -24,7 +24,7 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
     }
     let file = read("image", image, config.max_body_bytes)?;
     let object = WarpObject::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
-    let threads = rayon::ThreadPoolBuilder::new().num_threads(config.workers).build();
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;
     threads.install(|| bend(config, &file, &object, out))
 }
@@ -41,7 +41,7 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
     object.output.target(image.extent(), &config.limits)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(&image, &posed, &object.output, &config.limits)?;
-    let helpers = config.workers.saturating_sub(1);
+    let helpers = config.work.workers.saturating_sub(1);
     let drawn = if is_stdio(out) {
         draw(&warp, helpers, io::stdout())
     } else if out.exists() && !out.is_file() || out.is_symlink() {

@@ -1,6 +1,6 @@
 //! Drawing: one job poses and draws, on one compute thread and on as many more as no other picture wants, which are woken at the same time. A
-//! small picture is made whole; a larger one leaves strip by strip through an unbounded channel, so that compute never waits for a reader. One
-//! answer holds at most what its warp says it will write; the sum over all answers is not bounded here. Whoever drops the receiving end
+//! small picture is made whole; a larger one leaves strip by strip through an unbounded channel, so that compute never waits for a reader. What an
+//! answer may come to is reserved before it is drawn, and given back strip by strip as they leave. Whoever drops the receiving end
 //! ends the work at the next strip.
 
 use std::ops::ControlFlow;
@@ -13,6 +13,8 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
+use super::budget::{Purpose, Reservation};
+use super::cache::Kept;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
 use super::walk::Timing;
@@ -104,9 +106,9 @@ impl Clock {
 /// All that a picture is made of.
 #[derive(Debug)]
 pub(super) struct Sitting {
-    pub(super) image: Arc<Image>,
+    pub(super) image: Arc<Kept<Image>>,
     pub(super) setup: Arc<Setup>,
-    pub(super) plan: Arc<Plan>,
+    pub(super) plan: Arc<Kept<Plan>>,
     pub(super) q: Vec<Handle>,
     pub(super) folds: Folds,
     pub(super) output: OutputSpec,
@@ -152,8 +154,9 @@ impl Begun {
         Self { app: app.clone(), finished: AtomicBool::new(false) }
     }
 
-    fn finish(&self) {
+    fn finish(&self, cost: Cost) {
         if !self.finished.swap(true, Ordering::Relaxed) {
+            self.app.metrics().drawn(cost);
             self.app.0.pictures.finished.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -170,6 +173,8 @@ impl Drop for Begun {
 /// A picture that several threads draw.
 struct Work {
     writing: Writing<Box<Warp>, Sink>,
+    /// In the account of memory for as long as it is drawn from.
+    _image: Arc<Kept<Image>>,
     clock: Clock,
     begun: Begun,
     end: UnboundedSender<Piece>,
@@ -180,7 +185,7 @@ type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 impl Work {
     fn take_part(&self) {
         if self.writing.work(&self.clock) {
-            self.begun.finish();
+            self.begun.finish(self.clock.cost());
             // A client that leaves after the last strip has missed nothing.
             let _ = self.end.send(Piece::End(self.clock.cost()));
         }
@@ -258,19 +263,30 @@ impl Easel {
         let began = Instant::now();
         let limits = self.app.config().limits;
         let gone = || self.answer.is_closed();
-        let pose = || sitting.warp(&limits, &gone);
-        let (warp, report) = match if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() } {
-            Ok(warp) => warp,
-            Err(error) => {
-                let _ = self.answer.send(Err(error.into()));
+        let prepare = || {
+            let mut held = self.app.reserve(Purpose::Frame, sitting.setup.posed_bytes())?;
+            let pose = || sitting.warp(&limits, &gone);
+            let (warp, report) = if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() }?;
+            self.app.reserve_more(&mut held, warp.work_bytes())?;
+            Ok((warp, report, held))
+        };
+        let (warp, report, held) = match prepare() {
+            Ok(prepared) => prepared,
+            Err(problem) => {
+                let _ = self.answer.send(Err(problem));
                 return;
             }
         };
         self.timing.deform = began.elapsed();
-        if warp.is_one_piece() || warp.max_bytes() <= WHOLE { self.whole(&warp, report) } else { self.strips(warp, report, began) }
+        self.app.metrics().prepared(&self.timing);
+        if warp.is_one_piece() || warp.max_bytes() <= WHOLE {
+            self.whole(&warp, report, held);
+        } else {
+            self.strips(warp, report, held, Arc::clone(&sitting.image), began);
+        }
     }
 
-    fn whole(self, warp: &Warp, report: Report) {
+    fn whole(self, warp: &Warp, report: Report, mut held: Reservation) {
         let (begun, mut file) = (Begun::new(&self.app), Vec::new());
         let watch = Attended { clock: Clock::default(), answer: &self.answer };
         let flow = warp.write(0, &watch, &mut |bytes| {
@@ -282,16 +298,17 @@ impl Easel {
             if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if flow.is_continue() {
-            begun.finish();
+            begun.finish(watch.clock.cost());
         }
-        let picture = Picture::Whole { bytes: file.into(), cost: watch.clock.cost() };
+        held.shrink_to(file.len() as u64);
+        let picture = Picture::Whole { bytes: held.with(file), cost: watch.clock.cost() };
         drop(self.drawer);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
-    fn strips(self, warp: Warp, report: Report, began: Instant) {
+    fn strips(self, warp: Warp, report: Report, mut held: Reservation, image: Arc<Kept<Image>>, began: Instant) {
         let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
@@ -302,12 +319,13 @@ impl Easel {
                 // The client may come again before this thread has gone on.
                 drop(drawer.take());
             }
-            let heard = pieces.send(Piece::Bytes(bytes.into())).is_ok();
+            let heard = pieces.send(Piece::Bytes(held.split(bytes.len() as u64).with(bytes))).is_ok();
             // The head of the answer leaves with the first strip: one thing to wake for, not two.
             let heard = heard && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
             if heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         });
-        let work = Work { writing: Writing::new(Box::new(warp), sink), clock: Clock::default(), begun: Begun::new(&app), end };
+        let (clock, begun) = (Clock::default(), Begun::new(&app));
+        let work = Work { writing: Writing::new(Box::new(warp), sink), _image: image, clock, begun, end };
         let helpers = helpers.min(work.writing.strips() - 1);
         let work = Arc::new(work);
         let _ = meeting.set(Some(Arc::clone(&work)));

@@ -26,7 +26,7 @@ impl Warp {
     ///
     /// # Errors
     /// A target over the limits, as [`OutputSpec::target`] says before anything is posed.
-    pub fn new(image: &Arc<Image>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
+    pub fn new(image: &Image, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
         let target = output.target(image.extent(), limits)?;
         let options = RenderOptions { target, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
@@ -59,10 +59,16 @@ impl Warp {
         self.writer.strips() == 1
     }
 
-    /// No more than this many bytes will be written: what to reserve for the answer.
+    /// No more than this many bytes will be written.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
         self.writer.max_bytes()
+    }
+
+    /// No more memory than this is taken by writing, the file included: what to reserve before.
+    #[must_use]
+    pub fn work_bytes(&self) -> u64 {
+        self.writer.work_bytes()
     }
 
     /// Renders and encodes strip by strip and hands the bytes to `sink` in order: the head with the first strip, the tail with the last. This

@@ -22,6 +22,17 @@ impl Image {
         Digest::of(file)
     }
 
+    /// The most memory that decoding the file and using its picture will take, bytes, from its header alone: what to reserve before.
+    ///
+    /// # Errors
+    /// Those of [`codec::probe`], and a picture over the limits.
+    pub fn peak_bytes(file: &[u8], limits: &Limits) -> Result<u64, WarpError> {
+        let header = codec::probe(file)?;
+        limits.check(header.extent)?;
+        let used = Source::bytes(header.extent, header.channels, header.depth);
+        Ok(header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES))
+    }
+
     /// Decodes a file behind limits. CPU work; call it off the async threads.
     ///
     /// # Errors

@@ -85,6 +85,14 @@ impl Setup {
         self.plan_bytes
     }
 
+    /// Memory that a posed grid takes until its picture is drawn, bytes: vertices, and what the renderer makes of them.
+    #[must_use]
+    pub fn posed_bytes(&self) -> u64 {
+        /// Two f64, and about as much three times over.
+        const VERTEX: u64 = 64;
+        self.grid.len() as u64 * VERTEX
+    }
+
     /// Whether posing takes so long that it is split over the current rayon pool.
     #[must_use]
     pub fn is_wide(&self) -> bool {

@@ -48,7 +48,7 @@ class Server:
     def start(self):
         self.log = open(KEPT / f"server-{self.port}.log", "ab")
         self.process = subprocess.Popen(
-            [PROGRAM, "serve", "--listen", f"127.0.0.1:{self.port}", *self.flags], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
+            [PROGRAM, "serve", "--listen", f"127.0.0.1:{self.port}", "--drag-wait", "1m", *self.flags], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
         )
         give_up = time.monotonic() + DEADLINE
         while True:

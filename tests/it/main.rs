@@ -14,6 +14,7 @@ mod identity;
 mod laws;
 mod layers;
 mod leaving;
+mod metrics;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;
 mod offline;

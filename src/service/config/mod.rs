@@ -1,7 +1,9 @@
 //! Flags and `MLSWARP_*` variables. A flag wins over its variable, a variable over the default. Every value travels as text until
 //! [`Options::resolve`] reads all of them, so that all mistakes are told at once.
 
+mod memory;
 mod units;
+mod work;
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -11,14 +13,18 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::warp::{ImageLimits, Limits};
+pub use work::{WorkConfig, WorkOptions};
 
-/// Even one core serves a page full of hands: a drag takes milliseconds.
-const LEAST_QUEUE: usize = 64;
+use crate::warp::{ImageLimits, Limits};
 
 /// The command line.
 #[derive(Debug, Parser)]
-#[command(name = "mlswarp", version, about = "Bends images as if they were real objects (moving least squares), over HTTP or offline.")]
+#[command(
+    name = "mlswarp",
+    version,
+    args_override_self = true,
+    about = "Bends images as if they were real objects (moving least squares), over HTTP or offline."
+)]
 #[command(after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option has the variable that its help names.")]
 pub struct Cli {
     /// What to do; without it the server starts.
@@ -54,12 +60,8 @@ pub struct Options {
     /// Address and port to listen on.
     #[arg(long, env = "MLSWARP_LISTEN", value_name = "ADDR", default_value = "127.0.0.1:8080", global = true)]
     listen: String,
-    /// Threads that compute, and jobs that run at one time; auto = one a core.
-    #[arg(long, env = "MLSWARP_WORKERS", value_name = "N", default_value = "auto", global = true)]
-    workers: String,
-    /// Requests that may wait for a worker; one more is answered 503. auto = 4 times the workers, at least 64.
-    #[arg(long, env = "MLSWARP_QUEUE", value_name = "N", default_value = "auto", global = true)]
-    queue: String,
+    #[command(flatten)]
+    work: WorkOptions,
     /// Largest request body.
     #[arg(long, env = "MLSWARP_MAX_BODY_BYTES", value_name = "SIZE", default_value = "32MiB", global = true)]
     max_body_bytes: String,
@@ -78,12 +80,6 @@ pub struct Options {
     /// Largest table of coefficients; a larger one is evaluated without a table.
     #[arg(long, env = "MLSWARP_MAX_PLAN_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
     max_plan_bytes: String,
-    /// Memory for decoded pictures.
-    #[arg(long, env = "MLSWARP_IMAGE_CACHE_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
-    image_cache_bytes: String,
-    /// Memory for tables of coefficients.
-    #[arg(long, env = "MLSWARP_PLAN_CACHE_BYTES", value_name = "SIZE", default_value = "512MiB", global = true)]
-    plan_cache_bytes: String,
     /// How long a session lives without being used.
     #[arg(long, env = "MLSWARP_SESSION_IDLE", value_name = "TIME", default_value = "15m", global = true)]
     session_idle: String,
@@ -136,20 +132,14 @@ pub enum LogFormat {
 pub struct Config {
     /// Address and port to listen on.
     pub listen: SocketAddr,
-    /// Threads that compute, and jobs that run at one time.
-    pub workers: usize,
-    /// Requests that may wait for a worker.
-    pub queue: usize,
+    /// Workers, queues and memory.
+    pub work: WorkConfig,
     /// Largest request body.
     pub max_body_bytes: u64,
     /// Largest warp object beside an image.
     pub max_warp_json_bytes: u64,
     /// What one warp may ask for.
     pub limits: Limits,
-    /// Memory for decoded pictures.
-    pub image_cache_bytes: u64,
-    /// Memory for tables of coefficients.
-    pub plan_cache_bytes: u64,
     /// How long a session lives without being used.
     pub session_idle: Duration,
     /// Most sessions.
@@ -209,11 +199,9 @@ impl Options {
     /// All mistakes at once.
     pub fn resolve(&self) -> Result<Config, Mistakes> {
         let mut m = Mistakes(Vec::new());
-        let workers = m.read("workers", &self.workers, |t| if t == "auto" { Ok(cores()) } else { whole(t, 1, 1024) });
         let config = Config {
             listen: m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080))),
-            workers,
-            queue: m.read("queue", &self.queue, |t| if t == "auto" { Ok((4 * workers).max(LEAST_QUEUE)) } else { whole(t, 0, 1_000_000) }),
+            work: self.work.resolve(&mut m),
             max_body_bytes: m.read("max-body-bytes", &self.max_body_bytes, size),
             max_warp_json_bytes: m.read("max-warp-json-bytes", &self.max_warp_json_bytes, size),
             limits: Limits {
@@ -224,8 +212,6 @@ impl Options {
                 columns: m.read("max-columns", &self.max_columns, |t| whole(t, 1, 1_000_000)),
                 plan_bytes: m.read("max-plan-bytes", &self.max_plan_bytes, size),
             },
-            image_cache_bytes: m.read("image-cache-bytes", &self.image_cache_bytes, units::bytes),
-            plan_cache_bytes: m.read("plan-cache-bytes", &self.plan_cache_bytes, units::bytes),
             session_idle: m.read("session-idle", &self.session_idle, units::span),
             max_sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
             store_bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
@@ -316,7 +302,8 @@ mod tests {
         assert_eq!(config.max_warp_json_bytes, 4 << 20);
         assert_eq!(config.limits.image, ImageLimits::default());
         assert_eq!((config.limits.columns, config.limits.plan_bytes), (10_000, 512 << 20));
-        assert_eq!(config.queue, (4 * config.workers).max(LEAST_QUEUE));
+        assert_eq!(config.work.queue, (4 * config.work.workers).max(work::LEAST_QUEUE));
+        assert_eq!((config.work.drag_wait, config.work.upload_wait), (Duration::from_millis(200), Duration::from_secs(5)));
         assert_eq!(config.session_idle, Duration::from_secs(900));
     }
 
@@ -333,8 +320,8 @@ mod tests {
 
     #[test]
     fn options_may_stand_before_and_after_the_subcommand() {
-        assert_eq!(resolve(&["--workers", "30", "serve"]).expect("valid").queue, 120);
-        assert_eq!(resolve(&["serve", "--workers", "30"]).expect("valid").queue, 120);
+        assert_eq!(resolve(&["--workers", "30", "serve"]).expect("valid").work.queue, 120);
+        assert_eq!(resolve(&["serve", "--workers", "30"]).expect("valid").work.queue, 120);
     }
 
     #[test]

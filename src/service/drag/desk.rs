@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::pace::Pace;
-use crate::deform::Handle;
+use crate::service::wire::UnreadHandles;
 
 /// A hand that has sent nothing for so long rests.
 pub const REST: Duration = Duration::from_millis(150);
@@ -27,8 +27,8 @@ const AGAIN: Duration = Duration::from_millis(10);
 pub struct Pose {
     /// The client's number.
     pub seq: u64,
-    /// Posed handles.
-    pub q: Arc<Vec<Handle>>,
+    /// Posed handles, as they came.
+    pub q: Arc<UnreadHandles>,
     /// When it arrived.
     pub at: Instant,
 }

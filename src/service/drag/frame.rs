@@ -7,14 +7,15 @@ use bytes::Bytes;
 
 use super::desk::Order;
 use crate::codec::{Compression, Format};
+use crate::deform::Handle;
 use crate::service::App;
 use crate::service::picture::{Cost, Drawn, Picture, Piece};
-use crate::service::pool::PoolError;
+use crate::service::pool::{PoolError, Ticket};
 use crate::service::problem::Problem;
 use crate::service::session::SessionId;
 use crate::service::store::Record;
 use crate::service::walk::{MeshForm, PosedMesh, Timing};
-use crate::service::wire::{FrameReport, FrameTiming, MeshShape};
+use crate::service::wire::{FrameReport, FrameTiming, MeshShape, UnreadHandles};
 use crate::warp::{OutputSpec, Report};
 
 /// What frames are.
@@ -63,11 +64,11 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.
     let record = app.0.store.touch(id, None).await?.record;
     let seq = order.pose.seq;
-    let q = order.pose.q.as_ref().clone();
     let frame = match form {
         Form::Picture(format) => {
             let (record, warm) = app.warm_newest(record).await?;
             drop(turn);
+            let q = read(&app, warm.ticket(), order.pose.q).await?;
             let shape = warm.shape(record.extent);
             let output = output(&record, format, order.width);
             let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output).await?;
@@ -79,13 +80,22 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
         Form::Mesh => {
             let (ticket, walked) = app.walk(&record, MeshForm::Numbers).await?;
             drop(turn);
+            let q = read(&app, &ticket, order.pose.q).await?;
             let shape = walked.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers).await?;
             let report = told(seq, (record.extent.width(), record.extent.height()), true, &report, timing, Cost::default());
-            Frame { seq, record, shape, pieces: vec![body.into()], report }
+            Frame { seq, record, shape, pieces: vec![body], report }
         }
     };
     Ok(frame)
+}
+
+/// Handles in so many bytes of text are read sooner than a compute thread wakes.
+const READ_HERE: usize = 16 << 10;
+
+/// Reads the handles of a pose.
+async fn read(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>) -> Result<Vec<Handle>, Problem> {
+    if q.len() <= READ_HERE { q.read() } else { app.0.pool.run(ticket, move |_| q.read()).await? }
 }
 
 /// All of a picture.

@@ -18,6 +18,7 @@ use std::time::Instant;
 use bytes::Bytes;
 
 use super::App;
+use super::budget::{Purpose, Reservation};
 use super::problem::{Code, Problem};
 use super::session::SessionId;
 use super::store::Record;
@@ -57,6 +58,9 @@ pub enum Said {
     Frame(u64, Vec<Bytes>),
 }
 
+/// What a socket takes beside its frames: buffers of both directions, a pose that is being read, one that waits.
+const SOCKET_BYTES: u64 = 512 << 10;
+
 type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 
 /// One hand on one session.
@@ -73,6 +77,7 @@ pub struct Drag {
     says: VecDeque<Said>,
     is_over: bool,
     _seat: Seat,
+    _held: Reservation,
 }
 
 impl std::fmt::Debug for Drag {
@@ -90,6 +95,7 @@ impl App {
         let record = self.session(id).await?.record;
         self.ready_for_drags()?;
         let seat = self.0.seats.take(id)?;
+        let held = self.reserve(Purpose::Socket, SOCKET_BYTES)?;
         let setup = self.session_setup(&record).await?;
         let hello = hello(&MeshShape::new(&setup, record.extent));
         Ok(Drag {
@@ -104,6 +110,7 @@ impl App {
             says: VecDeque::from([hello]),
             is_over: false,
             _seat: seat,
+            _held: held,
         })
     }
 }

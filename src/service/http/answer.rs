@@ -46,7 +46,7 @@ fn text(text: String) -> HeaderValue {
 }
 
 /// A posed grid as an answer: `body` is its JSON or its numbers.
-pub(super) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type: &'static str, body: Vec<u8>) -> Response {
+pub(super) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type: &'static str, body: Bytes) -> Response {
     let mut headers = told(report, plan_built);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
     headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));

@@ -9,11 +9,13 @@ use std::time::Duration;
 use axum::body::{Body, HttpBody};
 use axum::extract::Request;
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
-use bytes::{Bytes, BytesMut};
+use bytes::Bytes;
 use http_body::Frame;
 use http_body_util::BodyExt as _;
 use tokio::time::{Sleep, sleep};
 
+use crate::service::App;
+use crate::service::budget::{Purpose, Reservation};
 use crate::service::problem::{Code, Problem};
 
 /// Longest drain.
@@ -186,8 +188,50 @@ pub(super) fn media_type(request: &Request) -> Option<String> {
     Some(text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
 }
 
+/// Bytes that grow as they arrive; their memory is in the account before they are kept.
+pub(super) struct Received<'a> {
+    app: &'a App,
+    bytes: Vec<u8>,
+    held: Reservation,
+}
+
+impl<'a> Received<'a> {
+    pub(super) fn new(app: &'a App) -> Result<Self, Problem> {
+        Ok(Self { app, bytes: Vec::new(), held: app.reserve(Purpose::Upload, 0)? })
+    }
+
+    pub(super) fn len(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
+    pub(super) fn push(&mut self, data: &[u8]) -> Result<(), Problem> {
+        let needed = self.bytes.len() + data.len();
+        if needed > self.bytes.capacity() {
+            let room = needed.max(2 * self.bytes.capacity());
+            // Both copies are there while it moves.
+            self.app.reserve_more(&mut self.held, room as u64)?;
+            self.bytes.reserve_exact(room - self.bytes.len());
+            self.held.shrink_to(self.bytes.capacity() as u64);
+        }
+        self.bytes.extend_from_slice(data);
+        Ok(())
+    }
+
+    /// As they are; a buffer that grew is up to twice as large as what it holds.
+    pub(super) fn finish(self) -> Bytes {
+        self.held.with(self.bytes)
+    }
+
+    /// Exactly: a session keeps them for minutes.
+    pub(super) fn fit(mut self) -> Bytes {
+        self.bytes.shrink_to_fit();
+        self.held.shrink_to(self.bytes.capacity() as u64);
+        self.finish()
+    }
+}
+
 /// A JSON body of at most `limit` bytes.
-pub(super) async fn json(request: Request, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+pub(super) async fn json(app: &App, request: Request, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     if media_type(&request).as_deref() != Some("application/json") {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
     }
@@ -196,15 +240,16 @@ pub(super) async fn json(request: Request, what: &'static str, limit: u64) -> Re
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut read = BytesMut::new();
+    let mut read = Received::new(app)?;
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
         if let Ok(data) = frame.into_data() {
-            read.extend_from_slice(&data);
-        }
-        if read.len() as u64 > limit {
-            return Err(too_large(what, limit, read.len() as u64));
+            let length = read.len() + data.len() as u64;
+            if length > limit {
+                return Err(too_large(what, limit, length));
+            }
+            read.push(&data)?;
         }
     }
-    Ok(read.freeze())
+    Ok(read.finish())
 }

@@ -31,12 +31,17 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let route = request.extensions().get::<MatchedPath>().cloned();
     let client = client(&request);
     request.extensions_mut().insert(client);
-    let mut response = finish(answer(&app, request, next, &id).await, &id);
+    let response = answer(&app, request, next, &id).await;
+    if let Some(problem) = response.extensions().get::<Problem>() {
+        app.metrics().refused(problem);
+    }
+    let mut response = finish(response, &id);
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status().as_u16();
     let route = route.as_ref().map_or("-", MatchedPath::as_str);
+    app.metrics().answered(route, method.as_str(), status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
     tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), id, "answered");
     response

@@ -26,7 +26,7 @@ pub(super) async fn mesh(
     let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(request, "drag_json_bytes", limit).await?;
+    let body = json(&app, request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse_posed(&body)?;
     let mesh = app.mesh(id, drag, form).await?;
     Ok(answer::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))

@@ -2,7 +2,7 @@
 //! (but for heads that are no HTTP: hyper answers those, with an empty body).
 //!
 //! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, one log
-//! line a request), then `shed` on the routes that compute (a full queue answers before a body is read), then the handlers.
+//! line a request), then `shed` on the routes that upload (a full queue answers before a body is read), then the handlers.
 
 mod accept;
 mod answer;
@@ -12,6 +12,7 @@ mod handshake;
 mod health;
 mod line;
 mod mesh;
+mod metrics;
 mod openapi;
 mod page;
 mod points;
@@ -30,23 +31,25 @@ use axum::response::Response;
 use axum::routing::{MethodRouter, get, post, put};
 
 use super::App;
+use super::pool::Work;
 use super::problem::{Code, Problem};
 
 /// Every route of the contract; the OpenAPI document lists the same (tested). The page's files are not of it.
 fn routes(app: &App) -> Vec<(&'static str, MethodRouter<App>)> {
-    let computes = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
+    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
-        ("/warp", computes(post(warp::warp))),
-        ("/sessions", computes(post(sessions::create))),
-        ("/sessions/{id}", get(sessions::read).delete(sessions::delete).merge(computes(put(sessions::put)))),
-        ("/sessions/{id}/handles", computes(put(sessions::handles))),
-        ("/sessions/{id}/warp", computes(post(warp::drag))),
-        ("/sessions/{id}/mesh", computes(post(mesh::mesh))),
+        ("/warp", post(warp::warp)),
+        ("/sessions", uploads(post(sessions::create))),
+        ("/sessions/{id}", get(sessions::read).delete(sessions::delete).merge(uploads(put(sessions::put)))),
+        ("/sessions/{id}/handles", uploads(put(sessions::handles))),
+        ("/sessions/{id}/warp", post(warp::drag)),
+        ("/sessions/{id}/mesh", post(mesh::mesh)),
         ("/sessions/{id}/drag", get(socket::drag)),
-        ("/sessions/{id}/points", computes(post(points::of_session))),
-        ("/points", computes(post(points::once))),
+        ("/sessions/{id}/points", uploads(post(points::of_session))),
+        ("/points", uploads(post(points::once))),
         ("/healthz", get(health::alive)),
         ("/readyz", get(health::ready)),
+        ("/metrics", get(metrics::text)),
         ("/openapi.json", get(openapi::document)),
     ]
 }
@@ -68,9 +71,9 @@ pub fn router(app: App) -> Router {
         .with_state(app)
 }
 
-/// Refuses at once, before the body is read, when there is no place for the work.
+/// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
 async fn shed(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
-    app.admits()?;
+    app.admits(Work::Upload)?;
     Ok(next.run(request).await)
 }
 

@@ -19,9 +19,9 @@ struct Mapped<'a> {
     points: Wire<&'a [Point]>,
 }
 
-pub(super) async fn once(State(app): State<App>, request: Request) -> Result<Response, Problem> {
-    let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
-    let mapped = app.map_once(body).await?;
+pub(super) async fn once(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
+    let body = json(&app, request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let mapped = app.map_once(client, body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }
 
@@ -33,7 +33,7 @@ pub(super) async fn of_session(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = json(request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = json(&app, request, "json_bytes", app.config().max_warp_json_bytes).await?;
     let mapped = app.map_session(id, body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }

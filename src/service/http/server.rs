@@ -90,7 +90,12 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         .max_concurrent_streams(STREAMS)
         .keep_alive_interval(config.header_timeout)
         .keep_alive_timeout(config.header_timeout);
-    tracing::info!(workers = config.workers, queue = config.queue, "listening on http://{address}");
+    tracing::info!(
+        workers = config.work.workers,
+        queue = config.work.queue,
+        memory = config.work.memory_bytes,
+        "listening on http://{address}"
+    );
     let (service, sockets) = (router(app.clone()).into_make_service_with_connect_info::<SocketAddr>(), app.clone());
     tokio::spawn(async move {
         stop.await;

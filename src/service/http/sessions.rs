@@ -35,7 +35,7 @@ pub(super) async fn put(
     let id = SessionId::parse(client.owner, &id)
         .map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
     let upload = upload::read(&app, request).await?;
-    let (put, setup) = app.put(id, upload.image, upload.warp).await?;
+    let (put, setup) = app.put(client, id, upload.image, upload.warp).await?;
     Ok(match put {
         Put::Created(session) => (StatusCode::CREATED, [(LOCATION, location(id))], object(&session, &setup)).into_response(),
         Put::Same(session) | Put::Replaced(session, _) => object(&session, &setup),
@@ -51,7 +51,7 @@ pub(super) async fn handles(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = body::json(request, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = body::json(&app, request, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
     let (session, setup) = app.revise(id, body).await?;
     Ok(object(&session, &setup))
 }

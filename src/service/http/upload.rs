@@ -2,9 +2,9 @@
 
 use axum::extract::multipart::Field;
 use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
-use bytes::{Bytes, BytesMut};
+use bytes::Bytes;
 
-use super::body::{media_type, read_problem, too_large};
+use super::body::{Received, media_type, read_problem, too_large};
 use crate::service::App;
 use crate::service::problem::{Code, Problem};
 
@@ -41,7 +41,7 @@ pub(super) async fn read(app: &App, mut request: Request) -> Result<Upload, Prob
         if slot.is_some() {
             return Err(malformed(format!("the part `{name}` comes twice")));
         }
-        *slot = Some(part_bytes(part, limit).await?);
+        *slot = Some(part_bytes(app, part, limit).await?);
     }
     match (image, warp) {
         (Some(image), Some(warp)) => Ok(Upload { image, warp }),
@@ -55,14 +55,14 @@ fn malformed(detail: impl Into<String>) -> Problem {
     Problem::new(Code::MalformedRequest, detail)
 }
 
-async fn part_bytes(mut part: Field<'_>, limit: u64) -> Result<Bytes, Problem> {
-    let mut bytes = BytesMut::new();
+async fn part_bytes(app: &App, mut part: Field<'_>, limit: u64) -> Result<Bytes, Problem> {
+    let mut read = Received::new(app)?;
     while let Some(chunk) = part.chunk().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
-        bytes.extend_from_slice(&chunk);
-        if bytes.len() as u64 > limit {
-            return Err(too_large("warp_json_bytes", limit, bytes.len() as u64));
+        let length = read.len() + chunk.len() as u64;
+        if length > limit {
+            return Err(too_large("warp_json_bytes", limit, length));
         }
+        read.push(&chunk)?;
     }
-    // A buffer that grew is up to twice as large as what it holds, and a session keeps it for minutes.
-    Ok(Vec::from(bytes).into_boxed_slice().into())
+    Ok(read.fit())
 }

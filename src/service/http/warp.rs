@@ -12,6 +12,7 @@ use super::sessions::session_id;
 use super::{accept, upload};
 use crate::service::App;
 use crate::service::client::Client;
+use crate::service::pool::Work;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
 use crate::service::walk::columns;
@@ -27,8 +28,9 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
+        app.admits(Work::Upload)?;
         let upload = upload::read(&app, request).await?;
-        let (drawn, material) = app.warp_once(upload.image, upload.warp, formats).await?;
+        let (drawn, material) = app.warp_once(client, upload.image, upload.warp, formats).await?;
         let session = if keeps { Some(app.keep(client, material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
@@ -43,7 +45,7 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     if keeps {
         return Err(Problem::new(Code::BadValue, "session=true makes a session of an upload; this body names one"));
     }
-    let body = json(request, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
+    let body = json(&app, request, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
     let drag = DragObject::parse(&body, true)?;
     let id = session_id(client, drag.session.as_deref().unwrap_or_default())?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
@@ -64,7 +66,7 @@ pub(super) async fn drag(
     let trailers = takes_trailers(request.headers());
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(request, "drag_json_bytes", limit).await?;
+    let body = json(&app, request, "drag_json_bytes", limit).await?;
     let drag = DragObject::parse(&body, false)?;
     Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }

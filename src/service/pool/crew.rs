@@ -41,15 +41,15 @@ struct Queue {
 }
 
 impl Crew {
-    /// Starts `threads` threads.
+    /// Starts `threads` threads of that name.
     ///
     /// # Errors
     /// The operating system gives no more.
-    pub(super) fn start(threads: usize) -> Result<Self, std::io::Error> {
+    pub(super) fn start(name: &str, threads: usize) -> Result<Self, std::io::Error> {
         let crew = Self(Arc::default());
         for index in 0..threads {
             let shared = Arc::clone(&crew.0);
-            std::thread::Builder::new().name(format!("compute-{index}")).spawn(move || shared.run())?;
+            std::thread::Builder::new().name(format!("{name}-{index}")).spawn(move || shared.run())?;
         }
         Ok(crew)
     }
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn jobs_handed_over_together_run_together() {
-        let crew = Crew::start(3).unwrap();
+        let crew = Crew::start("test", 3).unwrap();
         for _ in 0..50 {
             let meet = Arc::new(Barrier::new(4));
             crew.hand_over((0..3).map(|_| {
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
-        let crew = Crew::start(1).unwrap();
+        let crew = Crew::start("test", 1).unwrap();
         let (done, order) = channel();
         for k in 0..20 {
             let done = done.clone();
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_dismissed_crew_does_what_it_was_given_and_ends() {
         let (done, all) = channel();
-        let crew = Crew::start(2).unwrap();
+        let crew = Crew::start("test", 2).unwrap();
         crew.hand_over((0..10).map(|_| {
             let done = done.clone();
             Box::new(move || done.send(()).unwrap()) as Job

@@ -1,5 +1,7 @@
-//! Admission and the compute threads. A request takes a place (running or waiting; none left: refused at once), waits its turn in
-//! order of arrival, and then runs closures on the crew's threads. No async thread ever computes, no compute thread ever waits for a client.
+//! Admission and the compute threads. A request goes through one of two gates: work on a session that is warm (a drag), and everything that
+//! decodes or fills tables first (an upload). Each has as many turns and threads as there are workers, so that milliseconds never wait behind
+//! seconds, and either may use the whole machine while the other is idle. A request runs at once, waits its turn for as long as the gate's patience
+//! lasts, or is refused (`queue`). No async thread ever computes, no compute thread ever waits for a client.
 //!
 //! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
 //! a picture are taken by helpers, as many as no other picture wants (`crowd`).
@@ -9,6 +11,8 @@
 
 mod crew;
 mod crowd;
+mod gate;
+mod queue;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -16,11 +20,14 @@ use std::sync::{Arc, Mutex, TryLockError};
 use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::oneshot;
 
 use crew::Crew;
 use crowd::Crowd;
 pub use crowd::Drawer;
+pub use gate::Load;
+use gate::{Gate, Turn};
+pub use queue::Lane;
 
 /// The operating system gives no threads.
 #[derive(Debug, thiserror::Error)]
@@ -30,41 +37,60 @@ pub struct NoThreads(String);
 /// Why nothing was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PoolError {
-    /// All workers are busy and the queue is full.
+    /// All workers are busy and the queue is full, or became so with requests that come first.
     #[error("all workers are busy and the queue is full")]
     Full,
+    /// The turn did not come in time.
+    #[error("no worker was free within the {} ms that this may wait", .patience.as_millis())]
+    Late {
+        /// The longest wait.
+        patience: Duration,
+    },
     /// A computation panicked; its message is in the log.
     #[error("a computation failed")]
     Panicked,
 }
 
-/// Compute threads behind a bounded queue. Cloning shares them.
+/// Which gate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Work {
+    /// On what is warm: milliseconds.
+    Drag,
+    /// Decodes, or fills tables.
+    Upload,
+}
+
+/// What a pool is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Threads and turns of each gate.
+    pub workers: usize,
+    /// Requests that may wait before each gate.
+    pub queue: usize,
+    /// Longest wait of a drag.
+    pub drag_wait: Duration,
+    /// Longest wait of an upload.
+    pub upload_wait: Duration,
+}
+
+/// Compute threads behind bounded queues. Cloning shares them.
 #[derive(Clone, Debug)]
 pub struct Pool {
-    crew: Arc<Crew>,
+    drags: Arc<Gate>,
+    uploads: Arc<Gate>,
     /// For what is split, while the thread that split it sleeps; one thing at a time.
     wide: Arc<Mutex<ThreadPool>>,
     crowd: Crowd,
     workers: usize,
-    /// One permit a request that runs or waits.
-    places: Arc<Semaphore>,
-    /// One permit a request that runs.
-    turns: Arc<Semaphore>,
     running: Arc<AtomicUsize>,
 }
 
 /// The right to compute.
 #[derive(Clone, Debug)]
 pub struct Ticket {
-    _held: Arc<Held>,
+    gate: Arc<Gate>,
+    _turn: Arc<Turn>,
     waited: Duration,
-}
-
-/// Dropped from the top: whoever gets the turn finds the place free as well.
-#[derive(Debug)]
-struct Held {
-    _place: OwnedSemaphorePermit,
-    _turn: OwnedSemaphorePermit,
 }
 
 impl Ticket {
@@ -113,11 +139,12 @@ impl Drop for Running {
 }
 
 impl Pool {
-    /// Starts `workers` threads; `queue` requests may wait beside the `workers` that run.
+    /// Starts the threads.
     ///
     /// # Errors
     /// The operating system gives no threads.
-    pub fn new(workers: usize, queue: usize) -> Result<Self, NoThreads> {
+    pub fn new(shape: Shape) -> Result<Self, NoThreads> {
+        let Shape { workers, queue, drag_wait, upload_wait } = shape;
         let wide = ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|i| format!("split-{i}"))
@@ -125,21 +152,37 @@ impl Pool {
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
+        let gate = |name: &str, patience: Duration| {
+            let crew = Crew::start(name, workers).map_err(|e| NoThreads(e.to_string()))?;
+            Ok(Gate::new(crew, workers, queue, patience))
+        };
         Ok(Self {
-            crew: Arc::new(Crew::start(workers).map_err(|e| NoThreads(e.to_string()))?),
+            drags: gate("drag", drag_wait)?,
+            uploads: gate("upload", upload_wait)?,
             wide: Arc::new(Mutex::new(wide)),
             crowd: Crowd::default(),
             workers,
-            places: Arc::new(Semaphore::new(workers.saturating_add(queue).min(Semaphore::MAX_PERMITS))),
-            turns: Arc::new(Semaphore::new(workers)),
             running: Arc::new(AtomicUsize::new(0)),
         })
     }
 
-    /// No request would be admitted now.
+    const fn gate(&self, work: Work) -> &Arc<Gate> {
+        match work {
+            Work::Drag => &self.drags,
+            Work::Upload => &self.uploads,
+        }
+    }
+
+    /// A request of somebody who has none here yet would be refused now.
     #[must_use]
-    pub fn is_full(&self) -> bool {
-        self.places.available_permits() == 0
+    pub fn is_full(&self, work: Work) -> bool {
+        self.gate(work).is_full()
+    }
+
+    /// Who runs and waits at a gate.
+    #[must_use]
+    pub fn load(&self, work: Work) -> Load {
+        self.gate(work).load()
     }
 
     /// Computations that go on now, those of clients that have left included.
@@ -148,15 +191,15 @@ impl Pool {
         self.running.load(Ordering::Relaxed)
     }
 
-    /// Takes a place, at once or not at all, and waits for its turn. Dropping the future gives the place back.
+    /// Waits for a turn. Dropping the future gives the place in the queue back.
     ///
     /// # Errors
-    /// [`PoolError::Full`].
-    pub async fn admit(&self) -> Result<Ticket, PoolError> {
+    /// [`PoolError::Full`], [`PoolError::Late`].
+    pub async fn admit(&self, work: Work, lane: Lane) -> Result<Ticket, PoolError> {
         let began = Instant::now();
-        let place = Arc::clone(&self.places).try_acquire_owned().map_err(|_| PoolError::Full)?;
-        let turn = Arc::clone(&self.turns).acquire_owned().await.expect("the semaphore is never closed");
-        Ok(Ticket { _held: Arc::new(Held { _place: place, _turn: turn }), waited: began.elapsed() })
+        let gate = self.gate(work);
+        let turn = Arc::new(gate.enter(lane).await?);
+        Ok(Ticket { gate: Arc::clone(gate), _turn: turn, waited: began.elapsed() })
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, `work` finds its [`Cancel`] set.
@@ -180,7 +223,7 @@ impl Pool {
 
     /// Starts `work` on a compute thread and does not wait. A panic ends `work` alone, and drops what it holds.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
-        self.crew.hand_over([self.job(ticket, work)]);
+        ticket.gate.crew.hand_over([self.job(ticket, work)]);
     }
 
     /// The same with `helpers` more threads that are woken at the same time, each of which calls `help`.
@@ -192,7 +235,7 @@ impl Pool {
         help: impl Fn() + Clone + Send + 'static,
     ) {
         let help = (0..helpers).map(|_| self.job(ticket, help.clone()));
-        self.crew.hand_over(std::iter::once(self.job(ticket, work)).chain(help));
+        ticket.gate.crew.hand_over(std::iter::once(self.job(ticket, work)).chain(help));
     }
 
     fn job(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce() + Send> {
@@ -235,44 +278,94 @@ pub(super) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::session::SessionId;
     use std::sync::mpsc;
+
+    fn pool(queue: usize, wait: Duration) -> Pool {
+        Pool::new(Shape { workers: 1, queue, drag_wait: wait, upload_wait: wait }).unwrap()
+    }
+
+    const LONG: Duration = Duration::from_secs(600);
+
+    fn lane(n: u8) -> Lane {
+        Lane::Session(SessionId::from_bytes(&[n; 32]))
+    }
+
+    async fn drag(pool: &Pool, n: u8) -> Result<Ticket, PoolError> {
+        pool.admit(Work::Drag, lane(n)).await
+    }
 
     #[tokio::test]
     async fn a_full_queue_refuses_at_once_and_a_freed_place_is_given_again() {
-        let pool = Pool::new(1, 1).unwrap();
-        let first = pool.admit().await.unwrap();
+        let pool = pool(1, LONG);
+        let first = drag(&pool, 1).await.unwrap();
         let waiting = tokio::spawn({
             let pool = pool.clone();
-            async move { pool.admit().await }
+            async move { drag(&pool, 2).await }
         });
-        while !pool.is_full() {
+        while !pool.is_full(Work::Drag) {
             tokio::task::yield_now().await;
         }
-        assert_eq!(pool.admit().await.unwrap_err(), PoolError::Full);
+        assert_eq!(drag(&pool, 3).await.unwrap_err(), PoolError::Full);
+        assert_eq!(pool.load(Work::Drag), Load { running: 1, waiting: 1, full: 1, late: 0 });
+        pool.admit(Work::Upload, lane(3)).await.unwrap();
         waiting.abort();
         let _ = waiting.await;
-        assert!(!pool.is_full(), "a waiter that left gives its place back");
+        assert!(!pool.is_full(Work::Drag), "a waiter that left gives its place back");
         drop(first);
-        pool.admit().await.unwrap();
+        drag(&pool, 4).await.unwrap();
+        assert_eq!(pool.load(Work::Drag), Load { running: 0, waiting: 0, full: 1, late: 0 });
+    }
+
+    #[tokio::test]
+    async fn whoever_waits_too_long_is_told_and_nothing_is_left_of_it() {
+        let pool = pool(8, Duration::from_millis(20));
+        let first = drag(&pool, 1).await.unwrap();
+        assert_eq!(drag(&pool, 2).await.unwrap_err(), PoolError::Late { patience: Duration::from_millis(20) });
+        assert_eq!(pool.load(Work::Drag), Load { running: 1, waiting: 0, full: 0, late: 1 });
+        drop(first);
+        drag(&pool, 3).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn whoever_is_sent_away_for_another_is_told_at_once() {
+        let pool = pool(2, LONG);
+        let first = drag(&pool, 1).await.unwrap();
+        let wait = |n: u8| {
+            let pool = pool.clone();
+            tokio::spawn(async move { drag(&pool, n).await })
+        };
+        let mut same = Vec::new();
+        for waiting in 1..=2 {
+            same.push(wait(2));
+            while pool.load(Work::Drag).waiting < waiting {
+                tokio::task::yield_now().await;
+            }
+        }
+        let newcomer = wait(3);
+        assert_eq!(same.remove(0).await.unwrap().unwrap_err(), PoolError::Full);
+        drop(first);
+        drop(same.remove(0).await.unwrap().unwrap());
+        newcomer.await.unwrap().unwrap();
     }
 
     #[tokio::test]
     async fn a_panic_ends_its_own_work_alone() {
-        let pool = Pool::new(1, 0).unwrap();
-        let ticket = pool.admit().await.unwrap();
+        let pool = pool(0, LONG);
+        let ticket = drag(&pool, 1).await.unwrap();
         assert_eq!(pool.run(&ticket, |_| panic!("on purpose")).await.map(|()| 0), Err(PoolError::Panicked));
         assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7));
     }
 
     #[tokio::test]
     async fn a_dropped_request_cancels_its_work_and_keeps_its_turn_until_the_work_has_ended() {
-        let pool = Pool::new(1, 0).unwrap();
+        let pool = pool(0, LONG);
         let (seen, sees) = mpsc::channel();
         let (go, wait) = mpsc::channel::<()>();
         let task = tokio::spawn({
             let pool = pool.clone();
             async move {
-                let ticket = pool.admit().await.unwrap();
+                let ticket = drag(&pool, 1).await.unwrap();
                 pool.run(&ticket, move |cancel| {
                     seen.send("began").unwrap();
                     wait.recv().unwrap();
@@ -288,11 +381,11 @@ mod tests {
         let sees = sees.await.unwrap();
         task.abort();
         assert!(task.await.unwrap_err().is_cancelled());
-        assert!(pool.is_full(), "the work holds the only place");
+        assert!(pool.is_full(Work::Drag), "the work holds the only place");
         go.send(()).unwrap();
         let seen = tokio::task::spawn_blocking(move || sees.recv().unwrap());
         assert_eq!(seen.await.unwrap(), "cancelled");
-        while pool.is_full() {
+        while pool.is_full(Work::Drag) {
             tokio::task::yield_now().await;
         }
     }

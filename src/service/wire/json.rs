@@ -75,6 +75,11 @@ pub(super) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     }
 }
 
+/// A node that was cut out before and kept.
+pub(super) const fn kept<'j, 'p>(json: &'j str, at: At<'p>) -> Node<'j, 'p> {
+    Node { json, at }
+}
+
 impl Node<'_, 'static> {
     /// An empty document, to say what it lacks.
     pub(super) const fn nowhere() -> Self {

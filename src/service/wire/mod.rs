@@ -32,7 +32,7 @@ use number::{count, whole};
 pub use output::OutputPatch;
 pub use rest::WarpPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
-pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
+pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming, UnreadHandles};
 pub use write::Wire;
 
 const HANDLES: &str = "an array of handles";

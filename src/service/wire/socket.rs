@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::HANDLES;
 use super::handles::handles;
-use super::json::{self, Node};
+use super::json::{self, At, Node};
 use super::number::whole;
 use crate::deform::Handle;
 use crate::service::problem::{Code, Problem};
@@ -18,11 +18,37 @@ pub enum DragMessage {
     Pose {
         /// Its number.
         seq: u64,
-        /// Posed handles.
-        q: Vec<Handle>,
+        /// Posed handles, as they came.
+        q: UnreadHandles,
     },
     /// The frame of this number is shown.
     Ack(u64),
+}
+
+/// Well-formed JSON of handles that nobody has read: most poses are overtaken before anything is made of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct UnreadHandles(Box<str>);
+
+impl UnreadHandles {
+    /// Bytes of text.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// There is no text, not even that of no handles.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Reads them.
+    ///
+    /// # Errors
+    /// A problem with the code and a JSON pointer into the message.
+    pub fn read(&self) -> Result<Vec<Handle>, Problem> {
+        handles(&json::kept(&self.0, At::Field(&At::Root, "q")))
+    }
 }
 
 /// What is wrong with a message, and its `seq` where that could be read.
@@ -52,7 +78,7 @@ impl DragMessage {
         match (read(ack)?, *number, q) {
             (Some(ack), None, None) => Ok(Self::Ack(ack)),
             (Some(_), ..) => Err(Problem::new(Code::BadValue, "`ack` stands alone: a pose is a message of its own").pointer("/ack")),
-            (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: handles(&q)? }),
+            (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: UnreadHandles(q.text().into()) }),
             (None, None, _) => Err(root.missing("seq", NUMBER)),
             (None, _, None) => Err(root.missing("q", HANDLES)),
         }
@@ -101,7 +127,8 @@ mod tests {
     #[test]
     fn messages_are_poses_and_acknowledgements() {
         let read = |text: &str| DragMessage::parse(text.as_bytes());
-        assert_eq!(read(r#"{"seq": 7, "q": [[1, 2]]}"#), Ok(DragMessage::Pose { seq: 7, q: vec![Handle::Point(Point::new(1.0, 2.0))] }));
+        let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
+        assert_eq!(q.read(), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
         for (text, seq, code, pointer) in [
             ("{", None, Code::MalformedRequest, None),
@@ -110,14 +137,20 @@ mod tests {
             (r#"{"q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": 3}"#, Some(3), Code::BadValue, Some("/q")),
             (r#"{"seq": -1, "q": []}"#, None, Code::BadValue, Some("/seq")),
-            (r#"{"seq": 3, "q": [[1]]}"#, Some(3), Code::BadValue, Some("/q/0")),
-            (r#"{"seq": 3, "q": [[1, 1e999]]}"#, Some(3), Code::NotFinite, Some("/q/0/1")),
             (r#"{"seq": 3, "q": [], "output": {}}"#, None, Code::UnknownField, Some("/output")),
             (r#"{"seq": 3, "ack": 3}"#, Some(3), Code::BadValue, Some("/ack")),
             (r#"{"ack": "3"}"#, None, Code::BadValue, Some("/ack")),
         ] {
             let bad = read(text).unwrap_err();
             assert_eq!((bad.seq, bad.problem.code, bad.problem.pointer.as_deref()), (seq, code, pointer), "{text}");
+        }
+        // Handles are read when something is made of them.
+        for (q, code, pointer) in
+            [("7", Code::BadValue, "/q"), ("[[1]]", Code::BadValue, "/q/0"), ("[[1, 1e999]]", Code::NotFinite, "/q/0/1")]
+        {
+            let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
+            let bad = q.read().unwrap_err();
+            assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
         }
     }
 }

@@ -5,7 +5,7 @@
 #[path = "../mutation.rs"]
 #[expect(dead_code, clippy::cast_possible_truncation, reason = "only the mending of pictures is wanted here")]
 mod mutation;
-#[path = "../targets.rs"]
+#[path = "../targets/mod.rs"]
 mod targets;
 
 use std::sync::LazyLock;

@@ -13,9 +13,10 @@ use tokio::sync::oneshot;
 
 use super::picture::decoded;
 
-/// Options as on the command line.
+/// Options as on the command line. No test that is not about waiting depends on how fast this machine is.
 pub(crate) fn config(options: &[&str]) -> Config {
-    Cli::try_parse_from([&["mlswarp", "--listen", "127.0.0.1:0"], options].concat()).unwrap().options.resolve().unwrap()
+    let usual = ["mlswarp", "--listen", "127.0.0.1:0", "--drag-wait", "10m", "--upload-wait", "10m"];
+    Cli::try_parse_from([&usual, options].concat()).unwrap().options.resolve().unwrap()
 }
 
 /// A running server and a client.

@@ -1,0 +1,277 @@
+//! The account of memory: whatever grows with what clients send is reserved here by its predicted size before it is allocated, and given back when it
+//! is dropped. Files that are being uploaded and those that sessions keep, decoded pictures, tables of coefficients, answers that are on their way,
+//! sockets. What is not in the account is the program itself (some 15 MiB), stacks, and buffers of a few KiB a request.
+//!
+//! What must not wait for newcomers may use all of it; newcomers leave a part free, so that drags go on when a store or a crowd of uploads has
+//! taken what there was to take.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use bytes::Bytes;
+use thiserror::Error;
+
+/// What memory is taken for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Purpose {
+    /// Files and JSON of requests, and the files that sessions in memory keep.
+    Upload,
+    /// Decoded pictures.
+    Image,
+    /// Tables of coefficients.
+    Plan,
+    /// Answers, from before they are drawn until they have left.
+    Frame,
+    /// Drag sockets.
+    Socket,
+}
+
+impl Purpose {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Upload, Self::Image, Self::Plan, Self::Frame, Self::Socket];
+
+    /// As metrics and messages name it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Upload => "uploads",
+            Self::Image => "images",
+            Self::Plan => "plans",
+            Self::Frame => "frames",
+            Self::Socket => "sockets",
+        }
+    }
+
+    /// How much of `total` may be taken when this takes a part of it.
+    const fn share(self, total: u64) -> u64 {
+        match self {
+            Self::Frame => total,
+            Self::Image | Self::Plan => total / 8 * 7,
+            Self::Upload | Self::Socket => total / 4 * 3,
+        }
+    }
+}
+
+/// There is not so much left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{} would need {asked} bytes; {} of {limit} are taken", .purpose.name(), .taken)]
+pub struct NoRoom {
+    /// For what.
+    pub purpose: Purpose,
+    /// How many bytes.
+    pub asked: u64,
+    /// Of how many that this purpose may use.
+    pub limit: u64,
+    /// How many are taken, by whatever.
+    pub taken: u64,
+}
+
+impl NoRoom {
+    /// It would not fit if nothing else were there.
+    #[must_use]
+    pub const fn is_forever(&self) -> bool {
+        self.asked > self.limit
+    }
+}
+
+/// The account. Cloning shares it.
+#[derive(Clone)]
+pub struct Budget(Arc<Account>);
+
+struct Account {
+    total: u64,
+    taken: AtomicU64,
+    by_purpose: [AtomicU64; Purpose::ALL.len()],
+    refused: AtomicU64,
+}
+
+impl fmt::Debug for Budget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Budget({} of {} bytes)", self.taken(), self.total())
+    }
+}
+
+/// Memory that is taken; given back when this is dropped.
+#[derive(Debug)]
+pub struct Reservation {
+    budget: Budget,
+    purpose: Purpose,
+    bytes: u64,
+}
+
+impl Budget {
+    /// An account of so many bytes.
+    #[must_use]
+    pub fn new(total: u64) -> Self {
+        let account =
+            Account { total, taken: AtomicU64::new(0), by_purpose: std::array::from_fn(|_| AtomicU64::new(0)), refused: AtomicU64::new(0) };
+        Self(Arc::new(account))
+    }
+
+    /// All there is.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.0.total
+    }
+
+    /// What is taken.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        self.0.taken.load(Ordering::Relaxed)
+    }
+
+    /// What is taken for this.
+    #[must_use]
+    pub fn taken_for(&self, purpose: Purpose) -> u64 {
+        self.0.by_purpose[purpose as usize].load(Ordering::Relaxed)
+    }
+
+    /// How many times there was not enough.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.0.refused.load(Ordering::Relaxed)
+    }
+
+    /// Counts a request that was refused.
+    pub fn count_refusal(&self) {
+        self.0.refused.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// So much could be taken now.
+    #[must_use]
+    pub fn has(&self, purpose: Purpose, bytes: u64) -> bool {
+        self.taken().saturating_add(bytes) <= purpose.share(self.total())
+    }
+
+    /// Takes memory, at once or not at all.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, NoRoom> {
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0 };
+        reservation.grow(bytes)?;
+        Ok(reservation)
+    }
+}
+
+impl Reservation {
+    /// How much is taken.
+    #[must_use]
+    pub const fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Takes so much more, at once or not at all.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
+        let account = &self.budget.0;
+        let limit = self.purpose.share(account.total);
+        let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
+        // The sum alone decides; the parts are told, and follow.
+        let taken = account.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
+        taken.map_err(|taken| NoRoom { purpose: self.purpose, asked: self.bytes.saturating_add(more), limit, taken })?;
+        account.by_purpose[self.purpose as usize].fetch_add(more, Ordering::Relaxed);
+        self.bytes += more;
+        Ok(())
+    }
+
+    /// Gives back what is more than so much.
+    pub fn shrink_to(&mut self, bytes: u64) {
+        let less = self.bytes.saturating_sub(bytes);
+        self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
+        self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
+        self.bytes -= less;
+    }
+
+    /// A part of it, to be given back by itself; all of it when there is less.
+    #[must_use]
+    pub fn split(&mut self, bytes: u64) -> Self {
+        let bytes = bytes.min(self.bytes);
+        self.bytes -= bytes;
+        Self { budget: self.budget.clone(), purpose: self.purpose, bytes }
+    }
+
+    /// Bytes that hold the reservation for as long as anyone holds them.
+    #[must_use]
+    pub fn with(self, bytes: Vec<u8>) -> Bytes {
+        struct Held {
+            bytes: Vec<u8>,
+            _reservation: Reservation,
+        }
+        impl AsRef<[u8]> for Held {
+            fn as_ref(&self) -> &[u8] {
+                &self.bytes
+            }
+        }
+        Bytes::from_owner(Held { bytes, _reservation: self })
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.shrink_to(0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_taken_is_given_back() {
+        let budget = Budget::new(800);
+        let mut image = budget.take(Purpose::Image, 300).unwrap();
+        let mut frame = budget.take(Purpose::Frame, 400).unwrap();
+        assert_eq!((budget.taken(), budget.taken_for(Purpose::Image), budget.taken_for(Purpose::Plan)), (700, 300, 0));
+        image.shrink_to(100);
+        image.shrink_to(200);
+        assert_eq!((image.bytes(), budget.taken()), (100, 500));
+        let part = frame.split(150);
+        drop(frame);
+        assert_eq!(budget.taken_for(Purpose::Frame), 150);
+        drop((part, image));
+        assert_eq!(budget.taken(), 0);
+        assert!(Purpose::ALL.iter().all(|purpose| budget.taken_for(*purpose) == 0));
+    }
+
+    #[test]
+    fn newcomers_leave_room_for_drags() {
+        let budget = Budget::new(800);
+        let upload = budget.take(Purpose::Upload, 600).unwrap();
+        let refused = budget.take(Purpose::Upload, 1).unwrap_err();
+        assert_eq!(refused, NoRoom { purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
+        let image = budget.take(Purpose::Image, 100).unwrap();
+        assert!(budget.take(Purpose::Plan, 1).is_err());
+        let frame = budget.take(Purpose::Frame, 100).unwrap();
+        assert!(budget.take(Purpose::Frame, 1).is_err());
+        drop((upload, image, frame));
+        assert!(budget.take(Purpose::Upload, 601).unwrap_err().is_forever());
+        assert!(budget.take(Purpose::Frame, u64::MAX).unwrap_err().is_forever());
+    }
+
+    #[test]
+    fn growing_takes_all_or_nothing() {
+        let budget = Budget::new(800);
+        let mut upload = budget.take(Purpose::Upload, 500).unwrap();
+        let refused = upload.grow(200).unwrap_err();
+        assert_eq!((refused.asked, upload.bytes(), budget.taken()), (700, 500, 500));
+        assert!(refused.is_forever());
+        upload.grow(100).unwrap();
+        assert_eq!(budget.taken(), 600);
+    }
+
+    #[test]
+    fn bytes_hold_their_memory_as_long_as_anyone_holds_them() {
+        let budget = Budget::new(800);
+        let bytes = budget.take(Purpose::Frame, 10).unwrap().with(vec![7; 10]);
+        let part = bytes.slice(3..5);
+        drop(bytes);
+        assert_eq!((budget.taken(), &part[..]), (10, &[7, 7][..]));
+        drop(part);
+        assert_eq!(budget.taken(), 0);
+    }
+}

@@ -1,0 +1,220 @@
+//! The walk of one request through the warp: file and handles to all that a picture is made of. CPU work runs on the pool, under one ticket a
+//! request; a warm drag is handed over once, to be posed and drawn (`picture`).
+
+mod drag;
+mod points;
+mod sessions;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+use bytes::Bytes;
+
+pub use drag::{MeshForm, PosedMesh};
+
+use super::App;
+use super::budget::Purpose;
+use super::cache::Kept;
+use super::client::Client;
+use super::formats::Formats;
+use super::picture::{Drawn, Sitting};
+use super::pool::{Lane, PoolError, Ticket, Work};
+use super::problem::{Code, Problem};
+use super::session::{Revision, SessionId};
+use super::store::Record;
+use super::wire::{WarpObject, WarpPatch};
+use crate::codec::{CodecError, Format};
+use crate::pixmap::Extent;
+use crate::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
+
+/// What stands for a value that takes next to nothing: nothing is kept for nothing.
+const LEAST_KEPT: u64 = 1024;
+
+/// Wall time of the steps before drawing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Timing {
+    /// Waiting for a worker.
+    pub queue: Duration,
+    /// Digest and decoding of the file, or waiting for who does.
+    pub decode: Duration,
+    /// The table of coefficients, or waiting for who fills it.
+    pub plan: Duration,
+    /// Posing the grid.
+    pub deform: Duration,
+}
+
+/// What a warp is made of, and what a session keeps.
+#[derive(Debug)]
+pub struct Material {
+    file: Bytes,
+    digest: Digest,
+    object: WarpObject,
+    /// Of this picture; a session keeps what was asked for.
+    format: Format,
+    image: Arc<Kept<Image>>,
+    setup: Arc<Setup>,
+}
+
+impl Material {
+    /// As a session keeps it: the record, the file, and what they resolve to.
+    fn recorded(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
+        let Self { file, digest, object, image, setup, .. } = self;
+        let record = Record {
+            id,
+            revision: Revision::random(),
+            image: digest,
+            extent: image.extent(),
+            rest: object.rest,
+            folds: object.folds,
+            output: object.output,
+            created: SystemTime::now(),
+        };
+        (Arc::new(record), file, setup)
+    }
+}
+
+impl App {
+    /// A picture from a file and a warp object with `q`.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, Material), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, Some(formats)).await?;
+        let q = material.object.q.clone().unwrap_or_default();
+        let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
+        let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
+        let drawn = self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await?;
+        Ok((drawn, material))
+    }
+
+    /// The session's resolved setup.
+    ///
+    /// # Errors
+    /// No room.
+    pub async fn session_setup(&self, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
+        let (app, theirs) = (self.clone(), Arc::clone(record));
+        let build = async move {
+            let ticket = app.0.pool.admit(Work::Upload, Lane::Session(theirs.id)).await?;
+            let held = app.reserve(Purpose::Plan, weight(&theirs))?;
+            let limits = app.0.config.limits;
+            let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
+            Ok(Kept::new(Arc::new(setup), held))
+        };
+        let known = self.0.setups.get(shelf_key(record), build, lost).await?;
+        Ok(Arc::clone(&known.value))
+    }
+
+    /// Reads the object, decodes the file, resolves the handles, checks q, fills the table. `draws`: what a picture may be written as, and that q is
+    /// needed for it.
+    async fn prepare(
+        &self,
+        ticket: &Ticket,
+        file: Bytes,
+        json: Bytes,
+        draws: Option<Formats>,
+    ) -> Result<(Material, Arc<Kept<Plan>>, Timing, bool), Problem> {
+        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let began = Instant::now();
+        let read = {
+            let file = file.clone();
+            move |_: &_| {
+                let patch = WarpPatch::parse(&json)?;
+                let asked = patch.output.format;
+                let object = patch.over(WarpObject::default());
+                let format = draws.unwrap_or(Formats::ANY).choose(asked, object.output.format)?;
+                Ok::<_, Problem>((object, format, Image::digest_of(&file)))
+            }
+        };
+        let (object, format, digest) = self.0.pool.run(ticket, read).await??;
+        if draws.is_some() && object.q.is_none() && !object.rest.p.is_empty() {
+            return Err(q_is_missing());
+        }
+        let image = self.image(ticket, digest, file.clone()).await?;
+        timing.decode = began.elapsed();
+        let (limits, extent) = (self.0.config.limits, image.extent());
+        let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
+        let (plan, plan_built) = self.plan(ticket, &setup, &mut timing).await?;
+        Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
+    }
+
+    async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Arc<Kept<Image>>, Problem> {
+        let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
+        let decode = async move {
+            let theirs = app.clone();
+            let decode = move |_: &_| {
+                let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&file, &limits)?)?;
+                let image = Image::decode_as(digest, &file, &limits)?;
+                held.shrink_to(image.bytes());
+                Ok(Kept::new(image, held))
+            };
+            match app.0.pool.run(&ticket, decode).await {
+                // Decoders are known to panic on hostile files: the file is at fault, not the request's other parts.
+                Err(PoolError::Panicked) => {
+                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "its decoder gave up".to_owned() }).into())
+                }
+                Err(error) => Err(error.into()),
+                Ok(decoded) => decoded,
+            }
+        };
+        Ok(self.0.images.get(digest, decode, lost).await?.value)
+    }
+
+    /// The session's picture; decoded again from the stored file when the cache has dropped it.
+    async fn session_image(&self, ticket: &Ticket, record: &Record) -> Result<Arc<Kept<Image>>, Problem> {
+        match self.0.images.peek(record.image) {
+            Some(image) => Ok(image),
+            None => {
+                let file = self.0.store.image(record.image).await?;
+                self.image(ticket, record.image, file).await
+            }
+        }
+    }
+
+    async fn plan(&self, ticket: &Ticket, setup: &Arc<Setup>, timing: &mut Timing) -> Result<(Arc<Kept<Plan>>, bool), Problem> {
+        let began = Instant::now();
+        let (app, ticket, theirs) = (self.clone(), ticket.clone(), Arc::clone(setup));
+        let build = async move {
+            let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
+            let threads = app.0.pool.clone();
+            let plan = app.0.pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await?;
+            Ok(Kept::new(plan, held))
+        };
+        let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;
+        timing.plan = began.elapsed();
+        Ok((fetched.value, fetched.built))
+    }
+}
+
+/// A warp of handles needs to know where they go.
+pub(super) fn q_is_missing() -> Problem {
+    Problem::new(Code::BadValue, "q is missing: where do the handles go?").pointer("/q")
+}
+
+/// The task that built a cached value was torn down: the runtime is stopping.
+fn lost() -> Problem {
+    PoolError::Panicked.into()
+}
+
+/// The setup of the handles on a picture of that size; q is checked when it is there.
+fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpObject, Arc<Setup>), WarpError> {
+    let setup = Setup::new(&object.rest, extent, limits)?;
+    object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
+    Ok((object, Arc::new(setup)))
+}
+
+/// Records never change, so name and revision stand for the setup.
+fn shelf_key(record: &Record) -> Digest {
+    Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat())
+}
+
+/// Columns of a session's plan: what its drags may send follows from it.
+#[must_use]
+pub fn columns(record: &Record) -> u64 {
+    record.rest.p.iter().map(|h| h.columns() as u64).sum()
+}
+
+/// About what a setup holds: a few copies of each column's place and weight.
+fn weight(record: &Record) -> u64 {
+    1024 + 256 * columns(record)
+}

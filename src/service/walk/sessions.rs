@@ -1,0 +1,123 @@
+//! Sessions: made, made anew, given other handles, ended.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+
+use super::{Material, Timing, lost, resolve, shelf_key, weight};
+use crate::service::App;
+use crate::service::budget::Purpose;
+use crate::service::cache::Kept;
+use crate::service::client::Client;
+use crate::service::pool::{Lane, Work};
+use crate::service::problem::Problem;
+use crate::service::session::{Revision, SessionId};
+use crate::service::store::{Put, Record, Session};
+use crate::service::wire::{WarpObject, WarpPatch};
+use crate::warp::Setup;
+
+impl App {
+    /// A session from a file and a warp object; `q` is checked when it is there. Picture and plan are made before the answer.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        self.keep(client, material).await
+    }
+
+    /// Makes a session of what was warped.
+    ///
+    /// # Errors
+    /// No room.
+    pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+        let (record, file, setup) = material.recorded(SessionId::random(client.owner));
+        let session = self.0.store.create(record, file).await?;
+        self.know(&session.record, &setup).await?;
+        Ok((session, setup))
+    }
+
+    /// A session of a name that the client has chosen, from a file and a warp object, or that session made anew.
+    ///
+    /// # Errors
+    /// Whatever is wrong with either, or no room.
+    pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        let (record, file, setup) = material.recorded(id);
+        let put = self.0.store.put(record, file).await?;
+        match &put {
+            Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await?,
+            Put::Replaced(session, old) => {
+                self.know(&session.record, &setup).await?;
+                self.forget(old).await;
+            }
+        }
+        Ok((put, setup))
+    }
+
+    /// Other handles at rest on the same picture: the fields that `json` gives replace the session's. The plan is made before the answer.
+    ///
+    /// # Errors
+    /// Unknown session, whatever is wrong with the handles, or no room.
+    pub async fn revise(&self, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, Lane::Session(id)).await?;
+        let patch = self.0.pool.run(&ticket, move |_| WarpPatch::parse(&json)).await??;
+        loop {
+            let old = self.0.store.touch(id, None).await?.record;
+            let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
+            let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
+            let resolve = move |_: &_| resolve(patch.over(base), extent, &limits);
+            let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
+            self.plan(&ticket, &setup, &mut Timing::default()).await?;
+            let WarpObject { rest, folds, output, .. } = object;
+            let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
+            // Whoever was faster has changed fields that this request may not have named: they are kept.
+            if let Some(session) = self.0.store.revise(old.revision, Arc::new(new)).await? {
+                self.know(&session.record, &setup).await?;
+                self.0.setups.remove(shelf_key(&old));
+                return Ok((session, setup));
+            }
+        }
+    }
+
+    /// The setup of a record is at hand.
+    async fn know(&self, record: &Record, setup: &Arc<Setup>) -> Result<(), Problem> {
+        let known = Kept::new(Arc::clone(setup), self.reserve(Purpose::Plan, weight(record))?);
+        self.0.setups.get(shelf_key(record), async { Ok(known) }, lost).await?;
+        Ok(())
+    }
+
+    /// Drops what was made for a record that is no session's any more.
+    async fn forget(&self, record: &Record) {
+        let setup = self.0.setups.remove(shelf_key(record));
+        // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
+        // and handles, if there is one, builds them again.
+        if self.0.store.image(record.image).await.is_err() {
+            self.0.images.remove(record.image);
+            if let Some(setup) = setup {
+                self.0.plans.remove(setup.plan_key());
+            }
+        }
+    }
+
+    /// The session, without using it.
+    ///
+    /// # Errors
+    /// Unknown or expired.
+    pub async fn session(&self, id: SessionId) -> Result<Session, Problem> {
+        Ok(self.0.store.peek(id).await?)
+    }
+
+    /// Ends the session.
+    ///
+    /// # Errors
+    /// Unknown or expired.
+    pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
+        let record = self.0.store.peek(id).await?.record;
+        self.0.store.delete(id).await?;
+        self.forget(&record).await;
+        Ok(())
+    }
+}
