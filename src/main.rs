@@ -9,6 +9,10 @@ use mlswarp::service::config::{Cli, Command, Config};
 use mlswarp::service::http::server;
 use mlswarp::service::{health, offline, telemetry};
 
+/// Gives freed memory back to the system, whichever thread held it, so that what is resident is what is in use.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,

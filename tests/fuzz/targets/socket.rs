@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp::service::App;
-use mlswarp::service::client::Owner;
+use mlswarp::service::client::{Client, Owner};
 use mlswarp::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
 use mlswarp::service::session::SessionId;
 use tokio::runtime::Runtime;
@@ -17,7 +17,7 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
     let id = SessionId::random(Owner::ANYBODY);
     let file = Bytes::from_static(include_bytes!("../seeds/image/png-6-8"));
     let warp = Bytes::from_static(br#"{"p": [[3, 3], [[10, 2], [20, 9]], [5, 14]]}"#);
-    runtime.block_on(app.put(id, file, warp)).expect("a session");
+    runtime.block_on(app.put(Client::default(), id, file, warp)).expect("a session");
     (app, runtime, id)
 });
 
