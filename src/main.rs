@@ -1,6 +1,15 @@
 //! The program: `mlswarp` serves, `mlswarp warp` bends one picture offline, `mlswarp health` asks a running server.
 //! Exit codes: 0 done, 1 failed, 2 the command line or the environment has mistakes.
 
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[expect(unsafe_code, reason = "the C library is asked to give memory back")]
+mod heap;
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+mod heap {
+    /// Other allocators give memory back by themselves.
+    pub(crate) const fn trim_now_and_then() {}
+}
+
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -8,10 +17,6 @@ use clap::Parser as _;
 use mlswarp::service::config::{Cli, Command, Config};
 use mlswarp::service::http::server;
 use mlswarp::service::{health, offline, telemetry};
-
-/// Gives freed memory back to the system, whichever thread held it, so that what is resident is what is in use.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -36,6 +41,7 @@ fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
             telemetry::start(&config);
+            heap::trim_now_and_then();
             exit(server::run(config).map_err(|e| format!("error: {e}")))
         }
         Command::Health => exit(health::ask(config.listen).map_err(|e| format!("error: {e}"))),
