@@ -25,6 +25,8 @@ const HANDS: u64 = 4;
 const SESSIONS: usize = 24;
 /// What may stay more, as a part of what stayed after the warming.
 const GROWTH: f64 = 0.05;
+/// Seconds for which it must be still: longer than the program waits before it gives memory back, and than sessions live.
+const STILL: u32 = 6;
 /// Longest wait for one answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -291,9 +293,19 @@ async fn load(day: &Arc<Day>, seed: u64, time: Duration) -> Vec<u64> {
     curve
 }
 
-/// What is resident when every session has expired and nothing is asked.
+/// What is resident when every session has expired, nothing is asked and what was begun has ended: the same for some seconds.
 async fn rest(day: &Day) -> u64 {
-    tokio::time::sleep(Duration::from_secs(5)).await;
+    let mut same = 0;
+    let mut resident = day.resident();
+    for _ in 0..60 {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        let now = day.resident();
+        same = if now.abs_diff(resident) < resident / 100 { same + 1 } else { 0 };
+        resident = now;
+        if same == STILL {
+            break;
+        }
+    }
     // The caches may hold what they held; a request shows that the server goes on.
     let mut stream = TcpStream::connect(day.program.address).await.unwrap();
     stream.write_all(b"GET /readyz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").await.unwrap();
