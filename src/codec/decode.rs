@@ -97,4 +97,11 @@ mod tests {
         assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
         assert_eq!(contained(Format::Png, || Ok(7)), Ok(7));
     }
+
+    /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.
+    #[test]
+    fn a_palette_of_no_whole_colours_is_a_damaged_file() {
+        let file = include_bytes!("../../tests/fuzz/found/image/png-palette-not-of-threes");
+        assert!(matches!(decode(file, &Limits::default()), Err(CodecError::Bad { format: "PNG", .. })));
+    }
 }

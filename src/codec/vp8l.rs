@@ -282,18 +282,18 @@ impl Bits<'_> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
 
     /// Numbers written as the format reads them.
     #[derive(Default)]
-    pub(in crate::codec) struct Pen {
+    struct Pen {
         bytes: Vec<u8>,
         used: u32,
     }
 
     impl Pen {
-        pub(in crate::codec) fn put(&mut self, value: u32, count: u32) {
+        fn put(&mut self, value: u32, count: u32) {
             for k in 0..count {
                 if self.used.is_multiple_of(8) {
                     self.bytes.push(0);
@@ -313,7 +313,7 @@ pub(super) mod tests {
         fn equal(&mut self, length: usize, count: u32) {
             let place = LENGTH_CODE_ORDER.iter().position(|&symbol| symbol == length).unwrap();
             self.put(0, 1);
-            self.put(place as u32 + 1 - 4, 4);
+            self.put(u32::try_from(place).unwrap() + 1 - 4, 4);
             (0..=place).for_each(|k| self.put(u32::from(k == place), 3));
             self.put(1, 1);
             self.put(5, 3);
@@ -322,7 +322,7 @@ pub(super) mod tests {
     }
 
     /// A stream whose entropy image has one literal, and as many groups of the heaviest codes as that asks for.
-    pub(in crate::codec) fn bomb(groups: u32) -> Vec<u8> {
+    fn bomb(groups: u32) -> Vec<u8> {
         let mut pen = Pen::default();
         pen.put(0x2F, 8);
         pen.put(3, 14);
