@@ -1,6 +1,15 @@
 //! The program: `mlswarp` serves, `mlswarp warp` bends one picture offline, `mlswarp health` asks a running server.
 //! Exit codes: 0 done, 1 failed, 2 the command line or the environment has mistakes.
 
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[expect(unsafe_code, reason = "the C library is asked to give memory back")]
+mod heap;
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+mod heap {
+    /// Other allocators give memory back by themselves.
+    pub(crate) const fn trim_now_and_then() {}
+}
+
 use std::fmt::Display;
 use std::process::ExitCode;
 
@@ -34,6 +43,7 @@ fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
             telemetry::start(&config);
+            heap::trim_now_and_then();
             exit(server::run(config).map_err(|e| format!("error: {e}")))
         }
         Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),

@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Limits};
+use super::{CodecError, Format, Limits};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
 /// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
@@ -34,12 +34,11 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
     let header = parsed.header();
     limits.check(header.extent)?;
 
-    let decoded = catch_unwind(AssertUnwindSafe(|| match &parsed {
+    let samples = contained(header.format, || match &parsed {
         Parsed::Png(file) => file.samples(header.decode_bytes),
         Parsed::Jpeg(file) => file.samples(),
         Parsed::WebP(file) => file.samples(),
-    }));
-    let samples = decoded.unwrap_or_else(|_| Err(CodecError::bad(header.format.name(), "the decoder gave up")))?;
+    })?;
 
     let orientation = parsed.orientation();
     let width = parsed.stored().width() as usize;
@@ -57,6 +56,11 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
         Parsed::WebP(file) => file.icc(),
     };
     Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc })
+}
+
+/// A decoder that panics has met a damaged file.
+fn contained<T>(format: Format, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
+    catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
 }
 
 /// The allocator refused. How much it had left is not known, so the limit reads 0.
@@ -81,4 +85,23 @@ pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
 /// A profile is kept when it is of sane size, whole, and says that it describes RGB.
 pub(super) fn keep_rgb_profile(profile: Vec<u8>) -> Option<Vec<u8>> {
     (profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decoder_that_panics_has_met_a_damaged_file() {
+        let given_up = contained::<()>(Format::WebP, || panic!("on purpose")).unwrap_err();
+        assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
+        assert_eq!(contained(Format::Png, || Ok(7)), Ok(7));
+    }
+
+    /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.
+    #[test]
+    fn a_palette_of_no_whole_colours_is_a_damaged_file() {
+        let file = include_bytes!("../../tests/fuzz/found/image/png-palette-not-of-threes");
+        assert!(matches!(decode(file, &Limits::default()), Err(CodecError::Bad { format: "PNG", .. })));
+    }
 }

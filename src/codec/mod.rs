@@ -18,6 +18,8 @@ mod read_webp;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
+mod vp8l;
+#[forbid(unsafe_code)]
 mod write;
 #[forbid(unsafe_code)]
 mod write_jpeg;

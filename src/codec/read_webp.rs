@@ -7,13 +7,16 @@ use std::io::Cursor;
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::CodecError;
 use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::{CodecError, vp8l};
 use crate::pixmap::{Channels, Extent, Samples};
 
 pub(super) const NAME: &str = "WebP";
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
+/// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.
+const ALPHA_CODING: u8 = 0b11;
+const ALPHA_LOSSLESS: u8 = 1;
 /// Position, size, duration and flags of an animation's frame, before its own chunks.
 const ANMF_HEAD: usize = 16;
 
@@ -31,6 +34,8 @@ pub(super) struct WebPFile<'a> {
     coding: Coding<'a>,
     pub(super) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
+    /// Tables of prefix codes that a lossless stream asks for.
+    code_bytes: u64,
 }
 
 fn bad(detail: impl ToString) -> CodecError {
@@ -112,7 +117,17 @@ impl<'a> WebPFile<'a> {
         if canvas.is_some_and(|canvas| (canvas.width, canvas.height) != (extent.width(), extent.height())) {
             return Err(bad("a picture of another size than its canvas"));
         }
-        Ok(Self { extent, coding, exif: chunks.exif, profile: chunks.profile })
+        let code_bytes = match coding {
+            Coding::Lossless(vp8l, _) => vp8l::code_bytes(vp8l, None),
+            Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {
+                vp8l::code_bytes(stream, Some((extent.width(), extent.height())))
+            }
+            Coding::Lossy(..) => 0,
+        };
+        if code_bytes > vp8l::MAX_CODE_BYTES {
+            return Err(bad(format!("its prefix codes take more than {} bytes of tables", vp8l::MAX_CODE_BYTES)));
+        }
+        Ok(Self { extent, coding, exif: chunks.exif, profile: chunks.profile, code_bytes })
     }
 
     pub(super) fn channels(&self) -> Channels {
@@ -124,7 +139,7 @@ impl<'a> WebPFile<'a> {
 
     /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
     /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
-    /// wanted, and up to three quarter-size images of transforms and code groups.
+    /// wanted, up to three quarter-size images of transforms and code groups, and the tables of its codes.
     pub(super) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
@@ -137,7 +152,7 @@ impl<'a> WebPFile<'a> {
             Coding::Lossless(vp8l, true) => (vp8l.len(), pixels),
             Coding::Lossless(vp8l, false) => (vp8l.len(), 5 * pixels),
         };
-        (1 << 20) + data as u64 + planes
+        (1 << 20) + data as u64 + planes + self.code_bytes
     }
 
     /// A container of a canvas and the frame.

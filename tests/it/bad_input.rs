@@ -1,39 +1,11 @@
 //! Bad input: each kind with its code, and after each a request that succeeds.
 
-use std::io::Write as _;
-
-use flate2::Compression;
-use flate2::write::ZlibEncoder;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
+use crate::support::bombs::{self, deflated_zeros, ihdr};
 use crate::support::server::{form, png, problem};
 use crate::support::{Server, photo};
-
-/// A PNG file of given chunks.
-fn chunks(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
-    let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
-    for (name, data) in chunks {
-        file.extend_from_slice(&u32::try_from(data.len()).unwrap().to_be_bytes());
-        let body = [&name[..], data].concat();
-        file.extend_from_slice(&body);
-        file.extend_from_slice(&crc32fast::hash(&body).to_be_bytes());
-    }
-    file
-}
-
-fn ihdr(width: u32, height: u32) -> Vec<u8> {
-    [&width.to_be_bytes()[..], &height.to_be_bytes(), &[8, 2, 0, 0, 0]].concat()
-}
-
-fn deflated_zeros(bytes: usize) -> Vec<u8> {
-    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-    let zeros = vec![0; 1 << 20];
-    for _ in 0..bytes >> 20 {
-        encoder.write_all(&zeros).unwrap();
-    }
-    encoder.finish().unwrap()
-}
 
 #[tokio::test]
 async fn parts() {
@@ -140,7 +112,7 @@ async fn files() {
     problem(send(b"<svg xmlns=\"http://www.w3.org/2000/svg\"/>".to_vec()).await, 415, "unsupported_format").await;
     server.is_well().await;
 
-    let large = chunks(&[(b"IHDR", ihdr(60_000, 60_000)), (b"IDAT", vec![0; 64]), (b"IEND", vec![])]);
+    let large = bombs::png(&[(b"IHDR", ihdr(60_000, 60_000)), (b"IDAT", vec![0; 64]), (b"IEND", vec![])]);
     let document = problem(send(large).await, 413, "too_large").await;
     assert!(document["limit"].is_number() && document["actual"].is_number(), "{document}");
     server.is_well().await;
@@ -156,7 +128,7 @@ async fn files() {
     server.is_well().await;
 
     // 100 MiB of zeros behind a header of one pixel: refused or cut off, never unpacked into a failure.
-    let bomb = chunks(&[(b"IHDR", ihdr(1, 1)), (b"IDAT", deflated_zeros(100 << 20)), (b"IEND", vec![])]);
+    let bomb = bombs::png(&[(b"IHDR", ihdr(1, 1)), (b"IDAT", deflated_zeros(100 << 20)), (b"IEND", vec![])]);
     assert!(bomb.len() < 200_000);
     let status = send(bomb).await.status().as_u16();
     assert!([200, 422].contains(&status), "{status}");

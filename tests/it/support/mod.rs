@@ -1,5 +1,6 @@
 //! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and the program itself.
 
+pub(crate) mod bombs;
 pub(crate) mod hand;
 pub(crate) mod picture;
 pub(crate) mod program;

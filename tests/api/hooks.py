@@ -1,0 +1,13 @@
+"""Pictures for the generated requests: the small real files of tests/fuzz/seeds, two of them damaged, and bytes that are no picture."""
+
+from pathlib import Path
+
+import schemathesis
+from hypothesis import strategies
+
+SEEDS = Path(__file__).parent.parent / "fuzz" / "seeds" / "image"
+REAL = [file.read_bytes() for file in sorted(SEEDS.iterdir())]
+DAMAGED = [REAL[0][:-20], REAL[-1][:100], b"GIF89a\x01\0\x01\0", b""]
+
+# Sixteen real files for each that is not: most requests shall get beyond their picture.
+schemathesis.openapi.format("binary", strategies.sampled_from(REAL + DAMAGED))

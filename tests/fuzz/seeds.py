@@ -1,0 +1,172 @@
+#!/usr/bin/env python3
+"""Writes tests/fuzz/seeds/image: one small real file of every kind that is read, and of some that are not.
+
+    pip install pillow==13.0.0
+    tests/fuzz/seeds.py
+
+The files are kept in git; this is how they were made. PNG chunk by chunk, because encoders choose for themselves; JPEG by libjpeg-turbo and
+WebP by libwebp, both through Pillow, so that what is mutated is what real encoders write.
+"""
+
+import io
+import math
+import struct
+import zlib
+from pathlib import Path
+
+from PIL import Image, ImageCms
+
+SEEDS = Path(__file__).parent / "seeds" / "image"
+WIDTH, HEIGHT = 24, 17
+
+
+def sample(x, y, c):
+    wave = 90 * math.sin(x * (c + 1) / 5) * math.cos(y / (4 + c))
+    return max(0, min(255, int(128 + wave + (x * 31 + y * 17 + c * 7) % 13)))
+
+
+def photo(width, height, mode):
+    image = Image.new(mode, (width, height))
+    count = len(image.getbands())
+    image.putdata([tuple(sample(x, y, c) for c in range(count)) if count > 1 else sample(x, y, 0) for y in range(height) for x in range(width)])
+    return image
+
+
+def exif(orientation):
+    return b"Exif\0\0" + b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0" + struct.pack("<HH", orientation, 0) + bytes(4)
+
+
+PROFILE = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+ADAM7 = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+
+
+def packed(width, bits, colour, xs, y):
+    """A row of samples, each of `bits` bits, filter 0 to 4 by the row's number; only filters 0 and 1 are really applied."""
+    numbers = [sample(x, y, c) * ((1 << bits) - 1) // 255 for x in xs for c in range(CHANNELS[colour])]
+    text = "".join(f"{number:0{bits}b}" for number in numbers)
+    text += "0" * (-len(text) % 8)
+    row = bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
+    step = max(1, bits * CHANNELS[colour] // 8)
+    if y % 2:
+        return b"\1" + bytes((value - (row[i - step] if i >= step else 0)) % 256 for i, value in enumerate(row))
+    return b"\0" + row
+
+
+def png(bits, colour, interlaced=False, before=(), after=(), parts=1):
+    passes = ADAM7 if interlaced else [(0, 0, 1, 1)]
+    rows = b""
+    for x0, y0, dx, dy in passes:
+        xs = range(x0, WIDTH, dx)
+        if xs:
+            rows += b"".join(packed(len(xs), bits, colour, xs, y) for y in range(y0, HEIGHT, dy))
+    data = zlib.compress(rows, 9)
+    cut = -(-len(data) // parts)
+    out = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, colour, 0, 0, interlaced))
+    if colour == 3:
+        before = [(b"PLTE", bytes((i * k) % 256 for i in range(1 << bits) for k in (37, 91, 153))), *before]
+    out += b"".join(chunk(kind, data) for kind, data in before)
+    out += b"".join(chunk(b"IDAT", data[i : i + cut]) for i in range(0, len(data), cut))
+    out += b"".join(chunk(kind, data) for kind, data in after)
+    return out + chunk(b"IEND", b"")
+
+
+def pngs():
+    for colour, depths in {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}.items():
+        for bits in depths:
+            yield f"png-{colour}-{bits}", png(bits, colour)
+    for colour, bits in ((0, 1), (2, 8), (3, 4), (6, 16)):
+        yield f"png-{colour}-{bits}-interlaced", png(bits, colour, interlaced=True)
+    yield "png-palette-transparent", png(4, 3, before=[(b"tRNS", bytes(range(0, 160, 10)))])
+    yield "png-grey-transparent", png(2, 0, before=[(b"tRNS", b"\0\2")])
+    yield "png-rgb-transparent", png(16, 2, before=[(b"tRNS", struct.pack(">HHH", 1, 2, 3))])
+    rich = [
+        (b"gAMA", struct.pack(">I", 45455)),
+        (b"cHRM", struct.pack(">8I", 31270, 32900, 64000, 33000, 30000, 60000, 15000, 6000)),
+        (b"iCCP", b"sRGB\0\0" + zlib.compress(PROFILE, 9)),
+        (b"eXIf", exif(6)[6:]),
+        (b"tEXt", b"Title\0a small picture"),
+        (b"zTXt", b"Comment\0\0" + zlib.compress(b"words " * 40)),
+        (b"iTXt", b"Author\0\1\0en\0\0" + zlib.compress(b"someone")),
+        (b"pHYs", struct.pack(">IIB", 2835, 2835, 1)),
+    ]
+    yield "png-rich", png(8, 6, before=rich, after=[(b"tIME", struct.pack(">HBBBBB", 2024, 1, 2, 3, 4, 5))], parts=3)
+    control = struct.pack(">IIIIIHHBB", 0, WIDTH, HEIGHT, 0, 0, 1, 10, 0, 0)
+    yield "png-animated-1", png(8, 2, before=[(b"acTL", struct.pack(">II", 1, 0)), (b"fcTL", control)])
+    frame = zlib.compress(b"".join(packed(WIDTH, 8, 2, range(WIDTH), y) for y in range(HEIGHT)), 9)
+    second = [(b"fcTL", struct.pack(">I", 1) + control[4:]), (b"fdAT", struct.pack(">I", 2) + frame)]
+    yield "png-animated-2", png(8, 2, before=[(b"acTL", struct.pack(">II", 2, 0)), (b"fcTL", control)], after=second)
+
+
+def written(image, kind, **options):
+    out = io.BytesIO()
+    image.save(out, kind, **options)
+    return out.getvalue()
+
+
+def jpegs():
+    rgb, grey, cmyk = (photo(40, 33, mode) for mode in ("RGB", "L", "CMYK"))
+    yield "jpeg-444", written(rgb, "JPEG", quality=60, subsampling=0)
+    yield "jpeg-422", written(rgb, "JPEG", quality=60, subsampling=1)
+    yield "jpeg-420", written(rgb, "JPEG", quality=60, subsampling=2, optimize=True)
+    yield "jpeg-grey", written(grey, "JPEG", quality=60)
+    yield "jpeg-cmyk", written(cmyk, "JPEG", quality=60)
+    yield "jpeg-rgb", written(rgb, "JPEG", quality=60, keep_rgb=True)
+    yield "jpeg-restart", written(rgb, "JPEG", quality=60, restart_marker_blocks=2)
+    yield "jpeg-progressive", written(rgb, "JPEG", quality=60, progressive=True)
+    yield "jpeg-progressive-420", written(rgb, "JPEG", quality=60, progressive=True, subsampling=2, restart_marker_rows=1)
+    yield "jpeg-progressive-grey", written(grey, "JPEG", quality=60, progressive=True)
+    yield "jpeg-progressive-cmyk", written(cmyk, "JPEG", quality=60, progressive=True)
+    for orientation in (1, 3, 6, 8):
+        yield f"jpeg-turned-{orientation}", written(rgb, "JPEG", quality=30, exif=exif(orientation))
+    yield "jpeg-profile", written(rgb, "JPEG", quality=30, icc_profile=PROFILE, comment=b"a comment")
+
+
+def webps():
+    rgb, rgba = photo(40, 33, "RGB"), photo(40, 33, "RGBA")
+    few = rgb.quantize(12).convert("RGB")
+    yield "webp-lossy", written(rgb, "WEBP", quality=50)
+    yield "webp-lossy-alpha", written(rgba, "WEBP", quality=50, alpha_quality=60)
+    yield "webp-lossy-rich", written(rgb, "WEBP", quality=50, exif=exif(5), icc_profile=PROFILE)
+    yield "webp-lossless", written(rgb, "WEBP", lossless=True, method=6)
+    yield "webp-lossless-alpha", written(rgba, "WEBP", lossless=True, method=0)
+    yield "webp-lossless-palette", written(few, "WEBP", lossless=True, method=6)
+    yield "webp-lossless-rich", written(few, "WEBP", lossless=True, exif=exif(7), icc_profile=PROFILE)
+    # Large enough that the encoder divides it into regions with codes of their own.
+    halves = Image.new("RGB", (96, 96))
+    halves.paste(photo(96, 48, "RGB"), (0, 0))
+    halves.paste(photo(96, 48, "RGB").quantize(30).convert("RGB").rotate(90, expand=True), (0, 48))
+    yield "webp-lossless-regions", written(halves, "WEBP", lossless=True, quality=100, method=6)
+    yield "webp-animated-1", one_frame(written(rgba, "WEBP", lossless=True))
+    yield "webp-animated-2", written(rgb, "WEBP", save_all=True, append_images=[rgb.rotate(180)], duration=50)
+
+
+def one_frame(still):
+    """An animation of one frame, in the container of a still picture's chunk."""
+    at = still.index(b"VP8L")
+    length = struct.unpack("<I", still[at + 4 : at + 8])[0]
+    picture = still[at : at + 8 + length + length % 2]
+    size = (40 - 1).to_bytes(3, "little") + (33 - 1).to_bytes(3, "little")
+    frame = bytes(6) + size + bytes(4) + picture
+    chunks = b"VP8X" + struct.pack("<I", 10) + b"\x12\0\0\0" + size
+    chunks += b"ANIM" + struct.pack("<I", 6) + bytes(6)
+    chunks += b"ANMF" + struct.pack("<I", len(frame)) + frame
+    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WEBP" + chunks
+
+
+def main():
+    SEEDS.mkdir(parents=True, exist_ok=True)
+    for name, data in [*pngs(), *jpegs(), *webps()]:
+        (SEEDS / name).write_bytes(data)
+    files = list(SEEDS.iterdir())
+    print(f"{len(files)} files, {sum(file.stat().st_size for file in files)} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+//! Any bytes as the messages of a drag socket, one a line: what is heard never ends the drag, what is said is a frame or a whole document.
+
+use std::sync::LazyLock;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use mlswarp::service::App;
+use mlswarp::service::client::{Client, Owner};
+use mlswarp::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
+use mlswarp::service::session::SessionId;
+use tokio::runtime::Runtime;
+
+use super::{assert_is_problem, multipart};
+
+static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
+    let (app, runtime) = multipart::app();
+    let id = SessionId::random(Owner::ANYBODY);
+    let file = Bytes::from_static(include_bytes!("../seeds/image/png-6-8"));
+    let warp = Bytes::from_static(br#"{"p": [[3, 3], [[10, 2], [20, 9]], [5, 14]]}"#);
+    runtime.block_on(app.put(Client::default(), id, file, warp)).expect("a session");
+    (app, runtime, id)
+});
+
+pub(super) fn talk(bytes: &[u8]) {
+    let Some((wishes, messages)) = bytes.split_first() else { return };
+    let wishes = Wishes {
+        form: if wishes % 2 == 0 { Form::Mesh } else { Form::Picture(None) },
+        width: if wishes % 4 < 2 { PreviewWidth::Auto } else { PreviewWidth::Fixed(1 + u32::from(*wishes)) },
+        report: wishes % 8 < 4,
+    };
+    let (app, runtime, id) = &*SESSION;
+    runtime.block_on(async {
+        let mut drag = app.open_drag(*id, wishes).await.expect("a seat");
+        for message in messages.split(|&byte| byte == b'\n').take(64) {
+            drag.hear(message, Instant::now());
+            go_on(&mut drag).await;
+            assert!(!drag.is_over(), "nothing that is said ends a session");
+        }
+    });
+}
+
+/// Makes what is due, says it, and acknowledges nothing by itself.
+async fn go_on(drag: &mut Drag) {
+    drag.act(Instant::now());
+    // Either something is being made and gets ready, or nothing is.
+    let _ = tokio::time::timeout(Duration::from_millis(2), drag.work()).await;
+    drag.act(Instant::now());
+    while let Some(said) = drag.say() {
+        match said {
+            Said::Text(text) => {
+                let document: serde_json::Value = serde_json::from_str(&text).expect("a document");
+                if document.get("status").is_some() {
+                    assert_is_problem(&document);
+                }
+            }
+            Said::Frame(_, pieces) => assert!(pieces.iter().any(|piece| !piece.is_empty()), "an empty frame"),
+        }
+    }
+}

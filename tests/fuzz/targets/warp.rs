@@ -1,0 +1,58 @@
+//! Any bytes as the JSON of each route. The first byte chooses the route. What is read is warped, on a small picture and behind small limits;
+//! what is refused is refused by a whole problem document.
+
+use std::ops::ControlFlow;
+use std::sync::{Arc, LazyLock};
+
+use mlswarp::service::problem::Problem;
+use mlswarp::service::wire::{DragObject, PointsObject, WarpObject};
+use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp, WarpError};
+
+use super::assert_is_problem;
+
+const LIMITS: Limits = Limits { image: ImageLimits { max_pixels: 1 << 14, max_side: 1 << 9 }, columns: 64, plan_bytes: 1 << 20 };
+
+static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
+    let file = include_bytes!("../seeds/image/png-6-8");
+    Arc::new(Image::decode(file, &LIMITS.image).expect("a seed that is read"))
+});
+
+pub(super) fn parse(bytes: &[u8]) {
+    let Some((route, json)) = bytes.split_first() else { return };
+    let refused = match route % 6 {
+        0 | 1 => WarpObject::parse(json).and_then(|object| warped(&object)).err(),
+        2 => DragObject::parse(json, true).err(),
+        3 => DragObject::parse(json, false).err(),
+        4 => PointsObject::parse(json).and_then(|object| mapped(&object)).err(),
+        _ => PointsObject::parse_posed(json).err(),
+    };
+    if let Some(problem) = refused {
+        assert_is_problem(&problem.to_json(None));
+    }
+}
+
+fn warped(object: &WarpObject) -> Result<(), Problem> {
+    let setup = Setup::new(&object.rest, IMAGE.extent(), &LIMITS)?;
+    let pose = setup.pose(object.posed()?)?;
+    object.output.target(IMAGE.extent(), &LIMITS)?;
+    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
+    assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
+    assert!(posed.vertices().flatten().all(f64::is_finite), "a vertex is nowhere");
+    let mut bytes = 0;
+    let warp = Warp::new(&IMAGE, &posed, &object.output, &LIMITS)?;
+    let _ = warp.write(0, &(), &mut |strip| {
+        bytes += strip.len();
+        ControlFlow::Continue(())
+    });
+    assert!(bytes > 0, "a picture has bytes");
+    Ok(())
+}
+
+fn mapped(object: &PointsObject) -> Result<(), Problem> {
+    let Some((rest, extent)) = &object.warp else { return Ok(()) };
+    let setup = Setup::new(rest, *extent, &LIMITS)?;
+    let pose = setup.pose(&object.q)?;
+    let mapped = setup.map(&pose, &object.points).map_err(|e: WarpError| Problem::from(e))?;
+    assert!(mapped.iter().all(|p| p.x.is_finite() && p.y.is_finite()), "{mapped:?}");
+    Ok(())
+}
