@@ -29,7 +29,7 @@ pub(super) enum ReadError {
     },
     /// What a multipart body says beside its parts.
     #[error("the heads of the parts, and what lies between the parts, are longer than {limit} bytes")]
-    TooWordy {
+    Wordy {
         /// The limit.
         limit: u64,
     },
@@ -45,7 +45,7 @@ impl From<ReadError> for Problem {
     fn from(error: ReadError) -> Self {
         match error {
             ReadError::TooLarge { limit } => too_large("body_bytes", limit, limit.saturating_add(1)),
-            ReadError::TooWordy { .. } => Self::new(Code::MalformedRequest, error.to_string()),
+            ReadError::Wordy { .. } => Self::new(Code::MalformedRequest, error.to_string()),
             ReadError::TooSlow { .. } => Self::new(Code::Timeout, error.to_string()),
         }
     }

@@ -118,7 +118,7 @@ impl HttpBody for Fed {
             return Poll::Pending;
         }
         if this.unread.0.load(Ordering::Relaxed) > HEADS {
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooWordy { limit: HEADS }))));
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::Wordy { limit: HEADS }))));
         }
         let frame = ready!(Pin::new(&mut this.body).poll_frame(cx));
         if let Some(data) = frame.as_ref().and_then(|frame| frame.as_ref().ok()).and_then(Frame::data_ref) {
