@@ -7,7 +7,7 @@ mod heap;
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 mod heap {
     /// Other allocators give memory back by themselves.
-    pub(crate) const fn trim_now_and_then() {}
+    pub(crate) const fn give_back() {}
 }
 
 use std::fmt::Display;
@@ -43,7 +43,7 @@ fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
             telemetry::start(&config);
-            heap::trim_now_and_then();
+            heap::give_back();
             exit(server::run(config).map_err(|e| format!("error: {e}")))
         }
         Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),

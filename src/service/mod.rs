@@ -218,14 +218,19 @@ impl App {
 
     /// Something is cached and not in use: it would give way.
     fn is_idle_cached(&self) -> bool {
-        self.0.images.is_any_idle() || self.0.plans.is_any_idle()
+        self.0.images.is_any_idle() || self.0.plans.is_any_idle() || self.0.setups.is_any_idle()
     }
 
     /// Drops something that is cached and not in use. False when there is nothing.
     fn give_way(&self) -> bool {
-        let (images, plans) = (&self.0.images, &self.0.plans);
-        let images_first = images.usage().bytes >= plans.usage().bytes;
-        (images_first && images.give_way()) || plans.give_way() || images.give_way()
+        let Shared { images, plans, setups, .. } = &*self.0;
+        let mut shelves: [(u64, &dyn Fn() -> bool); 3] = [
+            (images.usage().bytes, &|| images.give_way()),
+            (plans.usage().bytes, &|| plans.give_way()),
+            (setups.usage().bytes, &|| setups.give_way()),
+        ];
+        shelves.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
+        shelves.iter().any(|(_, give_way)| give_way())
     }
 
     /// What has happened so far.

@@ -73,6 +73,16 @@ fn socket_messages_are_answered_and_never_end_the_drag() {
 }
 
 #[test]
+fn records_are_read_as_they_were_written_or_not_at_all() {
+    for (name, seed) in files("seeds/record") {
+        let text = String::from_utf8_lossy(&seed[1..]);
+        let kept = if seed[0] == b'1' { format!("{:08x}\n{text}", crc32fast::hash(text.as_bytes())) } else { text.into_owned() };
+        assert!(mlswarp::service::store::record::read(kept.as_bytes()).is_ok(), "the seed {name} is a record");
+    }
+    fuzz("record");
+}
+
+#[test]
 fn law_finite_and_as_exact_as_promised_for_any_handles() {
     fuzz("law");
 }

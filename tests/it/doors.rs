@@ -132,6 +132,13 @@ async fn pages_of_other_sites_open_nothing_unseen() {
         assert_eq!(ask(site, "https://bend.example").await.unwrap().status(), 200);
     }
     assert_eq!(ask("same-origin", "http://127.0.0.1").await.unwrap().status(), 200);
+    // To a server that it reaches without TLS beyond the loopback, a browser says the page's origin and no more.
+    let ask = |origin: String| server.post("/points").json(&points()).header("Origin", origin).send();
+    for origin in ["http://evil.example", "null"] {
+        problem(ask(origin.to_owned()).await.unwrap(), 403, "forbidden").await;
+    }
+    assert_eq!(ask(server.url("")).await.unwrap().status(), 200);
+    assert_eq!(ask("https://bend.example".to_owned()).await.unwrap().status(), 200);
     // Following a link is no harm.
     assert_eq!(server.get("/").header("Sec-Fetch-Site", "cross-site").send().await.unwrap().status(), 200);
 }

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a failed unwrap is a failed test, and test numbers are small")]
 
+mod account;
 mod bad_input;
 mod binary;
 mod clients;

@@ -22,6 +22,7 @@ use super::budget::{Purpose, Reservation};
 use super::problem::{Code, Problem};
 use super::session::SessionId;
 use super::store::Record;
+use super::walk::columns;
 use super::wire::{BadMessage, DragMessage, MeshShape};
 use desk::{Desk, Pose, Step};
 pub use frame::Form;
@@ -58,8 +59,9 @@ pub enum Said {
     Frame(u64, Vec<Bytes>),
 }
 
-/// What a socket takes beside its frames: buffers of both directions, a pose that is being read, one that waits.
-const SOCKET_BYTES: u64 = 512 << 10;
+/// What a socket takes beside its frames: buffers of both directions, and, for each column of its session, a pose that is being received (twice), one
+/// that waits and one that a frame is made of.
+const SOCKET_BYTES: (u64, u64) = (512 << 10, 256);
 
 type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 
@@ -95,7 +97,7 @@ impl App {
         let record = self.session(id).await?.record;
         self.ready_for_drags()?;
         let seat = self.0.seats.take(id)?;
-        let held = self.reserve(Purpose::Socket, SOCKET_BYTES)?;
+        let held = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
         let setup = self.session_setup(&record).await?;
         let hello = hello(&MeshShape::new(&setup, record.extent));
         Ok(Drag {

@@ -27,6 +27,12 @@ pub(super) enum ReadError {
         /// The limit.
         limit: u64,
     },
+    /// What a multipart body says beside its parts.
+    #[error("the heads of the parts, and what lies between the parts, are longer than {limit} bytes")]
+    Wordy {
+        /// The limit.
+        limit: u64,
+    },
     /// Not whole in time.
     #[error("the body was not whole within {} s", .within.as_secs_f64())]
     TooSlow {
@@ -39,6 +45,7 @@ impl From<ReadError> for Problem {
     fn from(error: ReadError) -> Self {
         match error {
             ReadError::TooLarge { limit } => too_large("body_bytes", limit, limit.saturating_add(1)),
+            ReadError::Wordy { .. } => Self::new(Code::MalformedRequest, error.to_string()),
             ReadError::TooSlow { .. } => Self::new(Code::Timeout, error.to_string()),
         }
     }
@@ -175,6 +182,9 @@ pub(super) fn media_type(request: &Request) -> Option<String> {
     Some(text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
 }
 
+/// What a request takes beside its body while that is read: its head, its task, its stream.
+const BESIDE: u64 = 16 << 10;
+
 /// Bytes that grow as they arrive; their memory is in the account before they are kept.
 pub(super) struct Received<'a> {
     app: &'a App,
@@ -183,8 +193,8 @@ pub(super) struct Received<'a> {
 }
 
 impl<'a> Received<'a> {
-    pub(super) fn new(app: &'a App) -> Result<Self, Problem> {
-        Ok(Self { app, bytes: Vec::new(), held: app.reserve(Purpose::Upload, 0)? })
+    pub(super) fn new(app: &'a App, purpose: Purpose) -> Result<Self, Problem> {
+        Ok(Self { app, bytes: Vec::new(), held: app.reserve(purpose, BESIDE)? })
     }
 
     pub(super) fn len(&self) -> u64 {
@@ -198,27 +208,27 @@ impl<'a> Received<'a> {
             // Both copies are there while it moves.
             self.app.reserve_more(&mut self.held, room as u64)?;
             self.bytes.reserve_exact(room - self.bytes.len());
-            self.held.shrink_to(self.bytes.capacity() as u64);
+            self.held.shrink_to(BESIDE + self.bytes.capacity() as u64);
         }
         self.bytes.extend_from_slice(data);
         Ok(())
     }
 
     /// As they are; a buffer that grew is up to twice as large as what it holds.
-    pub(super) fn finish(self) -> Bytes {
+    pub(super) fn finish(mut self) -> Bytes {
+        self.held.shrink_to(self.bytes.capacity() as u64);
         self.held.with(self.bytes)
     }
 
     /// Exactly: a session keeps them for minutes.
     pub(super) fn fit(mut self) -> Bytes {
         self.bytes.shrink_to_fit();
-        self.held.shrink_to(self.bytes.capacity() as u64);
         self.finish()
     }
 }
 
-/// A JSON body of at most `limit` bytes.
-pub(super) async fn json(app: &App, request: Request, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+/// A JSON body of at most `limit` bytes. A drag's is read for its frame: it is not kept out by uploads.
+pub(super) async fn json(app: &App, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     if media_type(&request).as_deref() != Some("application/json") {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
     }
@@ -227,7 +237,7 @@ pub(super) async fn json(app: &App, request: Request, what: &'static str, limit:
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut read = Received::new(app)?;
+    let mut read = Received::new(app, purpose)?;
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
         if let Ok(data) = frame.into_data() {

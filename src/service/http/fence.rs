@@ -31,7 +31,7 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
     let route = request.extensions().get::<MatchedPath>().cloned();
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
-    let site = Site::new(&app.config().doors, request.headers());
+    let site = Site::new(&app.config().doors, &request);
     let mut response = match site.preflight(&request) {
         Some(response) => response,
         None => {

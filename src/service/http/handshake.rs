@@ -5,6 +5,7 @@ use axum::extract::Request;
 use axum::http::header::{
     CONNECTION, HOST, HeaderName, ORIGIN, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL, SEC_WEBSOCKET_VERSION, UPGRADE,
 };
+use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Version};
 use axum::response::{IntoResponse as _, Response};
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
@@ -57,17 +58,22 @@ fn names(headers: &HeaderMap, name: &HeaderName, word: &str) -> bool {
 
 /// A browser lets the page of any site open a WebSocket to any other, and says where the page is from.
 fn same_site(headers: &HeaderMap, others: &Origins) -> Result<(), Problem> {
-    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
-    let ours = headers.get(HOST).and_then(|host| host.to_str().ok());
-    let theirs = origin.to_str().ok().and_then(|origin| origin.split_once("://"));
-    let same = ours.zip(theirs).is_some_and(|(ours, (scheme, theirs))| authority(ours, scheme) == authority(theirs, scheme));
-    if same || origin.to_str().is_ok_and(|origin| others.has(origin)) {
+    let origin = headers.get(ORIGIN).and_then(|origin| origin.to_str().ok());
+    if is_of_this_site(headers, None) || origin.is_some_and(|origin| others.has(origin)) {
         return Ok(());
     }
     Err(Problem::new(
         Code::Forbidden,
         "a page of another site may not open this socket: Origin and Host differ, and the origin is not among those of --cors-origin",
     ))
+}
+
+/// No page asks, or one of the host that is asked; HTTP/2 names that host without a header.
+pub(super) fn is_of_this_site(headers: &HeaderMap, named: Option<&Authority>) -> bool {
+    let Some(origin) = headers.get(ORIGIN) else { return true };
+    let ours = headers.get(HOST).map_or(named.map(Authority::as_str), |host| host.to_str().ok());
+    let theirs = origin.to_str().ok().and_then(|origin| origin.split_once("://"));
+    ours.zip(theirs).is_some_and(|(ours, (scheme, theirs))| authority(ours, scheme) == authority(theirs, scheme))
 }
 
 /// Host and port in lower case; a scheme's own port need not be written.

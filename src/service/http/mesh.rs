@@ -6,9 +6,10 @@ use axum::response::Response;
 
 use super::body::json;
 use super::sessions::session_id;
-use super::warp::drag_limit;
+use super::warp::{drag_limit, parsed};
 use super::{accept, answer};
 use crate::service::App;
+use crate::service::budget::Purpose;
 use crate::service::client::Client;
 use crate::service::problem::Problem;
 use crate::service::walk::{MeshForm, columns};
@@ -26,7 +27,8 @@ pub(super) async fn mesh(
     let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(&app, request, "drag_json_bytes", limit).await?;
+    let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
+    let _parsed = parsed(&app, &body)?;
     let drag = DragObject::parse_posed(&body)?;
     let mesh = app.mesh(id, drag, form).await?;
     Ok(answer::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))

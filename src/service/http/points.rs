@@ -10,6 +10,7 @@ use super::body::json;
 use super::sessions::session_id;
 use crate::geometry::Point;
 use crate::service::App;
+use crate::service::budget::Purpose;
 use crate::service::client::Client;
 use crate::service::problem::Problem;
 use crate::service::wire::Wire;
@@ -20,7 +21,7 @@ struct Mapped<'a> {
 }
 
 pub(super) async fn once(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
-    let body = json(&app, request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
     let mapped = app.map_once(client, body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }
@@ -33,7 +34,7 @@ pub(super) async fn of_session(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = json(&app, request, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
     let mapped = app.map_session(id, body).await?;
     Ok(answer::json(&Mapped { points: Wire(&mapped) }))
 }

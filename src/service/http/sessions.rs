@@ -11,6 +11,7 @@ use axum::response::{IntoResponse as _, Response};
 use super::answer::json;
 use super::{body, upload};
 use crate::service::App;
+use crate::service::budget::Purpose;
 use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
@@ -51,7 +52,7 @@ pub(super) async fn handles(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = body::json(&app, request, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = body::json(&app, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
     let (session, setup) = app.revise(id, body).await?;
     Ok(object(&session, &setup))
 }

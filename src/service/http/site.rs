@@ -10,6 +10,7 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
+use super::handshake::is_of_this_site;
 use crate::service::config::DoorsConfig;
 use crate::service::doors::cors::Origins;
 use crate::service::problem::{Code, Problem};
@@ -42,7 +43,8 @@ pub(super) struct Site {
 }
 
 impl Site {
-    pub(super) fn new(config: &DoorsConfig, headers: &HeaderMap) -> Self {
+    pub(super) fn new(config: &DoorsConfig, request: &Request) -> Self {
+        let headers = request.headers();
         let origins = &config.cors_origin;
         let allowed = match headers.get(ORIGIN) {
             _ if *origins == Origins::Any => Some(HeaderValue::from_static("*")),
@@ -50,8 +52,12 @@ impl Site {
             _ => None,
         };
         let is_shared = *origins != Origins::Own;
-        // Browsers say so, and no script can say otherwise (https://www.w3.org/TR/fetch-metadata/).
-        let elsewhere = headers.get(FETCH_SITE).is_some_and(|site| site != "same-origin" && site != "none");
+        // Browsers say so, and no script can say otherwise (https://www.w3.org/TR/fetch-metadata/). To a server that is reached neither by TLS nor on
+        // the loopback they say the page's origin and no more; a key is nothing that a browser would send by itself.
+        let elsewhere = match headers.get(FETCH_SITE) {
+            Some(site) => site != "same-origin" && site != "none",
+            None => config.keys.is_none() && !is_of_this_site(headers, request.uri().authority()),
+        };
         let is_foreign = elsewhere && allowed.is_none();
         Self { allowed, varies: is_shared && *origins != Origins::Any, is_shared, is_tls: config.tls.is_some(), is_foreign }
     }

@@ -11,6 +11,7 @@ use super::body::{json, media_type, too_large};
 use super::sessions::session_id;
 use super::{accept, upload};
 use crate::service::App;
+use crate::service::budget::{Purpose, Reservation};
 use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
@@ -20,6 +21,8 @@ use crate::service::wire::DragObject;
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
 /// JSON of a drag: so much, and so much more a column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
+/// Handles take at most so many times their text.
+const PARSED: u64 = 10;
 
 /// A file and a warp object, or a session's id and q.
 pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
@@ -44,7 +47,8 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     if keeps {
         return Err(Problem::new(Code::BadValue, "session=true makes a session of an upload; this body names one"));
     }
-    let body = json(&app, request, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
+    let body = json(&app, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
+    let _parsed = parsed(&app, &body)?;
     let drag = DragObject::parse(&body, true)?;
     let id = session_id(client, drag.session.as_deref().unwrap_or_default())?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
@@ -65,7 +69,8 @@ pub(super) async fn drag(
     let trailers = takes_trailers(request.headers());
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(&app, request, "drag_json_bytes", limit).await?;
+    let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
+    let _parsed = parsed(&app, &body)?;
     let drag = DragObject::parse(&body, false)?;
     Ok(picture(app.drag(id, drag, formats).await?, trailers))
 }
@@ -80,6 +85,11 @@ fn name_session(response: &mut Response, id: SessionId) {
 /// Most bytes of JSON that a drag of so many columns may have.
 pub(super) const fn drag_limit(columns: u64) -> u64 {
     DRAG_BYTES.0 + DRAG_BYTES.1 * columns
+}
+
+/// The memory of a drag's handles, which wait in the queue with it.
+pub(super) fn parsed(app: &App, json: &[u8]) -> Result<Reservation, Problem> {
+    app.reserve(Purpose::Frame, PARSED * json.len() as u64)
 }
 
 /// `?session=true`. What is not known is refused, as in the body.

@@ -1,12 +1,13 @@
-//! The queue before the workers: who gets the next turn, and who is sent away. Fair between lanes (a session, or a client that has none):
-//! they take turns. Inside a session's lane the newest comes first, because the newest pose is what a hand wants to see; inside a client's the
-//! oldest. A full queue makes room for a newcomer by sending away the oldest of the longest lane, unless that is the newcomer's own: nobody is
-//! kept out by another's many requests. No clock and no threads: both are the pool's.
+//! The queue before the workers: who gets the next turn, and who is sent away. Fair between owners, and between the lanes of each (a session, or a
+//! client that has none): they take turns. Inside a session's lane the newest comes first, because the newest pose is what a hand wants to see;
+//! inside a client's the oldest. A full queue makes room for a newcomer by sending away the oldest of the longest lane, of the owner of whom most wait
+//! or of the newcomer's own: nobody is kept out by another's many requests, nor by another's many sessions. No clock and no threads: both are the
+//! pool's.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::{IpAddr, Ipv6Addr};
 
-use crate::service::client::Client;
+use crate::service::client::{Client, Owner};
 use crate::service::session::SessionId;
 
 /// Requests that wait together.
@@ -27,6 +28,13 @@ impl Lane {
             address @ IpAddr::V4(_) => address,
         };
         Self::Client(Client { address, ..client })
+    }
+
+    const fn owner(self) -> Owner {
+        match self {
+            Self::Session(id) => id.owner(),
+            Self::Client(client) => client.owner,
+        }
     }
 
     const fn newest_first(self) -> bool {
@@ -55,15 +63,24 @@ pub(super) struct Queue<W> {
     running: usize,
     waiting: usize,
     lanes: HashMap<Lane, VecDeque<(u64, W)>>,
+    owners: HashMap<Owner, Waiting>,
+    /// Owners of whom someone waits, the next one first.
+    order: VecDeque<Owner>,
+    next: u64,
+}
+
+/// Who waits of one owner.
+#[derive(Debug, Default)]
+struct Waiting {
+    number: usize,
     /// Lanes in which someone waits, the next one first.
     order: VecDeque<Lane>,
-    next: u64,
 }
 
 impl<W> Queue<W> {
     /// `turns` run at one time, `most` wait.
     pub(super) fn new(turns: usize, most: usize) -> Self {
-        Self { turns, most, running: 0, waiting: 0, lanes: HashMap::new(), order: VecDeque::new(), next: 0 }
+        Self { turns, most, running: 0, waiting: 0, lanes: HashMap::new(), owners: HashMap::new(), order: VecDeque::new(), next: 0 }
     }
 
     pub(super) const fn waiting(&self) -> usize {
@@ -74,9 +91,9 @@ impl<W> Queue<W> {
         self.running
     }
 
-    /// Someone of a lane that has nobody yet would be sent away.
+    /// Someone who has nobody here yet would be sent away.
     pub(super) fn is_full(&self) -> bool {
-        !self.has_turn() && self.waiting >= self.most && self.longest() < 2
+        self.refuses(Lane::Client(Client::default()))
     }
 
     /// Someone of this lane would be sent away.
@@ -86,21 +103,28 @@ impl<W> Queue<W> {
 
     /// The lane that makes room in a full queue for a newcomer of this one.
     fn gives_way(&self, lane: Lane) -> Option<Lane> {
-        let own = self.lanes.get(&lane).map_or(0, VecDeque::len);
-        let longest = self.longest();
-        if longest > own + 1 {
-            // Among lanes of the same length, the one whose turn is farthest away.
-            return self.order.iter().rev().copied().find(|lane| self.lanes[lane].len() == longest);
+        let number = |owner: &Owner| self.owners.get(owner).map_or(0, |waiting| waiting.number);
+        let most = self.order.iter().map(number).max().unwrap_or(0);
+        if most > number(&lane.owner()) + 1 {
+            // Among equals, the one whose turn is farthest away.
+            let owner = self.order.iter().rev().find(|owner| number(owner) == most)?;
+            return self.longest(*owner).map(|(lane, _)| lane);
         }
-        (lane.newest_first() && own > 0).then_some(lane)
+        let own = self.lanes.get(&lane).map_or(0, VecDeque::len);
+        match self.longest(lane.owner()) {
+            Some((longest, length)) if length > own + 1 => Some(longest),
+            _ => (lane.newest_first() && own > 0).then_some(lane),
+        }
+    }
+
+    /// The longest lane of an owner and how many wait there; among equals, the one whose turn is farthest away.
+    fn longest(&self, owner: Owner) -> Option<(Lane, usize)> {
+        let lanes = self.owners.get(&owner)?.order.iter();
+        lanes.map(|lane| (*lane, self.lanes.get(lane).map_or(0, VecDeque::len))).max_by_key(|(_, length)| *length)
     }
 
     fn has_turn(&self) -> bool {
         self.running < self.turns
-    }
-
-    fn longest(&self) -> usize {
-        self.lanes.values().map(VecDeque::len).max().unwrap_or(0)
     }
 
     /// A newcomer; `waiter` is made only if it has to wait.
@@ -118,10 +142,15 @@ impl<W> Queue<W> {
         let id = self.next;
         self.next += 1;
         let waiters = self.lanes.entry(lane).or_default();
+        let of_owner = self.owners.entry(lane.owner()).or_default();
+        if of_owner.number == 0 {
+            self.order.push_back(lane.owner());
+        }
         if waiters.is_empty() {
-            self.order.push_back(lane);
+            of_owner.order.push_back(lane);
         }
         waiters.push_back((id, waiter()));
+        of_owner.number += 1;
         self.waiting += 1;
         match sent_away {
             Some((_, waiter)) => Arrival::Replaces(id, waiter),
@@ -134,22 +163,39 @@ impl<W> Queue<W> {
         let waiters = self.lanes.get_mut(&lane)?;
         let taken = which(waiters)?;
         self.waiting -= 1;
-        if waiters.is_empty() {
+        let is_last = waiters.is_empty();
+        if is_last {
             self.lanes.remove(&lane);
-            self.order.retain(|other| *other != lane);
+        }
+        if let Some(of_owner) = self.owners.get_mut(&lane.owner()) {
+            of_owner.number -= 1;
+            if is_last {
+                of_owner.order.retain(|other| *other != lane);
+            }
+            if of_owner.number == 0 {
+                self.owners.remove(&lane.owner());
+                self.order.retain(|other| *other != lane.owner());
+            }
         }
         Some(taken)
     }
 
     /// A turn has ended; whoever comes next has it now.
     pub(super) fn pass_on(&mut self) -> Option<W> {
-        let Some(lane) = self.order.pop_front() else {
+        let Some(lane) = self.next_lane() else {
             self.running -= 1;
             return None;
         };
-        self.order.push_back(lane);
         let next = self.take(lane, |waiters| if lane.newest_first() { waiters.pop_back() } else { waiters.pop_front() });
         Some(next.expect("a lane in order has someone").1)
+    }
+
+    /// The lane whose turn it is; it comes last from now on, and so does its owner.
+    fn next_lane(&mut self) -> Option<Lane> {
+        self.order.rotate_left(1.min(self.order.len()));
+        let of_owner = self.owners.get_mut(self.order.back()?)?;
+        of_owner.order.rotate_left(1.min(of_owner.order.len()));
+        of_owner.order.back().copied()
     }
 
     /// Someone who waited has left.
@@ -163,7 +209,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::service::client::Owner;
 
     fn session(n: u8) -> Lane {
         let mut bytes = [0; 32];
@@ -196,7 +241,7 @@ mod tests {
         }
         queue.arrive(session(3), || 30);
         assert_eq!((queue.waiting(), queue.running()), (6, 1));
-        assert_eq!(served(&mut queue), [12, 20, 30, 11, 21, 10]);
+        assert_eq!(served(&mut queue), [12, 20, 30, 21, 11, 10]);
         assert_eq!((queue.waiting(), queue.running()), (0, 0));
         assert_eq!(queue.arrive(session(1), || 1), Arrival::Runs);
     }
@@ -217,6 +262,20 @@ mod tests {
         assert!(queue.is_full());
         assert_eq!(queue.arrive(client(4), || 40), Arrival::Refused);
         assert_eq!(served(&mut queue), [12, 21, 30]);
+    }
+
+    #[test]
+    fn many_sessions_of_one_owner_keep_no_other_out() {
+        let session = |owner: u8, n: u8| Lane::Session(SessionId::from_bytes(&std::array::from_fn(|at| if at < 16 { owner } else { n })));
+        let mut queue = busy(4);
+        for n in 0..4 {
+            queue.arrive(session(1, n), || u32::from(n));
+        }
+        assert!(queue.refuses(session(1, 9)) && !queue.refuses(session(2, 0)) && !queue.is_full());
+        assert_eq!(queue.arrive(session(2, 0), || 20), Arrival::Replaces(4, 3));
+        assert_eq!(queue.arrive(session(2, 1), || 21), Arrival::Replaces(5, 2));
+        assert_eq!(queue.arrive(session(2, 2), || 22), Arrival::Refused);
+        assert_eq!(served(&mut queue), [0, 20, 1, 21], "owners take turns, however many sessions each has");
     }
 
     #[test]
@@ -283,7 +342,9 @@ mod tests {
                 prop_assert_eq!((queue.running(), queue.waiting()), (running, waiting.len()));
                 prop_assert!(running <= turns && waiting.len() <= most);
                 prop_assert!(waiting.is_empty() || running == turns);
-                prop_assert_eq!(queue.lanes.len(), queue.order.len());
+                prop_assert_eq!(queue.owners.len(), queue.order.len());
+                prop_assert_eq!(queue.lanes.len(), queue.owners.values().map(|of_owner| of_owner.order.len()).sum::<usize>());
+                prop_assert_eq!(queue.waiting, queue.owners.values().map(|of_owner| of_owner.number).sum::<usize>());
             }
         }
     }

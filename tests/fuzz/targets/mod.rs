@@ -4,6 +4,7 @@
 mod image;
 mod law;
 mod multipart;
+mod record;
 mod socket;
 mod warp;
 
@@ -11,8 +12,14 @@ mod warp;
 pub(crate) type Target = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub(crate) const TARGETS: [Target; 5] =
-    [("image", image::decode), ("warp", warp::parse), ("multipart", multipart::post), ("socket", socket::talk), ("law", law::hold)];
+pub(crate) const TARGETS: [Target; 6] = [
+    ("image", image::decode),
+    ("warp", warp::parse),
+    ("multipart", multipart::post),
+    ("socket", socket::talk),
+    ("record", record::keep),
+    ("law", law::hold),
+];
 
 /// What every problem document must be, whoever wrote it.
 fn assert_is_problem(document: &serde_json::Value) {

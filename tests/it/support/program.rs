@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 pub(crate) fn mlswarp(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mlswarp"));
     command.args(args);
+    // A backtrace of a program with debug information takes 280 MiB to print.
+    command.env("RUST_BACKTRACE", "0");
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("MLSWARP_")) {
         command.env_remove(name);
     }
