@@ -21,7 +21,7 @@ pub(super) struct Index {
     bytes: u64,
     /// Expired sessions, to be told from unknown ones for one idle period. At most as many as there may be sessions.
     graves: HashMap<SessionId, Instant>,
-    graves_by_age: VecDeque<SessionId>,
+    graves_by_age: VecDeque<(SessionId, Instant)>,
 }
 
 #[derive(Debug)]
@@ -223,17 +223,19 @@ impl Index {
         for &id in ended {
             let Some(used) = self.sessions.get(&id).map(|entry| entry.used) else { continue };
             self.remove(id);
-            self.graves.insert(id, used + 2 * self.bounds.idle);
-            self.graves_by_age.push_back(id);
+            let until = used + 2 * self.bounds.idle;
+            self.graves.insert(id, until);
+            self.graves_by_age.push_back((id, until));
         }
+        self.graves.retain(|_, until| now < *until);
+        // Also those of names that have been used again since: they have another grave, or none.
+        let graves = &self.graves;
+        self.graves_by_age.retain(|(id, until)| graves.get(id) == Some(until));
         while self.graves_by_age.len() > self.bounds.sessions {
-            if let Some(oldest) = self.graves_by_age.pop_front() {
+            if let Some((oldest, _)) = self.graves_by_age.pop_front() {
                 self.graves.remove(&oldest);
             }
         }
-        self.graves.retain(|_, until| now < *until);
-        let graves = &self.graves;
-        self.graves_by_age.retain(|id| graves.contains_key(id));
     }
 
     /// Sessions whose picture's file it is.
@@ -267,4 +269,23 @@ impl Index {
 pub(super) fn record_bytes(record: &Record) -> u64 {
     let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
     512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::store::suite;
+
+    #[test]
+    fn a_name_that_is_used_again_has_one_grave() {
+        let idle = std::time::Duration::from_millis(50);
+        let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 });
+        let record = suite::record(1);
+        for _ in 0..3 {
+            index.put(Arc::clone(&record), 1000, Will::Create);
+            std::thread::sleep(idle);
+            index.bury(&index.expired());
+            assert_eq!((index.graves.len(), index.graves_by_age.len()), (1, 1));
+        }
+    }
 }

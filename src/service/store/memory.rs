@@ -122,11 +122,20 @@ impl Store for MemoryStore {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::store::model;
     use crate::service::store::suite::{self, bounds};
 
     #[tokio::test]
     async fn keeps_the_rules_of_every_store() {
         suite::bounded(async |wanted| MemoryStore::new(wanted)).await;
+    }
+
+    #[tokio::test]
+    async fn does_what_the_model_does() {
+        for seed in 0..3 {
+            let open = async |old: Option<Vec<MemoryStore>>| old.unwrap_or_else(|| vec![MemoryStore::new(model::bounds())]);
+            model::follows(open, seed, 400, true, false).await;
+        }
     }
 
     #[tokio::test]

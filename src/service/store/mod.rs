@@ -13,6 +13,8 @@
 pub mod file;
 mod index;
 pub mod memory;
+#[cfg(test)]
+mod model;
 mod place;
 pub mod record;
 pub mod redis;

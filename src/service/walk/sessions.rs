@@ -38,7 +38,7 @@ impl App {
         let _ = self.0.images.has(material.digest);
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.0.store.put(record, file).await?;
-        self.know(&session.record, &setup).await?;
+        self.know(&session.record, &setup).await;
         Ok((session, setup))
     }
 
@@ -54,9 +54,9 @@ impl App {
         let (record, file, setup) = material.recorded(id);
         let put = self.0.store.put(record, file).await?;
         match &put {
-            Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await?,
+            Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await,
             Put::Replaced(session, old) => {
-                self.know(&session.record, &setup).await?;
+                self.know(&session.record, &setup).await;
                 self.forget(old).await;
             }
         }
@@ -81,18 +81,19 @@ impl App {
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             // Whoever was faster has changed fields that this request may not have named: they are kept.
             if let Some(session) = self.0.store.revise(old.revision, Arc::new(new)).await? {
-                self.know(&session.record, &setup).await?;
+                self.know(&session.record, &setup).await;
                 self.0.setups.remove(shelf_key(&old));
                 return Ok((session, setup));
             }
         }
     }
 
-    /// The setup of a record is at hand.
-    async fn know(&self, record: &Record, setup: &Arc<Setup>) -> Result<(), Problem> {
-        let known = Kept::new(Arc::clone(setup), self.reserve(Purpose::Plan, weight(record))?);
-        self.0.setups.get(shelf_key(record), async { Ok(known) }, lost).await?;
-        Ok(())
+    /// The setup of a record is at hand, where there is room for it: the session has been made whether there is or not.
+    async fn know(&self, record: &Record, setup: &Arc<Setup>) {
+        if let Ok(held) = self.reserve(Purpose::Plan, weight(record)) {
+            let known = Kept::new(Arc::clone(setup), held);
+            let _ = self.0.setups.get(shelf_key(record), async { Ok(known) }, lost).await;
+        }
     }
 
     /// Drops what was made for a record that is no session's any more.
@@ -125,5 +126,38 @@ impl App {
         self.0.store.delete(id).await?;
         self.forget(&record).await;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{IpAddr, Ipv4Addr};
+
+    use super::*;
+    use crate::service::client::Owner;
+    use crate::service::config::Config;
+
+    #[tokio::test]
+    async fn a_session_that_was_made_is_answered_also_where_there_is_no_room_to_remember_its_setup() {
+        let mut config = Config::default();
+        config.work.memory_bytes = 64 << 20;
+        let app = App::new(config).unwrap();
+        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let mut file = std::io::Cursor::new(Vec::new());
+        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        let file = Bytes::from(file.into_inner());
+        let open = || app.open(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
+        let (session, setup) = open().await.unwrap();
+        // Somebody draws from them, and everything else is taken.
+        let _used = (app.0.images.peek(session.record.image).unwrap(), app.0.plans.peek(setup.plan_key()).unwrap());
+        let budget = app.budget();
+        let mut rest = vec![budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap()];
+        // The first session's setup gives way.
+        while let Ok(held) = app.reserve(Purpose::Plan, 1) {
+            drop(held);
+            rest.push(budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap());
+        }
+        let (other, _) = open().await.unwrap();
+        assert_eq!(app.session(other.record.id).await.unwrap().record, other.record);
     }
 }

@@ -33,7 +33,7 @@ const MAGIC: &[u8; 4] = b"redb";
 /// Pause between two attempts to open a database that has failed.
 const PAUSE: Duration = Duration::from_secs(1);
 /// A file is made compact when it is larger than twice what is in it and this.
-const SLACK: u64 = 16 << 20;
+pub(super) const SLACK: u64 = 16 << 20;
 
 /// What stores and tests see of a change.
 pub(super) struct Change<'t> {
@@ -188,7 +188,7 @@ impl Disk {
             transaction.commit()?;
             Ok(changed)
         });
-        changed.map_err(|failed| self.fail(&failed))
+        changed.map_err(|failed| self.fail(&database, &failed))
     }
 
     /// The file, or whatever pieces of it there are.
@@ -198,15 +198,17 @@ impl Disk {
             let pieces = database.begin_read()?.open_table(PIECES)?;
             joined(&pieces, digest)
         };
-        guarded(read).map_err(|failed| self.fail(&failed))
+        guarded(read).map_err(|failed| self.fail(&database, &failed))
     }
 
-    /// Closes the database.
-    fn fail(&self, failed: &Failed) -> StoreError {
+    /// Closes that database, unless it has been closed and opened again meanwhile.
+    fn fail(&self, failing: &Arc<Database>, failed: &Failed) -> StoreError {
         let mut open = self.lock();
         open.failures += 1;
-        open.tried = Instant::now();
-        let database = open.database.take();
+        let database = open.database.take_if(|database| Arc::ptr_eq(database, failing));
+        if database.is_some() {
+            open.tried = Instant::now();
+        }
         drop(open);
         // The last one to hold it closes it, and may well fail at that.
         let _ = catch_unwind(AssertUnwindSafe(|| drop(database)));

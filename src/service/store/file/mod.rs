@@ -240,24 +240,30 @@ impl Shared {
     }
 
     fn file(&self, digest: Digest) -> Result<Bytes, StoreError> {
-        let len = self.index().file(digest).ok_or(StoreError::NoSuchSession)?;
-        let bytes = self.disk.file(digest)?;
-        if checked(&bytes, digest) == Ok(len) {
-            return Ok(bytes.into());
+        if let Some(whole) = self.whole(digest)? {
+            return Ok(whole);
         }
         let mut written = self.begin()?;
+        // It may have gone in good order meanwhile, and come again: what nobody can change now is certain.
+        if let Some(whole) = self.whole(digest)? {
+            return Ok(whole);
+        }
         let lost = self.index().named_by(digest);
-        // It may have gone in good order meanwhile.
-        if !lost.is_empty() {
-            tracing::error!(sessions = ?lost, "sessions have ended: their picture's file is damaged");
-            self.take_away(&lost)?;
-            for id in lost {
-                self.damaged.fetch_add(1, Ordering::Relaxed);
-                written.remove(&id);
-                self.index().remove(id);
-            }
+        tracing::error!(sessions = ?lost, "sessions have ended: their picture's file is damaged");
+        self.take_away(&lost)?;
+        for id in lost {
+            self.damaged.fetch_add(1, Ordering::Relaxed);
+            written.remove(&id);
+            self.index().remove(id);
         }
         Err(StoreError::NoSuchSession)
+    }
+
+    /// The file that some session names, if it is read as it was written.
+    fn whole(&self, digest: Digest) -> Result<Option<Bytes>, StoreError> {
+        let len = self.index().file(digest).ok_or(StoreError::NoSuchSession)?;
+        let bytes = self.disk.file(digest)?;
+        Ok((checked(&bytes, digest) == Ok(len)).then(|| bytes.into()))
     }
 }
 

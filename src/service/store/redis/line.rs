@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use redis::aio::MultiplexedConnection;
-use redis::{AsyncConnectionConfig, Client, RedisError, RedisResult};
+use redis::{AsyncConnectionConfig, Client, ErrorKind, RedisError, RedisResult};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
@@ -63,12 +63,16 @@ impl Line {
     where
         F: Future<Output = RedisResult<T>>,
     {
+        // Which connection was asked last: by the time that nobody waits any more there may be a newer one.
+        let used = AtomicU64::new(0);
         let asked = timeout(patience, async {
             let (made, connection) = self.connection().await?;
+            used.store(made, Ordering::Relaxed);
             match ask(connection).await {
                 Err(error) if error.is_connection_dropped() => {
                     self.lose(made, None).await;
                     let (made, connection) = self.connection().await?;
+                    used.store(made, Ordering::Relaxed);
                     Ok((made, ask(connection).await))
                 }
                 answered => Ok((made, answered)),
@@ -82,9 +86,8 @@ impl Line {
             Ok(Ok((made, Err(error)))) => Err(self.fail(made, &error).await),
             Ok(Err(away)) => Err(away),
             Err(_) => {
-                let made = self.0.slot.lock().await.made;
                 self.away(&format!("no answer within {patience:?}")).await;
-                self.lose(made, Some(Instant::now() + PAUSE)).await;
+                self.lose(used.into_inner(), Some(Instant::now() + PAUSE)).await;
                 Err(StoreError::Away)
             }
         }
@@ -146,6 +149,12 @@ impl Line {
             self.0.failures.fetch_add(1, Ordering::Relaxed);
             tracing::warn!("the session store has no room: {text}");
             return StoreError::NoRoom;
+        }
+        // What somebody else has put under one key is no outage of all of them.
+        if text.contains("WRONGTYPE") || error.kind() == ErrorKind::UnexpectedReturnType {
+            self.0.failures.fetch_add(1, Ordering::Relaxed);
+            tracing::error!("the session store holds something else under a session's key: {text}");
+            return StoreError::Away;
         }
         self.away(&text).await;
         let not_before = if error.is_connection_dropped() { None } else { Some(Instant::now() + PAUSE) };

@@ -12,6 +12,7 @@ mod tests;
 mod warm;
 
 use std::fmt;
+use std::future::Future;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
@@ -24,7 +25,7 @@ use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 use line::Line;
 use script::{number, said};
-use warm::{Known, Memory};
+use warm::{Known, Memory, Warm};
 
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -149,84 +150,97 @@ impl Shared {
                 self.memory.learn(Arc::clone(&new), seq);
                 Ok(Some(self.session(new, seq, self.idle)))
             }
-            said::OTHER => Ok(None),
+            said::OTHER => {
+                // Who asks again must see what is there now.
+                self.memory.forget(new.id);
+                Ok(None)
+            }
             said => Err(self.gone(new.id, said)),
         }
     }
 
-    async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
-        let warm = self.memory.warm(id);
-        let known = warm.as_deref().map(|warm| (warm.record.as_ref(), warm.known().seq));
-        let command = script::touch(id, seq, known, self.idle);
-        let answer: Result<(i64, Vec<u8>, String), _> = match &warm {
-            Some(_) => self.ask_briefly(&command).await,
-            None => self.run(PATIENCE, &command).await,
-        };
-        match (answer, warm) {
-            (Ok((said::HERE, bytes, seq)), warm) => {
-                let seq = number(&seq)?;
-                let record = match warm {
-                    Some(warm) if bytes.is_empty() => {
-                        *warm.known() = Known { seq, asked: Instant::now() };
-                        Arc::clone(&warm.record)
-                    }
-                    _ => {
-                        let record = self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?;
-                        self.memory.learn(Arc::clone(&record), seq);
-                        record
-                    }
-                };
-                Ok(self.session(record, seq, self.idle))
-            }
-            (Ok((said, ..)), _) => Err(self.gone(id, said)),
+    async fn touch(self: &Arc<Self>, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+        let Some(warm) = self.memory.warm(id) else { return Arc::clone(self).ask_touch(id, seq, None).await };
+        match self.briefly(Arc::clone(self).ask_touch(id, seq, Some(Arc::clone(&warm)))).await {
             // The server does not answer: what is known here goes on.
-            (Err(StoreError::Away | StoreError::NoRoom), Some(warm)) => {
+            Err(StoreError::Away | StoreError::NoRoom) => {
                 let mut known = warm.known();
                 known.seq = known.seq.max(seq);
                 Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
             }
-            (Err(error), _) => Err(error),
+            answer => answer,
         }
     }
 
-    /// Asks a server that has not made anybody wait just now, and does not wait long.
-    async fn ask_briefly<T: FromRedisValue>(&self, command: &Cmd) -> Result<T, StoreError> {
+    async fn ask_touch(self: Arc<Self>, id: SessionId, seq: Option<u64>, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
+        let known = warm.as_deref().map(|warm| (warm.record.as_ref(), warm.known().seq));
+        let command = script::touch(id, seq, known, self.idle);
+        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &command).await?;
+        if said != said::HERE {
+            return Err(self.gone(id, said));
+        }
+        let seq = number(&seq)?;
+        let (record, seq) = match warm {
+            Some(warm) if bytes.is_empty() => {
+                let mut known = warm.known();
+                // Higher ones may have been seen here while the server did not answer: it is told with the next question.
+                *known = Known { seq: seq.max(known.seq), asked: Instant::now() };
+                (Arc::clone(&warm.record), known.seq)
+            }
+            _ => {
+                let record = self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?;
+                self.memory.learn(Arc::clone(&record), seq);
+                (record, seq)
+            }
+        };
+        Ok(self.session(record, seq, self.idle))
+    }
+
+    /// Waits for a server that has not made anybody wait just now, and does not wait long. What it says later is heard all the same: otherwise a
+    /// server that is slow, and not away, would not be believed for as long as it is.
+    async fn briefly<T: Send + 'static>(
+        &self,
+        asked: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+    ) -> Result<T, StoreError> {
         let spared = || self.spared.lock().unwrap_or_else(PoisonError::into_inner);
         if spared().is_some_and(|until| Instant::now() < until) {
             return Err(StoreError::Away);
         }
-        // Whether it is away is for those to find out who can wait.
-        match tokio::time::timeout(IMPATIENCE, self.run(PATIENCE, command)).await {
-            Ok(answer) => answer,
-            Err(_) => {
-                *spared() = Some(Instant::now() + READINESS);
-                Err(StoreError::Away)
-            }
+        let mut asked = Box::pin(asked);
+        if let Ok(answer) = tokio::time::timeout(IMPATIENCE, &mut asked).await {
+            return answer;
         }
+        *spared() = Some(Instant::now() + READINESS);
+        tokio::spawn(asked);
+        Err(StoreError::Away)
     }
 
-    async fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
-        let warm = self.memory.warm(id);
-        let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
-        let answer: Result<(i64, Vec<u8>, String, i64), _> = match &warm {
-            Some(_) => self.ask_briefly(&command).await,
-            None => self.run(PATIENCE, &command).await,
-        };
-        match (answer, warm) {
-            (Ok((said::HERE, bytes, seq, left)), warm) => {
-                let record = match warm {
-                    Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
-                    _ => self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?,
-                };
-                Ok(self.session(record, number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0))))
-            }
-            (Ok((said, ..)), _) => Err(self.gone(id, said)),
-            (Err(StoreError::Away), Some(warm)) => {
+    async fn peek(self: &Arc<Self>, id: SessionId) -> Result<Session, StoreError> {
+        let Some(warm) = self.memory.warm(id) else { return Arc::clone(self).ask_peek(id, None).await };
+        match self.briefly(Arc::clone(self).ask_peek(id, Some(Arc::clone(&warm)))).await {
+            Err(StoreError::Away) => {
                 let known = *warm.known();
                 Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
             }
-            (Err(error), _) => Err(error),
+            answer => answer,
         }
+    }
+
+    async fn ask_peek(self: Arc<Self>, id: SessionId, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
+        let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
+        let (said, bytes, seq, left): (i64, Vec<u8>, String, i64) = self.run(PATIENCE, &command).await?;
+        if said != said::HERE {
+            return Err(self.gone(id, said));
+        }
+        let record = match warm {
+            Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
+            _ => {
+                // What is remembered is not so any more.
+                self.memory.forget(id);
+                self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?
+            }
+        };
+        Ok(self.session(record, number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0))))
     }
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {

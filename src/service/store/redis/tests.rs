@@ -1,5 +1,6 @@
 use super::*;
 use crate::service::store::Place;
+use crate::service::store::model;
 use crate::service::store::suite::{self, bounds, file, made_anew, with_weights};
 
 #[path = "../../../../tests/it/support/redis.rs"]
@@ -29,6 +30,119 @@ async fn once_it_is_back<T>(mut ask: impl AsyncFnMut() -> Result<T, StoreError>)
 async fn keeps_the_rules_of_every_store() {
     let server = Redis::start(&[]);
     suite::all(async |wanted| store_of(&server, wanted)).await;
+}
+
+#[tokio::test]
+async fn several_processes_do_what_the_model_does() {
+    let server = Redis::start(&[]);
+    for seed in 0..3 {
+        let open = async |_| vec![store_of(&server, model::bounds()), store_of(&server, model::bounds())];
+        model::follows(open, seed, 400, false, false).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn neighbours_do_not_disturb_each_other() {
+    let server = Redis::start(&[]);
+    let stores = (0..2).map(|_| Arc::new(store_of(&server, bounds()))).collect();
+    model::neighbours_do_not_disturb_each_other(stores, Duration::from_secs(2)).await;
+}
+
+/// A way to the server on which every answer takes so long.
+async fn slow_way(server: &Redis, delay: Duration) -> RedisStore {
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = format!("redis://{}", listener.local_addr().unwrap());
+    let there = server.address().replace("redis://", "");
+    tokio::spawn(async move {
+        while let Ok((near, _)) = listener.accept().await {
+            let (mut near, mut far) = (near.into_split(), tokio::net::TcpStream::connect(&there).await.unwrap().into_split());
+            tokio::spawn(async move { tokio::io::copy(&mut near.0, &mut far.1).await });
+            tokio::spawn(async move {
+                let mut bytes = vec![0; 1 << 16];
+                while let Ok(n @ 1..) = far.0.read(&mut bytes).await {
+                    tokio::time::sleep(delay).await;
+                    near.1.write_all(&bytes[..n]).await?;
+                }
+                std::io::Result::Ok(())
+            });
+        }
+    });
+    let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+    RedisStore::new(&address, bounds()).unwrap()
+}
+
+#[tokio::test]
+async fn a_server_that_is_slow_is_heard_all_the_same() {
+    let server = Redis::start(&[]);
+    let (slow, other) = (slow_way(&server, 2 * IMPATIENCE).await, store_of(&server, bounds()));
+    let a = suite::record(1);
+    slow.put(Arc::clone(&a), file(1)).await.unwrap();
+    let b = with_weights(&a, 2);
+    other.revise(a.revision, Arc::clone(&b)).await.unwrap().unwrap();
+    // Whoever revises begins with what is there.
+    let mut rounds = 0;
+    let c = loop {
+        let there = slow.touch(a.id, None).await.unwrap().record;
+        let new = with_weights(&there, 3);
+        if slow.revise(there.revision, Arc::clone(&new)).await.unwrap().is_some() {
+            break new;
+        }
+        rounds += 1;
+        assert!(rounds < 5, "what others did is never seen");
+    };
+    assert_eq!(other.touch(a.id, None).await.unwrap().record, c);
+    // Nor does whoever drags go on with what has been replaced.
+    let d = made_anew(&a, 2);
+    other.put(Arc::clone(&d), file(2)).await.unwrap();
+    let began = Instant::now();
+    while slow.touch(a.id, None).await.unwrap().record != d {
+        assert!(began.elapsed() < 10 * READINESS, "what others did is never seen");
+        tokio::time::sleep(IMPATIENCE).await;
+    }
+    other.delete(a.id).await.unwrap();
+    while slow.touch(a.id, None).await.is_ok() {
+        assert!(began.elapsed() < 20 * READINESS, "what others did is never seen");
+        tokio::time::sleep(IMPATIENCE).await;
+    }
+}
+
+#[tokio::test]
+async fn numbers_do_not_fall_when_the_server_was_away_for_a_moment() {
+    let server = Redis::start(&[]);
+    let (store, other) = (slow_way(&server, IMPATIENCE / 2).await, store_of(&server, bounds()));
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    let warm = store.0.memory.warm(a.id).unwrap();
+    // Given here alone, while an answer with a lower one was on its way.
+    let asking = store.clone();
+    let id = a.id;
+    let asked = tokio::spawn(async move { asking.touch(id, Some(5)).await });
+    tokio::time::sleep(IMPATIENCE / 4).await;
+    warm.known().seq = Some(9);
+    asked.await.unwrap().unwrap();
+    assert_eq!(store.touch(a.id, Some(6)).await.unwrap().seq, Some(9));
+    assert_eq!(other.touch(a.id, None).await.unwrap().seq, Some(9));
+    warm.known().seq = Some(12);
+    let again = Arc::new(Record { revision: Revision::random(), ..(*a).clone() });
+    assert!(matches!(store.put(again, file(1)).await, Ok(Put::Same(_))));
+    assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(12));
+}
+
+#[tokio::test]
+async fn a_key_of_somebody_else_is_no_outage() {
+    let server = Redis::start(&[]);
+    let store = store_of(&server, bounds());
+    let (a, b) = (suite::record(1), suite::record(2));
+    store_of(&server, bounds()).put(Arc::clone(&b), file(2)).await.unwrap();
+    let key = format!("mlswarp:{{{}}}:session", record::hex(&a.id.to_bytes()));
+    assert_eq!(server.say(&format!("SET {key} nothing")), "+OK\r\n");
+    assert!(store.touch(a.id, None).await.is_err());
+    assert!(store.peek(b.id).await.is_ok(), "the others are there");
+    assert_eq!(server.say(&format!("DEL {key}")), ":1\r\n");
+    assert_eq!(server.say(&format!("HSET {key} revision x")), ":1\r\n");
+    assert!(store.touch(a.id, None).await.is_err());
+    assert!(store.peek(b.id).await.is_ok(), "the others are there");
 }
 
 #[tokio::test]

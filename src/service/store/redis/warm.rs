@@ -74,9 +74,11 @@ impl Memory {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Remembers what the server said just now.
+    /// Remembers what the server said just now. Numbers of the same life that it has not been told yet are not forgotten.
     pub(super) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
         let held = &mut *self.lock();
+        let before = held.sessions.get(&record.id).filter(|warm| warm.record.created == record.created);
+        let seq = seq.max(before.and_then(|warm| warm.known().seq));
         held.remove(record.id);
         held.bytes += record_bytes(&record);
         held.sessions.insert(record.id, Arc::new(Warm { record, known: Mutex::new(Known { seq, asked: Instant::now() }) }));

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use super::*;
+use crate::service::store::model;
 use crate::service::store::suite::{self, bounds, file, made_anew, with_weights};
 
 mod power;
@@ -39,6 +40,24 @@ async fn keeps_the_rules_of_every_store() {
         store
     })
     .await;
+}
+
+#[tokio::test]
+async fn does_what_the_model_does_also_when_it_is_opened_again() {
+    for seed in 0..3 {
+        let place = Place::new();
+        let open = async |old| {
+            drop::<Option<Vec<FileStore>>>(old);
+            vec![FileStore::open(&place.0, model::bounds()).unwrap()]
+        };
+        model::follows(open, seed, 400, true, true).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn neighbours_do_not_disturb_each_other() {
+    let place = Place::new();
+    model::neighbours_do_not_disturb_each_other(vec![Arc::new(place.open())], Duration::from_secs(2)).await;
 }
 
 #[tokio::test]
@@ -175,6 +194,24 @@ async fn a_picture_that_is_damaged_later_ends_its_sessions_and_may_be_sent_again
     assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
 }
 
+/// What a reader found missing may be there again when it gets to say so.
+#[tokio::test]
+async fn a_picture_that_goes_and_is_sent_again_while_it_is_read_is_not_damaged() {
+    let place = Place::new();
+    let store = place.open();
+    let (a, b) = (suite::record(1), suite::record(1));
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    let writing = store.0.writing();
+    store.0.disk.change(|change| change.remove_file(a.image)).unwrap();
+    let reading = store.image(a.id, a.image);
+    // It has read nothing and waits for the right to change.
+    std::thread::sleep(Duration::from_millis(300));
+    store.0.disk.change(|change| change.add_file(b.image, &file(1))).unwrap();
+    drop(writing);
+    assert_eq!(reading.await, Ok(file(1)));
+    assert_eq!((store.peek(a.id).await.unwrap().record, store.figures().damaged), (a, 0));
+}
+
 /// Wherever a byte of the file changes, the program starts with what is whole, or says that it cannot.
 #[tokio::test]
 async fn a_flipped_byte_anywhere_is_survived() {
@@ -231,7 +268,8 @@ async fn space_is_given_back_when_the_file_is_opened() {
     drop(store);
     let store = FileStore::open(&place.0, wide).unwrap();
     println!("1 MiB of it left: {} bytes before the start, {} after", full, place.size());
-    assert!(place.size() < 8 << 20, "{}", place.size());
+    // The database gives much of it back by itself; what is left then may not be worth the trouble.
+    assert!(place.size() < 2 * store.figures().bytes + disk::SLACK, "{}", place.size());
     assert_eq!(store.image(records[0].id, records[0].image).await.unwrap().len(), 1 << 20);
     store.put(suite::record(1), file(1)).await.unwrap();
 }
