@@ -14,7 +14,11 @@ const PROCESSORS: usize = 4;
 /// A block as large as this is mapped by itself. Frames of a drag are made of smaller ones.
 const LARGE: c_int = 4 << 20;
 
+/// The end of an arena goes back only by trimming: a drag that frees its frame would otherwise give back what the next one takes.
+const END: c_int = 64 << 20;
+
 /// Of `malloc.h`.
+const M_TRIM_THRESHOLD: c_int = -1;
 const M_MMAP_THRESHOLD: c_int = -3;
 const M_ARENA_MAX: c_int = -8;
 
@@ -30,7 +34,7 @@ pub(crate) fn give_back() {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
     let arenas = c_int::try_from(processors.div_ceil(PROCESSORS)).unwrap_or(c_int::MAX);
     // Where glibc refuses, the service runs, and holds more.
-    let _ = (mallopt(M_ARENA_MAX, arenas), mallopt(M_MMAP_THRESHOLD, LARGE));
+    let _ = (mallopt(M_ARENA_MAX, arenas), mallopt(M_MMAP_THRESHOLD, LARGE), mallopt(M_TRIM_THRESHOLD, END));
     let trims = || {
         loop {
             std::thread::sleep(PAUSE);
