@@ -4,7 +4,7 @@
 //! | store | what was answered is there | when it does not answer |
 //! |---|---|---|
 //! | [`memory`] | until the process ends | never |
-//! | [`file`] | after a kill or a power cut: it has reached the disk before | looking and dragging go on, changes are refused |
+//! | [`mod@file`] | after a kill or a power cut: it has reached the disk before | looking and dragging go on, changes are refused |
 //! | [`redis`] | for as long as that server keeps it; for every process that uses it | sessions that were used here go on for one idle period |
 //!
 //! A record never changes: a session whose handles or picture are replaced has another one, with another revision. The time of its last use and

@@ -1,5 +1,5 @@
 //! Sessions in one file of this machine: a session that was answered is there after the process was killed or the power went. Records, numbers and
-//! pictures live in an embedded transactional database ([`disk`]); every change of a session is one transaction that has reached the disk before it is
+//! pictures live in an embedded transactional database (`disk.rs`); every change of a session is one transaction that has reached the disk before it is
 //! answered, and goes on to its end whoever waits for it. What sessions there are is also held in memory, so that looking and using take no disk.
 //!
 //! A session that was there lives for another idle period after a start. Numbers (`seq`) and ends of idle sessions are written by the next sweep, and

@@ -1,8 +1,8 @@
 //! Sessions on a Redis or Valkey that several processes share: what one answers, the others see at once. Every operation is one script on the
-//! server ([`script`] has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
+//! server (`script.rs` has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
 //! its `maxmemory`. A picture's file is kept once a session.
 //!
-//! What is known of sessions that were used here is remembered ([`warm`]). While the server does not answer, those sessions go on for one idle
+//! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
 //! period, with numbers that rise in this process alone and are told to the server when it is back; everything else is refused.
 
 mod line;
