@@ -10,6 +10,7 @@ mod crash;
 mod decoders;
 mod doors;
 mod drag;
+mod environment;
 mod formats;
 mod golden;
 mod hostile;

@@ -1,0 +1,92 @@
+//! `deploy/env.example` is the program's own declaration of its variables, written as a file of the environment. `MLSWARP_BLESS=1` writes it anew.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use clap::{Arg, CommandFactory as _, Parser as _};
+use mlswarp::service::config::{Cli, Config};
+
+use crate::support::program::{Program, mlswarp};
+
+const HEAD: &str = "\
+# What can be set, with its default. Take away the # in front of a variable and change what follows the =.
+#
+# systemd reads it by EnvironmentFile= (systemd/mlswarp.service), Docker and Compose by --env-file and env_file. What they agree on is little: a variable
+# a line, a comment is a line of its own, and a value is everything that follows the =, without quotes and without ${...}.
+# MLSWARP_KEYS and a MLSWARP_STORE with a password are secrets: then this file is for nobody else to read.
+# Written from the program's own declaration; tests/it/environment.rs compares.
+";
+
+fn path() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("deploy/env.example")
+}
+
+/// Every option that has a variable.
+fn options() -> Vec<Arg> {
+    Cli::command().get_arguments().filter(|option| option.get_env().is_some()).cloned().collect()
+}
+
+fn variable(option: &Arg) -> &str {
+    option.get_env().unwrap().to_str().unwrap()
+}
+
+fn default(option: &Arg) -> &str {
+    let [value] = option.get_default_values() else { panic!("{} has one default", variable(option)) };
+    value.to_str().unwrap()
+}
+
+fn expected() -> String {
+    let mut text = HEAD.to_owned();
+    for option in options() {
+        let kinds: Vec<_> = option.get_value_names().unwrap().iter().map(|name| name.as_str()).collect();
+        write!(text, "\n# {} ({})\n#{}={}\n", option.get_help().unwrap(), kinds.join(" "), variable(&option), default(&option)).unwrap();
+    }
+    text
+}
+
+/// The variables of a text whose every `#NAME=` has lost its `#`, by the rules that all readers share.
+fn uncommented(text: &str) -> BTreeMap<&str, &str> {
+    let mut variables = BTreeMap::new();
+    for line in text.lines().filter(|line| line.starts_with("#MLSWARP_")) {
+        let (name, value) = line[1..].split_once('=').unwrap();
+        assert!(name.bytes().all(|b| b.is_ascii_uppercase() || b == b'_'), "{name}");
+        assert!(!value.contains([' ', '\t', '"', '\'', '\\', '$', '`', '#', ';']), "not every reader takes it as it is: {line}");
+        assert!(variables.insert(name, value).is_none(), "{name} twice");
+    }
+    variables
+}
+
+#[test]
+fn environment_example_is_what_the_program_declares() {
+    let expected = expected();
+    if std::env::var_os("MLSWARP_BLESS").is_some() {
+        std::fs::write(path(), &expected).unwrap();
+    }
+    let written = std::fs::read_to_string(path()).unwrap();
+    assert!(written == expected, "deploy/env.example is not what the program declares; MLSWARP_BLESS=1 writes it anew");
+    assert!(written.lines().all(|line| line.is_empty() || line.starts_with("# ") || line == "#" || line.starts_with("#MLSWARP_")));
+    assert_eq!(uncommented(&written).len(), options().len());
+}
+
+#[test]
+fn environment_example_uncommented_is_the_default_configuration() {
+    let written = std::fs::read_to_string(path()).unwrap();
+    let variables = uncommented(&written);
+    let flags = options().into_iter().map(|option| format!("--{}={}", option.get_long().unwrap(), variables[variable(&option)]));
+    let cli = Cli::try_parse_from(std::iter::once("mlswarp".to_owned()).chain(flags)).unwrap();
+    assert_eq!(cli.options.resolve().unwrap(), Config::default());
+}
+
+#[test]
+fn environment_example_uncommented_starts_the_program() {
+    let written = std::fs::read_to_string(path()).unwrap();
+    let mut variables = uncommented(&written);
+    // The only one that another program of this machine may contradict.
+    variables.insert("MLSWARP_LISTEN", "127.0.0.1:0");
+    let mut command = mlswarp(&["serve"]);
+    command.envs(variables);
+    let program = Program::spawn(command);
+    program.terminate();
+    assert!(program.wait().0.success());
+}
