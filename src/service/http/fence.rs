@@ -5,8 +5,8 @@ use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header::{CONTENT_LENGTH, EXPECT};
-use axum::http::{HeaderMap, HeaderName, HeaderValue};
+use axum::http::header::{CONNECTION, CONTENT_LENGTH, EXPECT};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt as _;
@@ -26,7 +26,7 @@ const LONGEST_REQUEST_ID: usize = 64;
 pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
-    let method = request.method().clone();
+    let (method, version) = (request.method().clone(), request.version());
     // The pattern, never the path: a log must not hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
     let client = client(&app, &request);
@@ -46,6 +46,10 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
         }
     };
     site.tell(response.headers_mut());
+    // The next request of this connection would perhaps come when nobody listens any more.
+    if app.is_leaving() && version < Version::HTTP_2 && response.status() != StatusCode::SWITCHING_PROTOCOLS {
+        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    }
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }

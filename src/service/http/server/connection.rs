@@ -57,15 +57,15 @@ enum Version {
 
 /// What all connections share.
 pub(super) struct Connections {
+    app: App,
     router: Router,
     config: DoorsConfig,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
-    stopping: watch::Receiver<bool>,
 }
 
 impl Connections {
-    pub(super) fn new(app: &App, router: Router, tls: Option<watch::Receiver<Arc<ServerConfig>>>, stopping: watch::Receiver<bool>) -> Self {
-        Self { router, config: app.config().doors.clone(), tls, stopping }
+    pub(super) fn new(app: &App, router: Router, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
+        Self { app: app.clone(), router, config: app.config().doors.clone(), tls }
     }
 
     /// Serves a connection until it ends.
@@ -100,7 +100,7 @@ impl Connections {
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)).with_upgrades());
         let ended = tokio::select! {
             ended = connection.as_mut() => ended,
-            () = self.stopping() => {
+            () = self.app.stopping() => {
                 connection.as_mut().graceful_shutdown();
                 connection.await
             }
@@ -125,7 +125,7 @@ impl Connections {
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)));
         let ended = tokio::select! {
             ended = connection.as_mut() => ended,
-            () = self.stopping() => {
+            () = self.app.stopping() => {
                 connection.as_mut().graceful_shutdown();
                 connection.await
             }
@@ -152,11 +152,6 @@ impl Connections {
             let answer = router.call(request);
             async move { Ok(answer.await?.map(paced)) }
         })
-    }
-
-    async fn stopping(&self) {
-        // Whoever says so is there as long as connections are served.
-        let _ = self.stopping.clone().wait_for(|stopping| *stopping).await;
     }
 }
 

@@ -1,5 +1,5 @@
 //! The listener and its end. Connections have tasks of their own (`connection.rs`); every wait for a client has an end. SIGTERM and Ctrl-C stop
-//! accepting, let requests finish for the grace period, and end the server. Keys and certificate are read again when their files change.
+//! asking for newcomers, then accepting them, let requests finish for the grace period, and end the server. Keys and certificate are read again when their files change.
 
 mod connection;
 mod reread;
@@ -96,8 +96,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     let listener = tokio::net::TcpListener::from_std(listener)?;
     raise_open_files(doors.max_connections);
     let tls = doors.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
-    let (stopping, stopped) = watch::channel(false);
-    let connections = Arc::new(Connections::new(&app, router(app.clone()), tls.as_ref().map(watch::Sender::subscribe), stopped));
+    let connections = Arc::new(Connections::new(&app, router(app.clone()), tls.as_ref().map(watch::Sender::subscribe)));
     let reread = Reread::new(&app, tls);
     let scheme = if doors.tls.is_some() { "https" } else { "http" };
     let work = config.work;
@@ -109,15 +108,22 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         "listening on {scheme}://{address}"
     );
     let mut tasks = JoinSet::new();
+    let left = async {
+        stop.await;
+        app.leave();
+        if !doors.drain_delay.is_zero() {
+            tracing::info!(delay = ?doors.drain_delay, "leaving: not ready any more, still serving");
+            tokio::time::sleep(doors.drain_delay).await;
+        }
+    };
     tokio::select! {
         () = accept(&app, &listener, &connections, &mut tasks) => {}
         () = reread.run() => {}
-        () = stop => {}
+        () = left => {}
     }
     drop(listener);
-    app.drain();
     tracing::info!(grace = ?doors.shutdown_grace, connections = tasks.len(), "stopping");
-    stopping.send_replace(true);
+    app.stop();
     let all_ended = async { while tasks.join_next().await.is_some() {} };
     // Those that go on after the grace are cut off.
     let _ = tokio::time::timeout(doors.shutdown_grace, all_ended).await;
