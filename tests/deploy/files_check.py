@@ -1,0 +1,87 @@
+"""Runs every check of the files in deploy/ (see `files`): says what held, and ends with 1 when something did not."""
+
+import subprocess
+import sys
+import traceback
+from pathlib import Path
+
+import yaml
+
+import files_kubernetes
+import files_systemd
+
+
+def tracked(*patterns):
+    return subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *patterns], check=True, capture_output=True, text=True).stdout.split("\0")[:-1]
+
+
+def silent(*command):
+    """Complaints of a linter: whatever it prints when it fails."""
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return [done.stdout.strip() or f"{command[0]} ended with {done.returncode}"] if done.returncode else []
+
+
+def shell_scripts():
+    for name in tracked():
+        try:
+            with open(name, "rb") as file:
+                head = file.read(64)
+        except OSError:
+            continue
+        if head.startswith(b"#!") and b"sh" in head.split(b"\n")[0].split(b"/")[-1]:
+            yield name
+
+
+class Twice(yaml.SafeLoader):
+    """Refuses a key that stands twice in one mapping: the first would be lost in silence."""
+
+    def construct_mapping(self, node, deep=False):
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        if twice := {str(k) for k in keys if keys.count(k) > 1}:
+            raise yaml.constructor.ConstructorError(None, None, f"twice: {', '.join(twice)}", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def yaml_files():
+    for name in tracked("*.yaml", "*.yml"):
+        try:
+            with open(name) as file:
+                list(yaml.load_all(file, Twice))
+        except yaml.YAMLError as mistake:
+            yield f"{name}: {mistake}"
+
+
+def linters():
+    """What others have learnt about such files."""
+    # DL4006 asks for a shell with `pipefail`, which a builder's need not have; what the one pipe fails to find, cargo refuses.
+    yield "hadolint has nothing to say", silent("hadolint", "--no-color", "--failure-threshold", "style", "--ignore", "DL4006", "deploy/Dockerfile")
+    scripts = sorted(shell_scripts())
+    yield f"shellcheck has nothing to say of {len(scripts)} scripts", silent("shellcheck", "-x", *scripts)
+    yield "every YAML file is one", list(yaml_files())
+    rules = "{extends: default, rules: {line-length: disable, document-start: disable, comments: {min-spaces-from-content: 1}, braces: {max-spaces-inside: 1}, comments-indentation: disable, truthy: {check-keys: false}}}"
+    yield "yamllint has nothing to say of deploy/", silent("yamllint", "--strict", "-d", rules, "deploy")
+
+
+def simulation():
+    yield "the simulation of affinity keeps its laws", silent(sys.executable, "tests/bench/affinity.py", "--check")
+
+
+def main(kept):
+    held = failed = 0
+    for checks in (linters(), simulation(), files_systemd.check(), files_kubernetes.check(Path(kept))):
+        try:
+            for what, complaints in checks:
+                print(f"{'FAILED' if complaints else '  held'}: {what}", flush=True)
+                for complaint in complaints:
+                    print(f"      {complaint}", flush=True)
+                failed += bool(complaints)
+                held += not complaints
+        except Exception:  # noqa: BLE001: a check that cannot run has failed, and the others still run
+            traceback.print_exc()
+            failed += 1
+    print(f"files: {held} checks held, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
