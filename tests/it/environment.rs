@@ -71,7 +71,7 @@ fn environment_example_is_what_the_program_declares() {
 
 #[test]
 fn environment_example_uncommented_is_the_default_configuration() {
-    let written = std::fs::read_to_string(path()).unwrap();
+    let written = expected();
     let variables = uncommented(&written);
     let flags = options().into_iter().map(|option| format!("--{}={}", option.get_long().unwrap(), variables[variable(&option)]));
     let cli = Cli::try_parse_from(std::iter::once("mlswarp".to_owned()).chain(flags)).unwrap();
@@ -80,7 +80,7 @@ fn environment_example_uncommented_is_the_default_configuration() {
 
 #[test]
 fn environment_example_uncommented_starts_the_program() {
-    let written = std::fs::read_to_string(path()).unwrap();
+    let written = expected();
     let mut variables = uncommented(&written);
     // The only one that another program of this machine may contradict.
     variables.insert("MLSWARP_LISTEN", "127.0.0.1:0");

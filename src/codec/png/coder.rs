@@ -292,6 +292,8 @@ pub(super) struct Staged<'a> {
     stage: &'a mut Stage,
 }
 
+/// For the kernel that codes many pixels at a time.
+#[cfg(target_arch = "x86_64")]
 impl Staged<'_> {
     /// The same place, to be kept in registers by a loop; its end goes back by [`Staged::go_on`].
     #[inline(always)]
@@ -309,7 +311,9 @@ impl Staged<'_> {
     pub(super) fn go_on(&mut self, (waiting, filled, at): (u64, u32, usize)) {
         (self.waiting, self.filled, self.at) = (waiting, filled, at);
     }
+}
 
+impl Staged<'_> {
     /// `length <= 56`.
     #[inline(always)]
     pub(super) fn put(&mut self, code: u64, length: u32) {
