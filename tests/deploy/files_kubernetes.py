@@ -142,6 +142,8 @@ def across(cluster):
             said += strangers(cluster, policy, rule["to"], {p["port"] for p in rule["ports"]})
     for monitor in cluster.kind("PodMonitor"):
         target = pods(monitor["spec"]["selector"]["matchLabels"], name_of(monitor))
+        job = target["spec"]["template"]["metadata"]["labels"].get(monitor["spec"].get("jobLabel")) if target else None
+        expect(f'job="{job}"' in open("deploy/prometheus/alerts.yaml").read(), f"{name_of(monitor)}: no alert asks for job {job}")
         for endpoint in monitor["spec"]["podMetricsEndpoints"]:
             expect(target is None or endpoint["port"] in ports(target), f"{name_of(monitor)}: no port {endpoint['port']}")
     for scaler in cluster.kind("HorizontalPodAutoscaler"):
@@ -346,6 +348,7 @@ def broken(objects):
     yield "the store's port", change("NetworkPolicy", "mlswarp", lambda o: o["spec"]["egress"][1]["ports"][0].update(port=6380))
     yield "a route's service", change("HTTPRoute", "mlswarp", lambda o: o["spec"]["rules"][1]["backendRefs"][0].update(port=8080))
     yield "a listener's name", change("HTTPRoute", "mlswarp", lambda o: o["spec"]["parentRefs"][0].update(sectionName="http"))
+    yield "a job's name", change("PodMonitor", "mlswarp", lambda o: o["spec"].pop("jobLabel"))
     yield "a policy's target", change("BackendTrafficPolicy", "mlswarp", lambda o: o["spec"]["targetRefs"][0].update(name="route"))
     yield "a root that can be written", change("Deployment", "mlswarp", lambda o: first(o)["securityContext"].pop("readOnlyRootFilesystem"))
     yield "memory that is not given", change("Deployment", "mlswarp", lambda o: first(o)["resources"]["requests"].update(memory="1Gi"))
@@ -375,10 +378,14 @@ def check(kept):
         mine = {(o["kind"], o["metadata"]["name"].split("-")[0]) for o in rendered(folder)}
         missing = mine - {(o["kind"], o["metadata"]["name"].split("-")[0]) for o in objects}
         yield f"{folder} renders and is part of the example", [f"{m} is not" for m in missing]
-    surprised = list(unknown_fields(objects))
-    judged = by_schema(objects + surprised, kept)
-    yield f"{len(objects)} objects keep to their schemas", [c for said in judged[: len(objects)] for c in said]
-    yield "an unknown field is refused in each", [f"{name_of(o)} takes it" for o, said in zip(surprised, judged[len(objects):]) if not said]
+    # As the README wraps them for the operator.
+    rules = {"apiVersion": "monitoring.coreos.com/v1", "kind": "PrometheusRule", "metadata": {"name": "mlswarp"}, "spec": yaml.safe_load(open("deploy/prometheus/alerts.yaml"))}
+    objects_and_rules = [*objects, rules]
+    surprised = list(unknown_fields(objects_and_rules))
+    judged = by_schema(objects_and_rules + surprised, kept)
+    count = len(objects_and_rules)
+    yield f"{count} objects keep to their schemas", [c for said in judged[:count] for c in said]
+    yield "an unknown field is refused in each", [f"{name_of(o)} takes it" for o, said in zip(surprised, judged[count:]) if not said]
     yield "names, labels and ports are there", across(cluster)
     yield "variables, grace and timeouts are the program's", against_program(cluster, declared)
     yield "the header of affinity is the session", affinity(cluster)
