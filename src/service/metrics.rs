@@ -16,6 +16,7 @@ use prometheus_client::registry::{Registry, Unit};
 use super::App;
 use super::budget::Purpose;
 use super::cache::Use;
+use super::causes::Cause;
 use super::picture::Cost;
 use super::pool::Work;
 use super::problem::Problem;
@@ -226,11 +227,14 @@ impl App {
         sheet.gauge("cache_values", "Values that are kept", &each(|usage| usage.values))?;
         sheet.counter("cache_hits", "Looks that found a value", &each(|usage| usage.hits))?;
         sheet.counter("cache_builds", "Values that were made because they were not there", &each(|usage| usage.built))?;
-        sheet.counter("cache_evictions", "Values that made room for others", &each(|usage| usage.evicted))
+        sheet.counter("cache_evictions", "Values that made room for others", &each(|usage| usage.evicted))?;
+        let built = Cause::ALL.map(|cause| (label("cause", cause.name()), self.0.causes.count(cause)));
+        sheet.counter("plan_builds", "Tables of coefficients that were filled, by why they were not there", &built)
     }
 
     fn write_store(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
         let figures = self.0.store.figures();
+        sheet.gauge("store_up", "1 while the store does what it is asked", &one(u64::from(!figures.is_away)))?;
         sheet.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
         sheet.bytes("store_size", "Their records, and their files where those are this process's to keep", &one(figures.bytes))?;
         sheet.counter("store_damaged", "Sessions that were left out because what was stored of them was damaged", &one(figures.damaged))?;

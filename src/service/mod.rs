@@ -3,6 +3,7 @@
 
 pub mod budget;
 pub mod cache;
+pub mod causes;
 pub mod client;
 pub mod config;
 pub mod doors;
@@ -12,6 +13,7 @@ pub mod health;
 pub mod http;
 pub mod metrics;
 pub mod offline;
+mod phase;
 pub mod picture;
 pub mod pool;
 pub mod problem;
@@ -27,11 +29,13 @@ use std::time::Duration;
 
 use budget::{Budget, NoRoom, Purpose, Reservation};
 use cache::Shelf;
+use causes::Causes;
 use client::Client;
 use config::{Config, WorkConfig};
 use doors::Doors;
 use drag::seats::Seats;
 use metrics::Metrics;
+use phase::Phases;
 use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
@@ -39,7 +43,6 @@ use store::timed::Timed;
 use store::{NotOpened, Store, StoreError};
 use telemetry::tracer::{Exporting, NotTraced, Outbox, Tracer};
 use thiserror::Error;
-use tokio::sync::watch;
 
 use crate::warp::{Image, Plan, Setup};
 
@@ -71,7 +74,8 @@ struct Shared {
     setups: Shelf<Arc<Setup>>,
     store: Arc<dyn Store>,
     lanes: Lanes,
-    draining: watch::Sender<bool>,
+    phases: Phases,
+    causes: Causes,
     pictures: Pictures,
     seats: Seats,
     drags: Drags,
@@ -119,6 +123,15 @@ pub struct Counters {
     pub poses_superseded: u64,
 }
 
+/// What a service that takes work can do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ready {
+    /// Everything.
+    Whole,
+    /// Sessions that it knows and pictures that need none: the store is away.
+    WithoutStore,
+}
+
 /// Why the application was not started.
 #[derive(Debug, Error)]
 pub enum NotStarted {
@@ -154,7 +167,8 @@ impl App {
             setups: Shelf::new(work.plan_cache_bytes / SETUP_SHARE),
             store,
             lanes: Lanes::default(),
-            draining: watch::Sender::new(false),
+            phases: Phases::default(),
+            causes: Causes::default(),
             pictures: Pictures::default(),
             // Half of the places: the others are left to requests.
             seats: Seats::new(config.max_sockets, workers.max(queue / 2)),
@@ -279,44 +293,31 @@ impl App {
         self.0.setups.clear();
     }
 
-    /// The service is stopping: it is not ready for new work any more.
-    pub fn drain(&self) {
-        self.0.draining.send_replace(true);
-    }
-
-    /// Waits until the service is stopping.
-    pub async fn draining(&self) {
-        // The sender lives as long as `self`, so waiting cannot fail.
-        let _ = self.0.draining.subscribe().wait_for(|draining| *draining).await;
-    }
-
     /// Waits until no drag socket is open.
     pub async fn drags_ended(&self) {
         self.0.seats.empty().await;
     }
 
-    /// Whether work that arrives now would be admitted, and the store does its work. Answers within about a second.
+    /// Whether work that arrives now would be admitted, and with what. A store that is away after it was there leaves a service that does what it can:
+    /// all replicas share it, and a proxy that took every one of them away would end also the sessions that go on without it. Answers within about
+    /// a second.
     ///
     /// # Errors
     /// [`Code::Overloaded`], with the reason.
-    pub async fn ready(&self) -> Result<(), Problem> {
-        self.ready_for_drags()?;
+    pub async fn ready(&self) -> Result<Ready, Problem> {
+        self.stays()?;
         // Somebody who has nothing here yet would be sent away.
         if [Work::Drag, Work::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
             return Err(PoolError::Full.into());
         }
         if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
-            return Ok(self.0.store.ready().await?);
+            return match self.0.store.ready().await {
+                Ok(()) => Ok(Ready::Whole),
+                Err(_) if !self.0.store.figures().is_unknown => Ok(Ready::WithoutStore),
+                Err(away) => Err(away.into()),
+            };
         }
         Err(Problem::new(Code::Overloaded, "there is no memory for another picture").retry_after(RETRY_MEMORY))
-    }
-
-    /// Whether a drag may begin: unless the service is stopping.
-    fn ready_for_drags(&self) -> Result<(), Problem> {
-        if *self.0.draining.borrow() {
-            return Err(Problem::new(Code::Overloaded, "the service is stopping").retry_after(RETRY_QUEUE));
-        }
-        Ok(())
     }
 
     /// Whether an upload of this client would be let in now: asked before its body is read.

@@ -33,6 +33,7 @@ mod slow;
 mod soak;
 mod socket;
 mod socket_abuse;
+mod stopping;
 mod stores;
 mod support;
 mod tls;

@@ -149,7 +149,7 @@ async fn memory_is_refused_before_it_is_taken_and_what_is_idle_gives_way() {
 #[tokio::test]
 async fn a_stopping_server_is_not_ready() {
     let server = Server::start(&[]).await;
-    server.app.drain();
+    server.app.leave();
     problem(server.get("/readyz").send().await.unwrap(), 503, "overloaded").await;
     assert_eq!(server.get("/healthz").send().await.unwrap().status(), 200);
 }

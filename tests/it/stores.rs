@@ -175,18 +175,25 @@ async fn warm_sessions_go_on_while_redis_is_away() {
     refused(server.drag(&json!({"session": cold, "q": [[6, 6]]})).await).await;
     refused(server.upload("/sessions", &photo(20, 20), &json!({"p": []})).await).await;
     refused(server.client.delete(server.url(&format!("/sessions/{warm}"))).send().await.unwrap()).await;
-    refused(server.get("/readyz").send().await.unwrap()).await;
+    // All replicas have lost it: none is better than another, and this one still serves who is here.
+    let ready = server.get("/readyz").send().await.unwrap();
+    assert_eq!((ready.status(), ready.json::<Value>().await.unwrap()["store"].clone()), (reqwest::StatusCode::OK, json!("away")));
+    assert!(server.get("/metrics").send().await.unwrap().text().await.unwrap().contains("mlswarp_store_up 0\n"));
+    let newcomer = Server::start(&["--store", &redis.address()]).await;
+    refused(newcomer.get("/readyz").send().await.unwrap()).await;
     assert_eq!(server.get("/healthz").send().await.unwrap().status(), 200);
     // A picture alone needs no store.
     png(server.upload("/warp", &photo(20, 20), &json!({"p": [[3, 3]], "q": [[4, 4]]})).await).await;
 
     redis.start_again();
     for _ in 0..100 {
-        if server.get("/readyz").send().await.unwrap().status() == 200 {
+        let whole = server.get("/readyz").send().await.unwrap().json::<Value>().await.unwrap()["store"] == "there";
+        if whole && newcomer.get("/readyz").send().await.unwrap().status() == 200 {
             break;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
+    assert!(server.get("/metrics").send().await.unwrap().text().await.unwrap().contains("mlswarp_store_up 1\n"));
     problem(server.drag(&json!({"session": warm, "q": [[6, 6]]})).await, 404, "no_such_session").await;
     server.session(&photo(40, 30), &json!({"p": [[5, 5]]})).await;
 }
@@ -198,6 +205,13 @@ async fn two_replicas_on_one_redis_are_one_service() {
     assert_eq!(put(&a, &photo(40, 30)).await, 201);
     let drag = json!({"session": NAME, "q": [[8, 6]], "seq": 4});
     let (first, second) = (png(a.drag(&drag).await).await, png(b.drag(&drag).await).await);
+    // Each has built the table once: the one because it was new, the other because the session came from elsewhere; only that one had to tell a client.
+    for (server, cause) in [(&a, "new"), (&b, "elsewhere")] {
+        let text = server.get("/metrics").send().await.unwrap().text().await.unwrap();
+        for (name, count) in ["new", "evicted", "elsewhere"].map(|name| (name, u8::from(name == cause))) {
+            assert!(text.contains(&format!("mlswarp_plan_builds_total{{cause=\"{name}\"}} {count}\n")), "{name} {count} in {text}");
+        }
+    }
     assert!(first == second, "the same picture from either");
     problem(a.drag(&json!({"session": NAME, "q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;
     problem(b.drag(&json!({"session": NAME, "q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;

@@ -95,7 +95,10 @@ pub(super) struct DoorsArgs {
     /// Longest time in which a client takes nothing of what it is sent.
     #[arg(long, env = "MLSWARP_WRITE_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
     write_timeout: String,
-    /// How long requests may go on after SIGTERM or Ctrl-C.
+    /// After SIGTERM or Ctrl-C: how long newcomers are still served while /readyz says 503, for proxies to notice.
+    #[arg(long, env = "MLSWARP_DRAIN_DELAY", value_name = "TIME", default_value = "0s", global = true)]
+    drain_delay: String,
+    /// How long requests may go on after that.
     #[arg(long, env = "MLSWARP_SHUTDOWN_GRACE", value_name = "TIME", default_value = "20s", global = true)]
     shutdown_grace: String,
 }
@@ -151,6 +154,8 @@ pub struct DoorsConfig {
     pub write_timeout: Duration,
     /// How long requests may go on after a signal to stop.
     pub shutdown_grace: Duration,
+    /// How long newcomers are still served after the signal to stop.
+    pub drain_delay: Duration,
 }
 
 /// Keys as they were when the program started, and where they come from.
@@ -208,6 +213,7 @@ impl DoorsArgs {
             header_timeout: m.read("header-timeout", &self.header_timeout, units::span),
             body_timeout: m.read("body-timeout", &self.body_timeout, units::span),
             write_timeout: m.read("write-timeout", &self.write_timeout, units::span),
+            drain_delay: m.read("drain-delay", &self.drain_delay, units::pause),
             shutdown_grace: m.read("shutdown-grace", &self.shutdown_grace, units::span),
         }
     }

@@ -56,7 +56,7 @@ pub enum Command {
         #[arg(short, long)]
         out: PathBuf,
     },
-    /// Ask the server at the listen address whether it can take work; exit code 0 or 1.
+    /// Ask the server at the metrics' address, or else at the listen address, whether it can take work; exit code 0 or 1.
     Health,
 }
 

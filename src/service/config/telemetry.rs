@@ -140,7 +140,9 @@ mod tests {
             let config = resolve(&["--otlp-endpoint", text]).unwrap().telemetry;
             assert_eq!(config.otlp_endpoint.unwrap().to_string(), url);
         }
-        for bad in ["https://collector:4318", "collector:4318", "http://", "http://:4318", "http://a:b", "http://u:p@host:1", "http://host:1/a b"] {
+        for bad in
+            ["https://collector:4318", "collector:4318", "http://", "http://:4318", "http://a:b", "http://u:p@host:1", "http://host:1/a b"]
+        {
             let refused = resolve(&["--otlp-endpoint", bad]).unwrap_err();
             assert!(refused.contains("--otlp-endpoint (MLSWARP_OTLP_ENDPOINT)"), "{bad}: {refused}");
         }
@@ -148,9 +150,12 @@ mod tests {
 
     #[test]
     fn numbers_have_a_listener_of_their_own_or_none() {
-        for (listen, metrics) in
-            [("127.0.0.1:80", "127.0.0.1:80"), ("0.0.0.0:80", "127.0.0.1:80"), ("127.0.0.1:80", "[::]:80"), ("127.0.0.1:80", "localhost:80")]
-        {
+        for (listen, metrics) in [
+            ("127.0.0.1:80", "127.0.0.1:80"),
+            ("0.0.0.0:80", "127.0.0.1:80"),
+            ("127.0.0.1:80", "[::]:80"),
+            ("127.0.0.1:80", "localhost:80"),
+        ] {
             let refused = resolve(&["--listen", listen, "--metrics-listen", metrics]).unwrap_err();
             assert!(refused.contains("--metrics-listen (MLSWARP_METRICS_LISTEN)") && refused.contains("--listen)"), "{refused}");
         }

@@ -49,6 +49,11 @@ pub(super) fn span(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(seconds))
 }
 
+/// A span of time that may also be nothing.
+pub(super) fn pause(text: &str) -> Result<Duration, String> {
+    if text.trim() == "0s" { Ok(Duration::ZERO) } else { span(text) }
+}
+
 fn split(text: &str) -> (String, &str) {
     let text = text.trim();
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '_')).unwrap_or(text.len());
@@ -92,6 +97,7 @@ mod tests {
 
     #[test]
     fn spans_need_a_unit() {
+        assert_eq!((pause("0s"), pause("5s")), (Ok(Duration::ZERO), Ok(Duration::from_secs(5))));
         assert_eq!(span("15m"), Ok(Duration::from_secs(900)));
         assert_eq!(span("2.5s"), Ok(Duration::from_millis(2500)));
         assert_eq!(span("500ms"), Ok(Duration::from_millis(500)));

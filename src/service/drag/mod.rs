@@ -96,7 +96,7 @@ impl App {
     /// Unknown session, or no room.
     pub async fn open_drag(&self, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
-        self.ready_for_drags()?;
+        self.opens_sockets()?;
         let seat = self.0.seats.take(id)?;
         let held = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
         let setup = self.session_setup(&record).await?;

@@ -5,8 +5,8 @@ use std::panic::AssertUnwindSafe;
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header::{CONTENT_LENGTH, EXPECT};
-use axum::http::{HeaderMap, HeaderName, HeaderValue};
+use axum::http::header::{CONNECTION, CONTENT_LENGTH, EXPECT};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt as _;
@@ -59,7 +59,7 @@ struct Head {
 
 async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Response {
     let Head { began, id, route } = head;
-    let method = request.method().clone();
+    let (method, version) = (request.method().clone(), request.version());
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
     let site = Site::new(&app.config().doors, &request);
@@ -79,6 +79,10 @@ async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Respo
         }
     };
     site.tell(response.headers_mut());
+    // The next request of this connection would perhaps come when nobody listens any more.
+    if app.is_leaving() && version < Version::HTTP_2 && response.status() != StatusCode::SWITCHING_PROTOCOLS {
+        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    }
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }

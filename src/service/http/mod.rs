@@ -84,6 +84,18 @@ pub fn router(app: App) -> Router {
         .with_state(app)
 }
 
+/// What those who watch the service may ask on a listener of their own, without a key.
+fn watched(app: App) -> Router {
+    Router::new()
+        .route("/healthz", get(health::alive))
+        .route("/readyz", get(health::ready))
+        .route("/metrics", get(metrics::text))
+        .fallback(no_such_route)
+        .method_not_allowed_fallback(no_such_method)
+        .layer(from_fn_with_state(app.clone(), fence::fence))
+        .with_state(app)
+}
+
 /// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
 async fn shed(State(app): State<App>, Extension(client): Extension<Client>, request: Request, next: Next) -> Result<Response, Problem> {
     app.admits(client)?;

@@ -119,8 +119,8 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag,
     let now = Instant::now();
     let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, now);
     let mut life = Life { heard: now, pinged: None };
-    let draining = app.draining();
-    tokio::pin!(draining);
+    let stopping = app.stopping();
+    tokio::pin!(stopping);
     loop {
         let due = drag.act(Instant::now());
         while let Some(said) = drag.say() {
@@ -149,7 +149,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag,
                 }
             }
             () = drag.work() => {}
-            () = &mut draining => return Ending::Close(CloseCode::Restart, "the service is stopping"),
+            () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = tokio::time::sleep_until(wake.into()) => {
                 let now = Instant::now();
                 // What has left meanwhile is progress.

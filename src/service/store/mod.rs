@@ -141,6 +141,10 @@ pub struct Figures {
     pub damaged: u64,
     /// Times that the store did not do what it was asked, or had no room.
     pub failures: u64,
+    /// It did not do what it was asked last.
+    pub is_away: bool,
+    /// It has never yet done what it was asked.
+    pub is_unknown: bool,
 }
 
 /// Sessions and the files of their pictures.

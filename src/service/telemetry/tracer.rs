@@ -50,7 +50,7 @@ pub struct Tracer(Arc<Shared>);
 struct Shared {
     share: f64,
     obeyed: Mutex<Bucket>,
-    queue: mpsc::Sender<Box<Collected>>,
+    queue: mpsc::Sender<Collected>,
     tally: Arc<Tally>,
 }
 
@@ -83,7 +83,7 @@ impl Tally {
 
 /// What is to be exported, before somebody does.
 pub struct Outbox {
-    queue: mpsc::Receiver<Box<Collected>>,
+    queue: mpsc::Receiver<Collected>,
     exporter: SpanExporter,
     collector: Collector,
     tally: Arc<Tally>,
@@ -130,8 +130,11 @@ impl Tracer {
     /// The span of a request, and its trace where it is sampled.
     pub(super) fn request(&self, id: &str, asked: Asked) -> (SpanContext, Option<Trace>) {
         let Asked { parent, began } = asked;
-        let (trace, caller) =
-            if parent.is_valid() { (parent.trace_id(), Some(parent.is_sampled())) } else { (RandomIdGenerator::default().new_trace_id(), None) };
+        let (trace, caller) = if parent.is_valid() {
+            (parent.trace_id(), Some(parent.is_sampled()))
+        } else {
+            (RandomIdGenerator::default().new_trace_id(), None)
+        };
         let context = self.context(trace, self.samples(trace, caller, began));
         // The name comes with the answer.
         let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("HTTP", id), began).below(parent.span_id()));
@@ -142,7 +145,8 @@ impl Tracer {
     pub(super) fn frame(&self, id: &str, handshake: Option<&SpanContext>) -> (SpanContext, Option<Trace>) {
         let trace = RandomIdGenerator::default().new_trace_id();
         let context = self.context(trace, by_share(trace, self.0.share));
-        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("drag frame", id), Instant::now()).linked(handshake));
+        let made =
+            context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("drag frame", id), Instant::now()).linked(handshake));
         (context, made)
     }
 
@@ -163,7 +167,7 @@ impl Tracer {
 
     pub(super) fn hand_over(&self, collected: Collected) {
         let spans = collected.spans() as u64;
-        if self.0.queue.try_send(Box::new(collected)).is_err() {
+        if self.0.queue.try_send(collected).is_err() {
             self.0.tally.dropped.fetch_add(spans, Ordering::Relaxed);
         }
     }
@@ -240,7 +244,7 @@ impl Outbox {
     }
 
     /// A batch; true when it is the last.
-    async fn gather(&mut self, batch: &mut Vec<Box<Collected>>, stopped: &mut oneshot::Receiver<()>) -> bool {
+    async fn gather(&mut self, batch: &mut Vec<Collected>, stopped: &mut oneshot::Receiver<()>) -> bool {
         let mut until = None;
         while batch.len() < BATCH {
             let pause = async {

@@ -14,6 +14,7 @@ use crate::pixmap::Extent;
 use crate::service::App;
 use crate::service::budget::Purpose;
 use crate::service::cache::Kept;
+use crate::service::causes::Origin;
 use crate::service::formats::Formats;
 use crate::service::picture::{Drawn, Sitting};
 use crate::service::pool::{Cancel, Lane, Ticket, Work};
@@ -159,7 +160,7 @@ impl App {
         let image = self.session_image(&ticket, record).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+        let (plan, plan_built) = self.plan(&ticket, &setup, Origin::Session, &mut timing).await?;
         Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
     }
 
@@ -182,7 +183,7 @@ impl App {
         let is_warm = self.0.plans.has(setup.plan_key()) && setup.plan_bytes().is_some();
         let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::Session(record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let (plan, plan_built) = self.plan(&ticket, &setup, &mut timing).await?;
+        let (plan, plan_built) = self.plan(&ticket, &setup, Origin::Session, &mut timing).await?;
         Ok((ticket, Walked { setup, plan, timing, plan_built }))
     }
 

@@ -15,6 +15,7 @@ pub use drag::{MeshForm, PosedMesh};
 use super::App;
 use super::budget::Purpose;
 use super::cache::{Fetched, Kept};
+use super::causes::Origin;
 use super::client::Client;
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
@@ -140,7 +141,7 @@ impl App {
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
-        let (plan, plan_built) = self.plan(ticket, &setup, &mut timing).await?;
+        let (plan, plan_built) = self.plan(ticket, &setup, Origin::Handles, &mut timing).await?;
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
@@ -177,13 +178,22 @@ impl App {
         }
     }
 
-    async fn plan(&self, ticket: &Ticket, setup: &Arc<Setup>, timing: &mut Timing) -> Result<(Arc<Kept<Plan>>, bool), Problem> {
+    async fn plan(
+        &self,
+        ticket: &Ticket,
+        setup: &Arc<Setup>,
+        origin: Origin,
+        timing: &mut Timing,
+    ) -> Result<(Arc<Kept<Plan>>, bool), Problem> {
         let began = Instant::now();
         let (app, ticket, theirs) = (self.clone(), ticket.clone(), Arc::clone(setup));
         let build = async move {
             let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
             let threads = app.0.pool.clone();
+            let key = theirs.plan_key();
             let plan = app.0.pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await?;
+            let cause = app.0.causes.built(key, origin);
+            tracing::debug!(cause = cause.name(), "a plan was built");
             Ok(Kept::new(plan, held))
         };
         let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;

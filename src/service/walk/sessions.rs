@@ -8,6 +8,7 @@ use super::{Material, Timing, lost, resolve, shelf_key, weight};
 use crate::service::App;
 use crate::service::budget::Purpose;
 use crate::service::cache::Kept;
+use crate::service::causes::Origin;
 use crate::service::client::Client;
 use crate::service::pool::{Lane, Work};
 use crate::service::problem::Problem;
@@ -76,7 +77,7 @@ impl App {
             let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
             let resolve = move |_: &_| resolve(patch.over(base), extent, &limits);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
-            self.plan(&ticket, &setup, &mut Timing::default()).await?;
+            self.plan(&ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             // Whoever was faster has changed fields that this request may not have named: they are kept.
@@ -105,6 +106,7 @@ impl App {
             self.0.images.remove(record.image);
             if let Some(setup) = setup {
                 self.0.plans.remove(setup.plan_key());
+                self.0.causes.forget(setup.plan_key());
             }
         }
     }

@@ -344,6 +344,8 @@ impl Store for FileStore {
             bytes: index.bytes(),
             damaged: self.0.damaged.load(Ordering::Relaxed),
             failures: self.0.disk.failures(),
+            is_away: !self.0.disk.is_open(),
+            is_unknown: false,
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use std::future::Future;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use redis::aio::MultiplexedConnection;
@@ -31,6 +31,8 @@ struct Shared {
     client: Client,
     slot: Mutex<Slot>,
     failures: AtomicU64,
+    is_away: AtomicBool,
+    was_heard: AtomicBool,
 }
 
 #[derive(Default)]
@@ -39,18 +41,34 @@ struct Slot {
     /// Counts connections: a failure is of one of them.
     made: u64,
     not_before: Option<Instant>,
-    is_away: bool,
 }
 
 impl Line {
     pub(super) fn new(name: &'static str, address: &Address) -> Result<Self, RedisError> {
         let client = Client::open(address.info().clone())?;
-        Ok(Self(Arc::new(Shared { name, client, slot: Mutex::default(), failures: AtomicU64::new(0) })))
+        Ok(Self(Arc::new(Shared {
+            name,
+            client,
+            slot: Mutex::default(),
+            failures: AtomicU64::new(0),
+            is_away: AtomicBool::new(false),
+            was_heard: AtomicBool::new(false),
+        })))
     }
 
     /// Requests that were not answered, or answered that there is no room.
     pub(super) fn failures(&self) -> u64 {
         self.0.failures.load(Ordering::Relaxed)
+    }
+
+    /// It did not answer what was asked last.
+    pub(super) fn is_away(&self) -> bool {
+        self.0.is_away.load(Ordering::Relaxed)
+    }
+
+    /// It has answered at some time.
+    pub(super) fn was_heard(&self) -> bool {
+        self.0.was_heard.load(Ordering::Relaxed)
     }
 
     /// The server was heard on another line: it is not left alone any longer.
@@ -81,13 +99,13 @@ impl Line {
         });
         match asked.await {
             Ok(Ok((_, Ok(answer)))) => {
-                self.is_back().await;
+                self.is_here();
                 Ok(answer)
             }
             Ok(Ok((made, Err(error)))) => Err(self.fail(made, &error).await),
             Ok(Err(away)) => Err(away),
             Err(_) => {
-                self.away(&format!("no answer within {patience:?}")).await;
+                self.away(&format!("no answer within {patience:?}"));
                 self.lose(used.into_inner(), Some(Instant::now() + PAUSE)).await;
                 Err(StoreError::Away)
             }
@@ -131,7 +149,7 @@ impl Line {
         };
         slot.not_before = Some(Instant::now() + PAUSE);
         drop(slot);
-        self.away(&why).await;
+        self.away(&why);
         Err(StoreError::Away)
     }
 
@@ -157,23 +175,23 @@ impl Line {
             tracing::error!("the session store holds something else under a session's key: {text}");
             return StoreError::Away;
         }
-        self.away(&text).await;
+        self.away(&text);
         let not_before = if error.is_connection_dropped() { None } else { Some(Instant::now() + PAUSE) };
         self.lose(made, not_before).await;
         StoreError::Away
     }
 
     /// Told once, until it is back.
-    async fn away(&self, why: &str) {
+    fn away(&self, why: &str) {
         self.0.failures.fetch_add(1, Ordering::Relaxed);
-        let mut slot = self.0.slot.lock().await;
-        if !std::mem::replace(&mut slot.is_away, true) {
+        if !self.0.is_away.swap(true, Ordering::Relaxed) {
             tracing::error!("the session store is away ({}): {why}", self.0.name);
         }
     }
 
-    async fn is_back(&self) {
-        if std::mem::take(&mut self.0.slot.lock().await.is_away) {
+    fn is_here(&self) {
+        self.0.was_heard.store(true, Ordering::Relaxed);
+        if self.is_away() && self.0.is_away.swap(false, Ordering::Relaxed) {
             tracing::info!("the session store is back ({})", self.0.name);
         }
     }

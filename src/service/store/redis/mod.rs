@@ -323,6 +323,8 @@ impl Store for RedisStore {
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
             failures: self.0.line.failures() + self.0.files.failures(),
+            is_away: self.0.line.is_away(),
+            is_unknown: !self.0.line.was_heard(),
         }
     }
 }
