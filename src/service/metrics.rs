@@ -181,7 +181,8 @@ impl Collector for App {
         self.write_memory(sheet)?;
         self.write_caches(sheet)?;
         self.write_store(sheet)?;
-        self.write_pictures(sheet)
+        self.write_pictures(sheet)?;
+        self.write_traces(sheet)
     }
 }
 
@@ -254,6 +255,14 @@ impl App {
         )?;
         sheet.gauge("sockets", "Drag sockets that are open", &one(counters.sockets_open))?;
         sheet.counter("frames_sent", "Frames that were handed to drag sockets", &one(counters.frames_sent))
+    }
+}
+
+impl App {
+    fn write_traces(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let (exported, dropped) = self.tracer().map_or((0, 0), |tracer| (tracer.tally().exported(), tracer.tally().dropped()));
+        sheet.counter("spans_exported", "Spans of traces that the collector has taken", &one(exported))?;
+        sheet.counter("spans_dropped", "Spans of traces that were lost because the collector did not take them", &one(dropped))
     }
 }
 
