@@ -44,7 +44,7 @@ async fn what_goes_wrong_for_a_request_is_logged_with_its_id() {
     assert_eq!(lines(&log, "answered").iter().map(|line| line["id"].as_str().unwrap().len()).collect::<Vec<_>>(), [4, 7, 36]);
     assert_eq!(lines(&log, "a plan was built")[0]["id"], "made");
     assert_eq!(lines(&log, "the session store is away")[0]["id"], "refused");
-    assert!(lines(&log, "listening on")[0]["id"].is_null(), "outside of requests there is none");
+    assert!(lines(&log, "stopped")[0]["id"].is_null(), "outside of requests there is none");
     for line in &log {
         let line = line.to_string();
         assert!(!line.contains(&id) && !line.contains("forged") && !line.contains("/no/such"), "{line}");

@@ -1,5 +1,5 @@
 //! `GET /docs`: the contract as a page, drawn by Swagger UI from `/openapi.json`. The library comes out of the archive that its crate carries, when
-//! the page is first asked for; nothing is loaded from elsewhere, and the page's policy holds it to that.
+//! the page is first asked for (and then takes some 2 MB); nothing is loaded from elsewhere, and the page's policy holds it to that.
 
 use std::io::{Cursor, Read as _};
 use std::sync::LazyLock;
@@ -50,7 +50,10 @@ pub(super) fn files() -> Router<App> {
 }
 
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    match ASSETS.iter().find(|(known, _)| *known == name) {
+    // Unpacking takes some milliseconds, once.
+    let unpacked = tokio::task::spawn_blocking(|| &*ASSETS).await;
+    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "the server made a mistake; its log has more"))?;
+    match assets.iter().find(|(known, _)| *known == name) {
         Some((_, asset)) => Ok(asset.answer(&headers)),
         None => Err(Problem::new(Code::NotFound, format!("the page has no file {name}"))),
     }

@@ -72,6 +72,10 @@ impl HttpClient for Post {
         'a: 'b,
         Self: 'b,
     {
-        Box::pin(self.post(request))
+        Box::pin(async move {
+            let posted = self.post(request).await;
+            // The exporter says no more than that the network failed.
+            posted.inspect_err(|error| tracing::debug!(%error, "spans were not posted to {}", self.authority))
+        })
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use opentelemetry::trace::{SpanContext, TraceFlags, TraceId, TraceState};
 use opentelemetry::{InstrumentationScope, KeyValue};
-use opentelemetry_otlp::{ExporterBuildError, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
+use opentelemetry_otlp::{ExporterBuildError, Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanExporter as _};
@@ -105,6 +105,7 @@ impl Tracer {
         let built = SpanExporter::builder()
             .with_http()
             .with_endpoint(collector.to_string())
+            .with_protocol(Protocol::HttpBinary)
             .with_http_client(Post::new(&collector))
             // Trying again would stop the queue; what is lost is counted.
             .with_retry_policy(RetryPolicy::disabled())
