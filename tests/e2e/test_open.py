@@ -112,6 +112,18 @@ def test_saved_handles_are_dropped_on_an_open_picture(opened):
     assert opened.saved("download")[1] == png
 
 
+def test_a_picture_is_opened_under_a_name_of_the_page(visit, picture):
+    """A proxy that hashes the name in the path sends the upload to the replica that will get the drags."""
+    asked = []
+    visit.page.on("request", lambda request: asked.append((request.method, request.url)))
+    # As over plain HTTP to another machine.
+    visit.page.evaluate("() => Object.defineProperty(crypto, 'randomUUID', { value: undefined })")
+    visit.open(picture).ready()
+    uploads = [url for method, url in asked if method in ("POST", "PUT") and url.split("/")[-2] == "sessions"]
+    assert [url.rsplit("/", 1)[1] for url in uploads] == [visit["session"]]
+    assert visit["session"][14] == "4" and visit["session"][19] in "89ab"
+
+
 def test_another_picture_takes_the_place_of_the_first(opened, tmp_path):
     opened.click(*RED)
     opened.ready()
