@@ -13,6 +13,7 @@ use crate::service::picture::{Cost, Drawn, Picture, Piece};
 use crate::service::pool::{PoolError, Ticket};
 use crate::service::problem::Problem;
 use crate::service::session::SessionId;
+use crate::service::shares::Share;
 use crate::service::store::Record;
 use crate::service::walk::{MeshForm, PosedMesh, Timing};
 use crate::service::wire::{FrameReport, FrameTiming, MeshShape, UnreadHandles};
@@ -59,7 +60,7 @@ fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> Output
 }
 
 /// Makes a frame. Dropping the future ends the work at the next strip.
-pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> Result<Frame, Problem> {
+pub(super) async fn make(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
     let turn = app.0.seats.turn().await;
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.
     let record = app.0.store.touch(id, None).await?.record;
@@ -71,7 +72,7 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
             let q = read(&app, warm.ticket(), order.pose.q).await?;
             let shape = warm.shape(record.extent);
             let output = output(&record, format, order.width);
-            let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output).await?;
+            let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output, share).await?;
             let (pieces, cost) = collect(picture).await?;
             let full = order.width.is_none_or(|width| width >= full_width(&record));
             let report = told(seq, (extent.width(), extent.height()), full, &report, timing, cost);
@@ -82,7 +83,7 @@ pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> R
             drop(turn);
             let q = read(&app, &ticket, order.pose.q).await?;
             let shape = walked.shape(record.extent);
-            let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers).await?;
+            let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers, share).await?;
             let report = told(seq, (record.extent.width(), record.extent.height()), true, &report, timing, Cost::default());
             Frame { seq, record, shape, pieces: vec![body], report }
         }

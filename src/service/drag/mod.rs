@@ -19,8 +19,10 @@ use bytes::Bytes;
 
 use super::App;
 use super::budget::{Purpose, Reservation};
+use super::client::Client;
 use super::problem::{Code, Problem};
 use super::session::SessionId;
+use super::shares::Share;
 use super::store::Record;
 use super::walk::columns;
 use super::wire::{BadMessage, DragMessage, MeshShape};
@@ -69,6 +71,7 @@ type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 pub struct Drag {
     app: App,
     id: SessionId,
+    share: Share,
     wishes: Wishes,
     desk: Desk<Frame>,
     making: Option<Making>,
@@ -93,7 +96,7 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, or no room.
-    pub async fn open_drag(&self, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
+    pub async fn open_drag(&self, client: Client, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.opens_sockets()?;
         let seat = self.0.seats.take(id)?;
@@ -103,6 +106,7 @@ impl App {
         Ok(Drag {
             app: self.clone(),
             id,
+            share: self.share(client),
             desk: Desk::new(pace(wishes, &record), full(wishes, &record)),
             wishes,
             making: None,
@@ -173,7 +177,9 @@ impl Drag {
     pub fn act(&mut self, now: Instant) -> Option<Instant> {
         let until = loop {
             match self.desk.next(now) {
-                Step::Make(order) => self.making = Some(Box::pin(frame::make(self.app.clone(), self.id, self.wishes.form, order))),
+                Step::Make(order) => {
+                    self.making = Some(Box::pin(frame::make(self.app.clone(), self.id, self.share.clone(), self.wishes.form, order)))
+                }
                 Step::GiveUp => self.making = None,
                 Step::Send(frame) => self.lay_out(frame),
                 Step::Wait(until) => break until,
