@@ -76,7 +76,7 @@ SERVICES = {
     "bin/prometheus": "prometheus",
     "bin/wget": "busybox",
 }
-OWNED = {"data": "999:1000", "prometheus": "65534:65534", "tmp": "0:0"}
+OWNED = {"data": "999:1000", "prometheus": "65534:65534"}
 
 
 def services_image(engine):
@@ -101,7 +101,6 @@ def services_image(engine):
         for directory, owner in OWNED.items():
             (tree / directory).mkdir()
             run(*AS_ROOT, "chown", owner, tree / directory)
-        (tree / "tmp").chmod(0o1777)
         settings = ("ENV PATH=/usr/local/sbin:/usr/local/bin:/bin", 'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]')
         tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
         engine("import", *(part for setting in settings for part in ("--change", setting)), "-", tag, stdin=tar.stdout)

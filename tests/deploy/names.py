@@ -3,12 +3,20 @@
 import contextlib
 import random
 import socket
+import sys
 import threading
 
-from commands import Failure
+from commands import AS_ROOT, Failure, run
 
 A, IN = 1, 1
 NAME_ERROR = 3
+# Binds the address and hands the socket to whoever started it, at its standard input.
+BIND = """
+import socket, sys
+bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+bound.bind((sys.argv[1], 53))
+socket.send_fds(socket.socket(fileno=0), [b"."], [bound.fileno()])
+"""
 
 
 class Names:
@@ -21,15 +29,16 @@ class Names:
 
     @staticmethod
     def _bind():
-        """Resolvers ask port 53: of one of the sixteen million addresses of the loopback, nobody else needs it."""
+        """Resolvers ask port 53, which takes root to bind: of one of the sixteen million addresses of the loopback, nobody else needs it."""
         for _ in range(20):
             network = f"127.{random.randint(64, 250)}.{random.randint(1, 250)}"
-            bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            with contextlib.suppress(OSError):
-                bound.bind((f"{network}.53", 53))
-                return network, bound
-            bound.close()
-        raise Failure("no address of the loopback has port 53 free (it takes root to bind it)")
+            ours, theirs = socket.socketpair()
+            with ours, theirs:
+                done = run(*AS_ROOT, sys.executable, "-c", BIND, f"{network}.53", check=False, stdin=theirs)
+                if done.returncode == 0:
+                    _, (number,), _, _ = socket.recv_fds(ours, 1, 1)
+                    return network, socket.socket(fileno=number)
+        raise Failure(f"no address of the loopback has port 53 free: {done.stderr.decode(errors='replace')[-300:]}")
 
     @property
     def server(self):

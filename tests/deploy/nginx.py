@@ -6,7 +6,7 @@ import signal
 import time
 from contextlib import ExitStack
 
-from commands import ROOT, run, where
+from commands import AS_ROOT, ROOT, run, where
 from hands import RequestHand, Server, SocketHand
 from names import Names
 from processes import Process, redis, replica
@@ -15,7 +15,7 @@ FILE = ROOT / "deploy" / "nginx" / "nginx.conf"
 
 
 def derived(stage, listen, replicas):
-    """The file with addresses of this test in the place of its own, and nothing else changed."""
+    """The file with addresses of this test in the place of its own, and places where everybody may write."""
     text = FILE.read_text()
     for old, new in (
         ("listen 127.0.0.1:8080", f"listen {listen}"),
@@ -25,13 +25,14 @@ def derived(stage, listen, replicas):
             raise AssertionError(f"nginx.conf has no `{old}` any more")
         text = text.replace(old, new)
     place = stage.scratch / "nginx.conf"
-    place.write_text(text.replace("pid /tmp/nginx.pid", f"pid {stage.scratch}/nginx.pid"))
+    temporary = "".join(f"{kind}_temp_path {stage.scratch}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    place.write_text(text.replace("pid /tmp/nginx.pid", f"pid {stage.scratch}/nginx.pid").replace("http {\n", "http {\n" + temporary))
     return place
 
 
 def check_nginx(stage):
     check, nginx = stage.check, where("nginx")
-    said = run(nginx, "-t", "-c", FILE, check=False)
+    said = run(*AS_ROOT, nginx, "-t", "-c", FILE, check=False)
     check("nginx takes its file", said.returncode == 0, said.stderr.decode(errors="replace").splitlines()[-1:])
     with ExitStack() as running:
         names = running.enter_context(Names())
@@ -43,7 +44,7 @@ def check_nginx(stage):
         lone = replica("lone", stage, names.address(21))
         running.enter_context(lone)
         place = derived(stage, f"{front.host}:8080", [f"{a}:8080" for a in addresses])
-        server = Process("nginx", stage.scratch, [nginx, "-c", place, "-g", "daemon off;"])
+        server = Process("nginx", stage.scratch, [nginx, "-e", "stderr", "-c", place, "-g", "daemon off;"])
         running.enter_context(server)
         server.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
 

@@ -41,7 +41,6 @@ def check_scaling(stage):
         say(
             f"scaling, {what}: {rates[what, 1]:.0f} and {rates[what, 2]:.0f} requests a second, ratio {rates[what, 2] / rates[what, 1]:.2f}"
         )
-    stage.check("one and two replicas answered under load", all(rate > 0 for rate in rates.values()))
 
 
 def measure(stage, names, addresses, rates):
