@@ -15,6 +15,7 @@ use tokio::sync::watch;
 
 use super::budget::Reservation;
 use super::problem::Problem;
+use super::telemetry::Scope;
 use crate::warp::Digest;
 
 /// A value and the memory that it takes.
@@ -231,7 +232,8 @@ impl<V: Send + Sync + 'static> Shelf<V> {
                 None => {
                     let (told, outcome) = watch::channel(None);
                     entries.building.insert(key, outcome.clone());
-                    tokio::spawn(Building { shelf: self.clone(), key, told }.finish(build));
+                    let building = Building { shelf: self.clone(), key, told };
+                    tokio::spawn(Scope::current().wrap(building.finish(build)));
                     (outcome, true)
                 }
             }

@@ -1,4 +1,4 @@
-//! `mlswarp health`: asks `GET /readyz` of the server at the listen address, over a plain socket with a deadline. For health checks of
+//! `mlswarp health`: asks `GET /readyz` of the server at the listen address, or at that of its metrics where it has one, over a plain socket with a deadline. For health checks of
 //! containers: no shell, no HTTP client, no runtime. Where the server speaks TLS, its own certificate is the one that is taken.
 
 use std::io::{self, Read, Write};
@@ -20,11 +20,13 @@ const STATUS_LINE: usize = 64;
 /// # Errors
 /// It cannot be reached, or says no.
 pub fn ask(config: &Config) -> io::Result<()> {
-    let address = reachable(config.listen);
+    let watched = config.telemetry.metrics_listen;
+    let address = reachable(watched.unwrap_or(config.listen));
     let stream = TcpStream::connect_timeout(&address, PATIENCE)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let Some(files) = &config.doors.tls else { return ask_over(stream, address) };
+    // There nobody speaks TLS, and no crowd of clients keeps this one out.
+    let Some(files) = config.doors.tls.as_ref().filter(|_| watched.is_none()) else { return ask_over(stream, address) };
     let client = files.trusting_it_alone().map_err(io::Error::other)?;
     let connection = ClientConnection::new(client, ServerName::IpAddress(address.ip().into())).map_err(io::Error::other)?;
     ask_over(StreamOwned::new(connection, stream), address)

@@ -59,6 +59,12 @@ pub struct Metrics {
     stage: [Histogram; STAGES.len()],
 }
 
+/// A client may send any word as its method: those that HTTP knows.
+#[must_use]
+pub fn known_method(method: &str) -> Option<&'static str> {
+    ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"].into_iter().find(|known| *known == method)
+}
+
 /// 0.1 ms to 26 s.
 fn times() -> Histogram {
     Histogram::new(exponential_buckets(1e-4, 2.0, 19))
@@ -76,9 +82,7 @@ impl Default for Metrics {
 impl Metrics {
     /// A request was answered. `route` is a pattern, never a path.
     pub fn answered(&self, route: &str, method: &str, status: u16, took: Duration) {
-        // A client may send any word as its method.
-        let known = ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"];
-        let method = known.into_iter().find(|known| *known == method).unwrap_or("other");
+        let method = known_method(method).unwrap_or("other");
         let answered = Answered { route: route.to_owned(), method: method.to_owned(), status };
         self.answered.get_or_create(&answered).inc();
         self.durations.get_or_create(&Route { route: route.to_owned() }).observe(took.as_secs_f64());
@@ -177,7 +181,8 @@ impl Collector for App {
         self.write_memory(sheet)?;
         self.write_caches(sheet)?;
         self.write_store(sheet)?;
-        self.write_pictures(sheet)
+        self.write_pictures(sheet)?;
+        self.write_traces(sheet)
     }
 }
 
@@ -250,6 +255,14 @@ impl App {
         )?;
         sheet.gauge("sockets", "Drag sockets that are open", &one(counters.sockets_open))?;
         sheet.counter("frames_sent", "Frames that were handed to drag sockets", &one(counters.frames_sent))
+    }
+}
+
+impl App {
+    fn write_traces(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
+        let (exported, dropped) = self.tracer().map_or((0, 0), |tracer| (tracer.tally().exported(), tracer.tally().dropped()));
+        sheet.counter("spans_exported", "Spans of traces that the collector has taken", &one(exported))?;
+        sheet.counter("spans_dropped", "Spans of traces that were lost because the collector did not take them", &one(dropped))
     }
 }
 

@@ -24,8 +24,8 @@ pub mod telemetry;
 pub mod walk;
 pub mod wire;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use budget::{Budget, NoRoom, Purpose, Reservation, Short};
@@ -41,7 +41,9 @@ use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
 use shares::{Share, Shares};
+use store::timed::Timed;
 use store::{NotOpened, Store, StoreError};
+use telemetry::tracer::{Exporting, NotTraced, Outbox, Tracer};
 use thiserror::Error;
 
 use crate::warp::{Image, Plan, Setup};
@@ -81,6 +83,8 @@ struct Shared {
     seats: Seats,
     drags: Drags,
     metrics: Metrics,
+    tracer: Option<Tracer>,
+    outbox: Mutex<Option<Outbox>>,
 }
 
 /// Pictures begun, and how they ended.
@@ -140,6 +144,9 @@ pub enum NotStarted {
     /// The store cannot be opened.
     #[error("cannot open {0}")]
     Store(#[from] NotOpened),
+    /// The collector of traces is asked for in a way that is not there.
+    #[error("{0}")]
+    Traces(#[from] NotTraced),
 }
 
 impl App {
@@ -149,14 +156,8 @@ impl App {
     /// See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = store::open(&config.store.place, config.store.bounds)?;
-        Ok(Self::with_store(config, store)?)
-    }
-
-    /// Starts the compute pool over a store.
-    ///
-    /// # Errors
-    /// The operating system gives no threads.
-    pub fn with_store(config: Config, store: Arc<dyn Store>) -> Result<Self, pool::NoThreads> {
+        let (tracer, outbox) = Tracer::new(&config.telemetry)?.unzip();
+        let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
         let work = config.work;
         let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
         let shape = Shape { workers, queue, drag_wait, upload_wait };
@@ -177,6 +178,8 @@ impl App {
             seats: Seats::new(config.max_sockets, workers.max(queue / 2)),
             drags: Drags::default(),
             metrics: Metrics::default(),
+            tracer,
+            outbox: Mutex::new(outbox),
             config,
         })))
     }
@@ -287,6 +290,18 @@ impl App {
     #[must_use]
     pub fn metrics(&self) -> &Metrics {
         &self.0.metrics
+    }
+
+    /// Who begins traces, where there is a collector.
+    #[must_use]
+    pub fn tracer(&self) -> Option<&Tracer> {
+        self.0.tracer.as_ref()
+    }
+
+    /// Exports traces from now on, once. Needs a runtime.
+    #[must_use]
+    pub fn export_traces(&self) -> Option<Exporting> {
+        self.0.outbox.lock().unwrap_or_else(PoisonError::into_inner).take().map(Outbox::open)
     }
 
     /// Drops every cached picture, plan and setup, as if all had been evicted. Sessions stay.

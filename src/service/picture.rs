@@ -18,6 +18,8 @@ use super::cache::Kept;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
 use super::shares::Share;
+use super::telemetry::Scope;
+use super::telemetry::scope::stage;
 use super::walk::Timing;
 use crate::codec::Format;
 use crate::deform::Handle;
@@ -63,21 +65,53 @@ pub struct Cost {
     pub encode: Duration,
 }
 
-#[derive(Debug, Default)]
+/// What the stages of drawing cost, and where they are traced, from when to when they went on: both on many threads, and at the same time.
+#[derive(Debug)]
 struct Clock {
-    render: AtomicU64,
-    encode: AtomicU64,
+    render: Lap,
+    encode: Lap,
+    /// What `Lap`s count from.
+    began: Instant,
+    scope: Scope,
+}
+
+/// Nanoseconds.
+#[derive(Debug)]
+struct Lap {
+    spent: AtomicU64,
+    first: AtomicU64,
+    last: AtomicU64,
+}
+
+impl Default for Lap {
+    fn default() -> Self {
+        Self { spent: AtomicU64::new(0), first: AtomicU64::new(u64::MAX), last: AtomicU64::new(0) }
+    }
+}
+
+impl Default for Clock {
+    /// For the request that is worked on here.
+    fn default() -> Self {
+        Self { render: Lap::default(), encode: Lap::default(), began: Instant::now(), scope: Scope::current() }
+    }
 }
 
 impl Watch for Clock {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
         let began = Instant::now();
         work();
-        let spent = u64::try_from(began.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        match stage {
-            Stage::Render => self.render.fetch_add(spent, Ordering::Relaxed),
-            Stage::Encode => self.encode.fetch_add(spent, Ordering::Relaxed),
+        let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        let spent = nanos(began.elapsed());
+        let lap = match stage {
+            Stage::Render => &self.render,
+            Stage::Encode => &self.encode,
         };
+        lap.spent.fetch_add(spent, Ordering::Relaxed);
+        if self.scope.is_traced() {
+            let since = nanos(began.saturating_duration_since(self.began));
+            lap.first.fetch_min(since, Ordering::Relaxed);
+            lap.last.fetch_max(since + spent, Ordering::Relaxed);
+        }
     }
 }
 
@@ -99,8 +133,18 @@ impl Watch for Attended<'_> {
 
 impl Clock {
     fn cost(&self) -> Cost {
-        let read = |n: &AtomicU64| Duration::from_nanos(n.load(Ordering::Relaxed));
+        let read = |lap: &Lap| Duration::from_nanos(lap.spent.load(Ordering::Relaxed));
         Cost { render: read(&self.render), encode: read(&self.encode) }
+    }
+
+    /// Tells the stages to the trace, from the first thread's beginning to the last one's end.
+    fn tell(&self) {
+        for (name, Lap { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
+            let (first, last) = (first.load(Ordering::Relaxed), last.load(Ordering::Relaxed));
+            if first <= last {
+                self.scope.stage(name, self.began + Duration::from_nanos(first), self.began + Duration::from_nanos(last));
+            }
+        }
     }
 }
 
@@ -157,9 +201,10 @@ impl Begun {
         Self { app: app.clone(), finished: AtomicBool::new(false) }
     }
 
-    fn finish(&self, cost: Cost) {
+    fn finish(&self, clock: &Clock) {
         if !self.finished.swap(true, Ordering::Relaxed) {
-            self.app.metrics().drawn(cost);
+            self.app.metrics().drawn(clock.cost());
+            clock.tell();
             self.app.0.pictures.finished.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -188,7 +233,7 @@ type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 impl Work {
     fn take_part(&self) {
         if self.writing.work(&self.clock) {
-            self.begun.finish(self.clock.cost());
+            self.begun.finish(&self.clock);
             // A client that leaves after the last strip has missed nothing.
             let _ = self.end.send(Piece::End(self.clock.cost()));
         }
@@ -281,6 +326,7 @@ impl Easel {
             }
         };
         self.timing.deform = began.elapsed();
+        stage("deform", began);
         self.app.metrics().prepared(&self.timing);
         if warp.is_one_piece() || warp.max_bytes() <= WHOLE {
             self.whole(&warp, report, held);
@@ -301,7 +347,7 @@ impl Easel {
             if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if flow.is_continue() {
-            begun.finish(watch.clock.cost());
+            begun.finish(&watch.clock);
         }
         held.shrink_to(file.len() as u64);
         let picture = Picture::Whole { bytes: held.with(file), cost: watch.clock.cost() };

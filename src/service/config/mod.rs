@@ -4,6 +4,7 @@
 mod doors;
 mod memory;
 mod store;
+mod telemetry;
 mod units;
 mod work;
 
@@ -17,6 +18,7 @@ use clap::{Args, Parser, Subcommand};
 
 pub use doors::{DoorsConfig, KeysConfig};
 pub use store::StoreConfig;
+pub use telemetry::{Collector, TelemetryConfig};
 pub use work::{WorkConfig, WorkOptions};
 
 use crate::warp::{ImageLimits, Limits};
@@ -54,7 +56,7 @@ pub enum Command {
         #[arg(short, long)]
         out: PathBuf,
     },
-    /// Ask the server at the listen address whether it can take work; exit code 0 or 1.
+    /// Ask the server at the metrics' address, or else at the listen address, whether it can take work; exit code 0 or 1.
     Health,
 }
 
@@ -97,6 +99,8 @@ pub struct Options {
     socket_timeout: String,
     #[command(flatten)]
     doors: doors::DoorsArgs,
+    #[command(flatten)]
+    telemetry: telemetry::TelemetryArgs,
     /// What is logged, such as `info`, `mlswarp=debug,warn` or `off`.
     #[arg(long, env = "MLSWARP_LOG", value_name = "FILTER", default_value = "info", global = true)]
     log: String,
@@ -137,6 +141,8 @@ pub struct Config {
     pub socket_timeout: Duration,
     /// Who is let in, and how long clients may take.
     pub doors: DoorsConfig,
+    /// What is told of the service, and to whom.
+    pub telemetry: TelemetryConfig,
     /// What is logged.
     pub log: String,
     /// How log lines look.
@@ -192,8 +198,9 @@ impl Options {
     }
 
     fn read(&self, m: &mut Mistakes) -> Config {
+        let listen = m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080)));
         Config {
-            listen: m.read("listen", &self.listen, address).unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 8080))),
+            listen,
             work: self.work.resolve(m),
             max_body_bytes: m.read("max-body-bytes", &self.max_body_bytes, size),
             max_warp_json_bytes: m.read("max-warp-json-bytes", &self.max_warp_json_bytes, size),
@@ -210,6 +217,7 @@ impl Options {
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
             doors: self.doors.resolve(m),
+            telemetry: self.telemetry.resolve(m, listen),
             log: m.read("log", &self.log, filter),
             log_format: m.read("log-format", &self.log_format, log_format).unwrap_or(LogFormat::Text),
         }

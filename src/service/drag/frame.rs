@@ -15,6 +15,7 @@ use crate::service::problem::Problem;
 use crate::service::session::SessionId;
 use crate::service::shares::Share;
 use crate::service::store::Record;
+use crate::service::telemetry::Scope;
 use crate::service::walk::{MeshForm, PosedMesh, Timing};
 use crate::service::wire::{FrameReport, FrameTiming, MeshShape, UnreadHandles};
 use crate::warp::{OutputSpec, Report};
@@ -61,6 +62,14 @@ fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> Output
 
 /// Makes a frame. Dropping the future ends the work at the next strip.
 pub(super) async fn make(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
+    let made = walk(app, id, share, form, order).await;
+    if let Err(problem) = &made {
+        Scope::current().fail(problem.code);
+    }
+    made
+}
+
+async fn walk(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
     let turn = app.0.seats.turn().await;
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.
     let record = app.0.store.touch(id, None).await?.record;

@@ -24,6 +24,7 @@ use super::problem::{Code, Problem};
 use super::session::SessionId;
 use super::shares::Share;
 use super::store::Record;
+use super::telemetry::Scope;
 use super::walk::columns;
 use super::wire::{BadMessage, DragMessage, MeshShape};
 use desk::{Desk, Pose, Step};
@@ -166,7 +167,8 @@ impl Drag {
 
     /// Tells the client what is wrong.
     pub fn complain(&mut self, seq: Option<u64>, problem: &Problem) {
-        let mut document = problem.to_json(None);
+        // The id of the request that has opened the socket.
+        let mut document = problem.to_json(Scope::current().id());
         if let (Some(seq), Some(members)) = (seq, document.as_object_mut()) {
             members.insert("seq".to_owned(), seq.into());
         }
@@ -178,7 +180,9 @@ impl Drag {
         let until = loop {
             match self.desk.next(now) {
                 Step::Make(order) => {
-                    self.making = Some(Box::pin(frame::make(self.app.clone(), self.id, self.share.clone(), self.wishes.form, order)))
+                    let scope = Scope::current().frame(self.app.tracer());
+                    let making = frame::make(self.app.clone(), self.id, self.share.clone(), self.wishes.form, order);
+                    self.making = Some(Box::pin(scope.wrap(making)));
                 }
                 Step::GiveUp => self.making = None,
                 Step::Send(frame) => self.lay_out(frame),

@@ -10,6 +10,11 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt as _;
+use opentelemetry::Context;
+use opentelemetry::propagation::TextMapPropagator as _;
+use opentelemetry::trace::{SpanContext, TraceContextExt as _};
+use opentelemetry_http::HeaderExtractor;
+use opentelemetry_sdk::propagation::TraceContextPropagator;
 use uuid::Uuid;
 
 use super::body::{Guard, too_large};
@@ -17,30 +22,58 @@ use super::doors::client;
 use super::refuse::finish;
 use super::site::Site;
 use crate::service::App;
+use crate::service::metrics::known_method;
 use crate::service::pool::panic_text;
 use crate::service::problem::{Code, Problem};
+use crate::service::telemetry::{Answer, Asked, Scope};
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const LONGEST_REQUEST_ID: usize = 64;
 
-pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Next) -> Response {
+/// Not traced: they are asked all the time, by machines.
+const WATCHED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
+
+pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
-    let (method, version) = (request.method().clone(), request.version());
-    // The pattern, never the path: a log must not hold session ids.
+    // The pattern, never the path: neither a log nor a trace may hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
+    let tracer = app.tracer().filter(|_| !route.as_ref().is_some_and(|route| WATCHED.contains(&route.as_str())));
+    let scope = Scope::request(&id, tracer.map(|tracer| (tracer, Asked { parent: parent(request.headers()), began })));
+    let fenced = fenced(app.clone(), request, next, Head { began, id, route });
+    scope.wrap(fenced).await
+}
+
+/// The span that a client has for its request (`traceparent`, W3C); an invalid one where it has none.
+fn parent(headers: &HeaderMap) -> SpanContext {
+    let context = TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
+    context.span().span_context().clone()
+}
+
+/// What is known of a request before anything is done.
+struct Head {
+    began: Instant,
+    id: String,
+    route: Option<MatchedPath>,
+}
+
+async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Response {
+    let Head { began, id, route } = head;
+    let (method, version) = (request.method().clone(), request.version());
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
     let site = Site::new(&app.config().doors, &request);
+    let mut code = None;
     let mut response = match site.preflight(&request) {
         Some(response) => response,
         None => {
             let response = match site.check(&request) {
-                Ok(()) => answer(&app, request, next, &id).await,
+                Ok(()) => answer(&app, request, next).await,
                 Err(problem) => problem.into_response(),
             };
             if let Some(problem) = response.extensions().get::<Problem>() {
                 app.metrics().refused(problem);
+                code = Some(problem.code);
             }
             finish(response, &id)
         }
@@ -54,14 +87,17 @@ pub(super) async fn fence(State(app): State<App>, mut request: Request, next: Ne
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status().as_u16();
-    let route = route.as_ref().map_or("-", MatchedPath::as_str);
+    let pattern = route.as_ref().map(MatchedPath::as_str);
+    let scheme = if app.config().doors.tls.is_some() { "https" } else { "http" };
+    Scope::current().tell(&Answer { method: known_method(method.as_str()), route: pattern, scheme, status, code });
+    let route = pattern.unwrap_or("-");
     app.metrics().answered(route, method.as_str(), status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
-    tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), id, "answered");
+    tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), "answered");
     response
 }
 
-async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
+async fn answer(app: &App, request: Request, next: Next) -> Response {
     let config = app.config();
     let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
     let waits_for_permission = request.headers().contains_key(EXPECT);
@@ -73,7 +109,7 @@ async fn answer(app: &App, request: Request, next: Next, id: &str) -> Response {
     match tokio::time::timeout(config.doors.request_timeout, run).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
-            tracing::error!(message = panic_text(panic.as_ref()), id, "a handler panicked");
+            tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
             Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
         }
         Err(_) => {

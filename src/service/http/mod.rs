@@ -8,6 +8,7 @@
 mod accept;
 mod answer;
 mod body;
+mod docs;
 mod doors;
 mod fence;
 mod handshake;
@@ -58,6 +59,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/readyz", Open, get(health::ready)),
         ("/metrics", scraped, get(metrics::text)),
         ("/openapi.json", Open, get(openapi::document)),
+        ("/docs", Open, get(docs::page)),
     ]
 }
 
@@ -75,7 +77,19 @@ pub fn router(app: App) -> Router {
             Access::Open => (path, route),
             Access::Keyed => (path, route.layer(from_fn_with_state(app.clone(), doors::keyed))),
         })
-        .fold(page::routes(&app), |router, (path, route)| router.route(path, route))
+        .fold(page::routes(&app).merge(docs::files()), |router, (path, route)| router.route(path, route))
+        .fallback(no_such_route)
+        .method_not_allowed_fallback(no_such_method)
+        .layer(from_fn_with_state(app.clone(), fence::fence))
+        .with_state(app)
+}
+
+/// What those who watch the service may ask on a listener of their own, without a key.
+fn watched(app: App) -> Router {
+    Router::new()
+        .route("/healthz", get(health::alive))
+        .route("/readyz", get(health::ready))
+        .route("/metrics", get(metrics::text))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
         .layer(from_fn_with_state(app.clone(), fence::fence))

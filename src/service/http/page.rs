@@ -19,9 +19,9 @@ use crate::service::problem::{Code, Problem};
 
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-const HTML: &str = "text/html; charset=utf-8";
-const CSS: &str = "text/css; charset=utf-8";
-const JS: &str = "text/javascript; charset=utf-8";
+pub(super) const HTML: &str = "text/html; charset=utf-8";
+pub(super) const CSS: &str = "text/css; charset=utf-8";
+pub(super) const JS: &str = "text/javascript; charset=utf-8";
 const INDEX: &str = include_str!("page/index.html");
 /// Where the index says what this server takes, so that the page can say so before an upload.
 const LIMITS: &str = "{limits}";
@@ -49,16 +49,16 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     .collect()
 });
 
-/// A file of the page.
+/// A file of a page.
 #[derive(Clone)]
-struct Asset {
+pub(super) struct Asset {
     media: HeaderValue,
-    bytes: Bytes,
+    pub(super) bytes: Bytes,
     tag: HeaderValue,
 }
 
 impl Asset {
-    fn new(media: &'static str, bytes: Bytes) -> Self {
+    pub(super) fn new(media: &'static str, bytes: Bytes) -> Self {
         let mut tag = String::from("\"");
         for byte in &Sha256::digest(&bytes)[..16] {
             // Writing to a string does not fail.
@@ -68,7 +68,7 @@ impl Asset {
         Self { media: HeaderValue::from_static(media), bytes, tag: HeaderValue::try_from(tag).expect("hex is visible ASCII") }
     }
 
-    fn answer(&self, asked: &HeaderMap) -> Response {
+    pub(super) fn answer(&self, asked: &HeaderMap) -> Response {
         let headers = [
             (ETAG, self.tag.clone()),
             (CACHE_CONTROL, HeaderValue::from_static("no-cache")),

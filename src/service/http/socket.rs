@@ -23,6 +23,7 @@ use crate::service::config::Config;
 use crate::service::drag::bucket::Bucket;
 use crate::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
 use crate::service::problem::{Code, Problem};
+use crate::service::telemetry::Scope;
 use crate::service::walk::columns;
 
 /// Messages that a client may send in a second, and at once: a hand at 1000 Hz loses nothing.
@@ -49,7 +50,8 @@ pub(super) async fn drag(
     };
     let most = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
     let upgrade = hyper::upgrade::on(&mut request);
-    tokio::spawn(async move {
+    // What is told of the socket from now on has the handshake's id.
+    let talked = Scope::current().answered().wrap(async move {
         // Whoever has left before the answer takes the drag with it.
         let Ok(upgraded) = upgrade.await else { return };
         match upgraded.downcast::<TokioIo<Wire>>() {
@@ -57,6 +59,7 @@ pub(super) async fn drag(
             Err(upgraded) => talk(&app, drag, Line::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
         }
     });
+    tokio::spawn(talked);
     answer
 }
 

@@ -29,6 +29,9 @@ pub use gate::Load;
 use gate::{Gate, Turn};
 pub use queue::Lane;
 
+use super::telemetry::Scope;
+use super::telemetry::scope::stage;
+
 /// The operating system gives no threads.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -88,11 +91,12 @@ pub struct Pool {
     running: Arc<AtomicUsize>,
 }
 
-/// The right to compute.
+/// The right to compute, for the request that has waited for it.
 #[derive(Clone, Debug)]
 pub struct Ticket {
     gate: Arc<Gate>,
     _turn: Arc<Turn>,
+    scope: Scope,
     waited: Duration,
 }
 
@@ -207,8 +211,9 @@ impl Pool {
     pub async fn admit(&self, work: Work, lane: Lane) -> Result<Ticket, PoolError> {
         let began = Instant::now();
         let gate = self.gate(work);
-        let turn = Arc::new(gate.enter(lane).await?);
-        Ok(Ticket { gate: Arc::clone(gate), _turn: turn, waited: began.elapsed() })
+        let turn = gate.enter(lane).await;
+        stage("queue", began);
+        Ok(Ticket { gate: Arc::clone(gate), _turn: Arc::new(turn?), scope: Scope::current(), waited: began.elapsed() })
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, `work` finds its [`Cancel`] set.
@@ -252,9 +257,11 @@ impl Pool {
         let running = Running::begin(&self.running);
         Box::new(move || {
             // What a panic leaves half-done is owned by `work` and dropped with it.
-            if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
-                tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
-            }
+            ticket.scope.enter(|| {
+                if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
+                    tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
+                }
+            });
             // In this order: nothing that has ended still holds a place.
             drop((ticket, running));
         })

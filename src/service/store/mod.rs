@@ -20,6 +20,7 @@ pub mod record;
 pub mod redis;
 #[cfg(test)]
 mod suite;
+pub mod timed;
 
 use std::fmt;
 use std::future::Future;

@@ -22,6 +22,7 @@ use crate::service::problem::{Code, Problem};
 use crate::service::session::{Place, SessionId};
 use crate::service::shares::Share;
 use crate::service::store::{Record, Session};
+use crate::service::telemetry::scope::stage;
 use crate::service::wire::{DragObject, MeshObject, MeshShape, Wire};
 use crate::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup};
 
@@ -159,6 +160,7 @@ impl App {
         let began = Instant::now();
         let image = self.session_image(&ticket, record).await?;
         timing.decode = began.elapsed();
+        stage("decode", began);
         let (plan, plan_built) = self.plan(&ticket, &setup, Origin::Session, &mut timing).await?;
         Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
     }
@@ -207,6 +209,7 @@ impl App {
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
             let posed = if setup.is_wide() { app.0.pool.spread(pose) } else { pose() }?;
             timing.deform = began.elapsed();
+            stage("deform", began);
             app.metrics().prepared(&timing);
             let body = form.write(&posed, MeshShape::new(&setup, extent));
             held.shrink_to(body.len() as u64);

@@ -23,6 +23,7 @@ use super::pool::{Lane, PoolError, Ticket, Work};
 use super::problem::{Code, Problem};
 use super::session::{Revision, SessionId};
 use super::store::Record;
+use super::telemetry::scope::stage;
 use super::wire::{WarpObject, WarpPatch};
 use crate::codec::{CodecError, Format};
 use crate::pixmap::Extent;
@@ -138,6 +139,7 @@ impl App {
             self.0.images.demote(digest);
         }
         timing.decode = began.elapsed();
+        stage("decode", began);
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
         let (plan, plan_built) = self.plan(ticket, &setup, Origin::Handles, &mut timing).await?;
@@ -197,6 +199,7 @@ impl App {
         };
         let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;
         timing.plan = began.elapsed();
+        stage("plan", began);
         Ok((fetched.value, fetched.built))
     }
 }

@@ -1,6 +1,7 @@
 //! Places, mapped by f exactly and not by the grid.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use bytes::Bytes;
 
@@ -11,6 +12,7 @@ use crate::service::client::Client;
 use crate::service::pool::{Lane, Ticket, Work};
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
+use crate::service::telemetry::scope::stage;
 use crate::service::wire::PointsObject;
 use crate::warp::{GridSpec, Setup, WarpError};
 
@@ -51,6 +53,7 @@ impl App {
     async fn map(&self, ticket: &Ticket, setup: Arc<Setup>, q: Vec<Handle>, places: Vec<Point>) -> Result<Vec<Point>, Problem> {
         let pool = self.0.pool.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
+            let began = Instant::now();
             let pose = setup.pose(&q)?;
             let mut mapped = Vec::with_capacity(places.len());
             for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {
@@ -61,6 +64,7 @@ impl App {
                 let step = if step.len() > PLACES_ALONE { pool.spread(map) } else { map() };
                 mapped.extend(step.map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
             }
+            stage("deform", began);
             Ok::<_, WarpError>(mapped)
         });
         Ok(mapped.await??)

@@ -1,6 +1,7 @@
 //! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and the program itself.
 
 pub(crate) mod bombs;
+pub(crate) mod collector;
 pub(crate) mod hand;
 pub(crate) mod picture;
 pub(crate) mod program;

@@ -2,7 +2,7 @@
 //! the head; the body (`body.rs`); the answer (`steady.rs`, `streams.rs`); and what lies between two requests.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -26,8 +26,9 @@ use super::streams::{Streams, paced};
 use super::wire::Wire;
 use crate::service::App;
 use crate::service::config::DoorsConfig;
-use crate::service::doors::places::Place;
+use crate::service::doors::places::{Place, Places};
 use crate::service::doors::tls::H2;
+use crate::service::http::{router, watched};
 
 /// Streams that one HTTP/2 connection may have open.
 const STREAMS: u32 = 64;
@@ -43,6 +44,9 @@ const STREAM_WINDOW: u32 = 256 << 10;
 const CONNECTION_WINDOW: u32 = 512 << 10;
 /// What waits of a stream's answer for the client's window.
 const STREAM_SEND: usize = 64 << 10;
+
+/// Connections of those who watch the service, and of one address among them.
+const WATCHERS: (usize, usize) = (64, 32);
 
 /// What an HTTP/2 connection begins with (RFC 9113, section 3.4).
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
@@ -61,11 +65,27 @@ pub(super) struct Connections {
     router: Router,
     config: DoorsConfig,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
+    places: Places,
+    /// They go on while the service stops, to its very end.
+    are_last: bool,
 }
 
 impl Connections {
-    pub(super) fn new(app: &App, router: Router, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
-        Self { app: app.clone(), router, config: app.config().doors.clone(), tls }
+    /// Of the service.
+    pub(super) fn new(app: &App, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
+        let places = app.doors().places().clone();
+        Self { app: app.clone(), router: router(app.clone()), config: app.config().doors.clone(), tls, places, are_last: false }
+    }
+
+    /// Of those who watch it.
+    pub(super) fn of_watchers(app: &App) -> Self {
+        let places = Places::new(WATCHERS.0, WATCHERS.1);
+        Self { app: app.clone(), router: watched(app.clone()), config: app.config().doors.clone(), tls: None, places, are_last: true }
+    }
+
+    /// A place for another connection, if there is one.
+    pub(super) fn place(&self, peer: IpAddr) -> Option<Place> {
+        self.places.take(peer, self.config.trusted_proxies.iter().any(|network| network.has(peer)))
     }
 
     /// Serves a connection until it ends.
@@ -100,7 +120,7 @@ impl Connections {
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)).with_upgrades());
         let ended = tokio::select! {
             ended = connection.as_mut() => ended,
-            () = self.app.stopping() => {
+            () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
                 connection.await
             }
@@ -125,7 +145,7 @@ impl Connections {
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)));
         let ended = tokio::select! {
             ended = connection.as_mut() => ended,
-            () = self.app.stopping() => {
+            () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
                 connection.await
             }
@@ -139,6 +159,14 @@ impl Connections {
             }
         };
         log_end(ended);
+    }
+
+    /// Waits until they are to end.
+    async fn stopping(&self) {
+        if self.are_last {
+            return std::future::pending().await;
+        }
+        self.app.stopping().await;
     }
 
     fn service(

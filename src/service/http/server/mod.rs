@@ -21,16 +21,15 @@ use connection::Connections;
 use reread::Reread;
 pub(super) use wire::Wire;
 
-use super::router;
 use crate::service::config::Config;
 use crate::service::doors::tls::TlsFiles;
 use crate::service::{App, NotStarted};
 
-/// Longest time for drag sockets to close when the service stops.
+/// Longest time for drag sockets to close when the service stops, and then for the last traces to leave.
 const FAREWELL: Duration = Duration::from_secs(3);
 /// Pause when the operating system has no room for another connection.
 const NO_ROOM: Duration = Duration::from_millis(100);
-/// Files beside connections: the runtime's, the store's, the log.
+/// Files beside connections: the runtime's, the store's, the log, those who watch.
 const OTHER_FILES: u64 = 256;
 
 /// Why the server did not start, or ended.
@@ -94,9 +93,10 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
+    let watchers = config.telemetry.metrics_listen.map(listen).transpose()?;
     raise_open_files(doors.max_connections);
     let tls = doors.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
-    let connections = Arc::new(Connections::new(&app, router(app.clone()), tls.as_ref().map(watch::Sender::subscribe)));
+    let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
     let reread = Reread::new(&app, tls);
     let scheme = if doors.tls.is_some() { "https" } else { "http" };
     let work = config.work;
@@ -107,6 +107,9 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         keys = reread.keys(),
         "listening on {scheme}://{address}"
     );
+    // Until this function ends, whatever becomes of the others.
+    let _watched = watchers.map(|listener| watched(&app, listener)).transpose()?;
+    let exporting = app.export_traces();
     let mut tasks = JoinSet::new();
     let left = async {
         stop.await;
@@ -117,7 +120,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         }
     };
     tokio::select! {
-        () = accept(&app, &listener, &connections, &mut tasks) => {}
+        () = accept(&listener, &connections, &mut tasks) => {}
         () = reread.run() => {}
         () = left => {}
     }
@@ -130,13 +133,26 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     tasks.abort_all();
     // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
     let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
+    if let Some(exporting) = exporting {
+        exporting.finish(FAREWELL).await;
+    }
     tracing::info!("stopped");
     Ok(())
 }
 
+/// Answers those who watch the service, on a listener of their own, for as long as what comes back is kept.
+fn watched(app: &App, listener: TcpListener) -> io::Result<JoinSet<()>> {
+    let address = listener.local_addr()?;
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let connections = Arc::new(Connections::of_watchers(app));
+    tracing::info!("metrics and health on http://{address}");
+    let mut task = JoinSet::new();
+    task.spawn(async move { accept(&listener, &connections, &mut JoinSet::new()).await });
+    Ok(task)
+}
+
 /// Takes connections, one task each, for ever.
-async fn accept(app: &App, listener: &tokio::net::TcpListener, connections: &Arc<Connections>, tasks: &mut JoinSet<()>) {
-    let trusted = &app.config().doors.trusted_proxies;
+async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connections>, tasks: &mut JoinSet<()>) {
     loop {
         let (socket, peer) = tokio::select! {
             accepted = listener.accept() => match accepted {
@@ -152,8 +168,7 @@ async fn accept(app: &App, listener: &tokio::net::TcpListener, connections: &Arc
             },
             Some(_) = tasks.join_next() => continue,
         };
-        let is_proxy = trusted.iter().any(|network| network.has(peer.ip()));
-        let Some(place) = app.doors().places().take(peer.ip(), is_proxy) else {
+        let Some(place) = connections.place(peer.ip()) else {
             tracing::debug!(peer = %peer.ip(), "no place for another connection: it is closed");
             continue;
         };

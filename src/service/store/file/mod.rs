@@ -24,6 +24,7 @@ use redb::ReadableTable as _;
 use super::index::{Index, Will};
 use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
 use crate::service::session::{Revision, SessionId};
+use crate::service::telemetry::Scope;
 use crate::warp::Digest;
 use disk::{Change, Disk, Opened};
 
@@ -78,7 +79,8 @@ impl FileStore {
     /// Off the async threads, and to its end whoever waits for it.
     fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&Shared) -> Result<T, StoreError> + Send + 'static) -> Answer<'_, T> {
         let shared = Arc::clone(&self.0);
-        let task = tokio::task::spawn_blocking(move || work(&shared));
+        let scope = Scope::current();
+        let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&shared)));
         Box::pin(async move { task.await.unwrap_or(Err(StoreError::Away)) })
     }
 }

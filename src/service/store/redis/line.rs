@@ -12,6 +12,7 @@ use tokio::sync::Mutex;
 use tokio::time::timeout;
 
 use crate::service::store::{Address, StoreError};
+use crate::service::telemetry::Scope;
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(1);
@@ -123,7 +124,7 @@ impl Line {
         }
         drop(slot);
         let line = self.clone();
-        tokio::spawn(async move { line.connect().await }).await.unwrap_or(Err(StoreError::Away))
+        tokio::spawn(Scope::current().wrap(async move { line.connect().await })).await.unwrap_or(Err(StoreError::Away))
     }
 
     async fn connect(&self) -> Result<(u64, MultiplexedConnection), StoreError> {

@@ -22,6 +22,7 @@ use redis::{Cmd, FromRedisValue};
 
 use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
 use crate::service::session::{Revision, SessionId};
+use crate::service::telemetry::Scope;
 use crate::warp::Digest;
 use line::Line;
 use script::{number, said};
@@ -211,7 +212,7 @@ impl Shared {
             return answer;
         }
         *spared() = Some(Instant::now() + READINESS);
-        tokio::spawn(asked);
+        tokio::spawn(Scope::current().answered().wrap(asked));
         Err(StoreError::Away)
     }
 

@@ -1,0 +1,349 @@
+//! Traces on their way to a collector: which requests are traced, a bounded queue that never makes anybody wait, and one task that exports it in
+//! batches. Where the collector does not keep up, is away or never answers, spans are dropped and counted.
+//!
+//! A caller's `traceparent` is followed: what it does not sample is not traced; what it samples is, as often as [`OBEYED`] allows, since anybody
+//! may send the flag. Beyond that, and without a caller, the share decides by the trace's id, so that services of one share agree.
+
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use opentelemetry::trace::{SpanContext, TraceFlags, TraceId, TraceState};
+use opentelemetry::{InstrumentationScope, KeyValue};
+use opentelemetry_otlp::{ExporterBuildError, Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
+use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::resource::EnvResourceDetector;
+use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanExporter as _};
+use thiserror::Error;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+
+use super::post::Post;
+use super::trace::{Asked, Collected, Trace};
+use crate::service::config::{Collector, TelemetryConfig};
+use crate::service::drag::bucket::Bucket;
+
+/// Traces that wait to be exported, about a kilobyte each.
+const QUEUE: usize = 2048;
+/// Traces that are exported at once.
+const BATCH: usize = 256;
+/// How long the first of a batch waits for others.
+const PAUSE: Duration = Duration::from_secs(1);
+/// Longest time for a collector to take a batch.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Traces a second, and at once, that are made because a caller asked for them.
+const OBEYED: (f64, f64) = (100.0, 200.0);
+
+/// Traces of a collector cannot be made.
+#[derive(Debug, Error)]
+#[error("traces cannot be exported to {collector}: {why}")]
+pub struct NotTraced {
+    collector: Collector,
+    why: ExporterBuildError,
+}
+
+/// Begins traces. Cloning shares it.
+#[derive(Clone, Debug)]
+pub struct Tracer(Arc<Shared>);
+
+struct Shared {
+    share: f64,
+    obeyed: Mutex<Bucket>,
+    queue: mpsc::Sender<Collected>,
+    tally: Arc<Tally>,
+}
+
+impl fmt::Debug for Shared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Shared").field("share", &self.share).field("tally", &self.tally).finish_non_exhaustive()
+    }
+}
+
+/// What has become of spans.
+#[derive(Debug, Default)]
+pub struct Tally {
+    exported: AtomicU64,
+    dropped: AtomicU64,
+}
+
+impl Tally {
+    /// Spans that a collector has taken.
+    #[must_use]
+    pub fn exported(&self) -> u64 {
+        self.exported.load(Ordering::Relaxed)
+    }
+
+    /// Spans that were lost because the queue was full or the collector did not take them.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+}
+
+/// What is to be exported, before somebody does.
+pub struct Outbox {
+    queue: mpsc::Receiver<Collected>,
+    exporter: SpanExporter,
+    collector: Collector,
+    tally: Arc<Tally>,
+}
+
+impl fmt::Debug for Outbox {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Outbox").field("collector", &self.collector).finish_non_exhaustive()
+    }
+}
+
+impl Tracer {
+    /// For the collector of the options, if there is one.
+    ///
+    /// # Errors
+    /// The variables of OpenTelemetry ask for what is not there, such as another protocol.
+    pub fn new(config: &TelemetryConfig) -> Result<Option<(Self, Outbox)>, NotTraced> {
+        let Some(collector) = config.otlp_endpoint.clone() else { return Ok(None) };
+        let built = SpanExporter::builder()
+            .with_http()
+            .with_endpoint(collector.to_string())
+            .with_protocol(Protocol::HttpBinary)
+            .with_http_client(Post::new(&collector))
+            // Trying again would stop the queue; what is lost is counted.
+            .with_retry_policy(RetryPolicy::disabled())
+            .build();
+        let mut exporter = match built {
+            Ok(exporter) => exporter,
+            Err(why) => return Err(NotTraced { collector, why }),
+        };
+        exporter.set_resource(&resource());
+        let (sender, queue) = mpsc::channel(QUEUE);
+        let tally = Arc::<Tally>::default();
+        let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
+        let shared = Shared { share: config.otlp_sample, obeyed, queue: sender, tally: Arc::clone(&tally) };
+        Ok(Some((Self(Arc::new(shared)), Outbox { queue, exporter, collector, tally })))
+    }
+
+    /// What has become of spans so far.
+    #[must_use]
+    pub fn tally(&self) -> &Tally {
+        &self.0.tally
+    }
+
+    /// The span of a request, and its trace where it is sampled.
+    pub(super) fn request(&self, id: &str, asked: Asked) -> (SpanContext, Option<Trace>) {
+        let Asked { parent, began } = asked;
+        let (trace, caller) = if parent.is_valid() {
+            (parent.trace_id(), Some(parent.is_sampled()))
+        } else {
+            (RandomIdGenerator::default().new_trace_id(), None)
+        };
+        let context = self.context(trace, self.samples(trace, caller, began));
+        // The name comes with the answer.
+        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("HTTP", id), began).below(parent.span_id()));
+        (context, made)
+    }
+
+    /// The span of a frame. It is no child of its handshake, whose trace would have no end; it links to it.
+    pub(super) fn frame(&self, id: &str, handshake: Option<&SpanContext>) -> (SpanContext, Option<Trace>) {
+        let trace = RandomIdGenerator::default().new_trace_id();
+        let context = self.context(trace, by_share(trace, self.0.share));
+        let made =
+            context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("drag frame", id), Instant::now()).linked(handshake));
+        (context, made)
+    }
+
+    fn context(&self, trace: TraceId, sampled: bool) -> SpanContext {
+        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
+        SpanContext::new(trace, RandomIdGenerator::default().new_span_id(), flags, false, TraceState::NONE)
+    }
+
+    fn samples(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> bool {
+        let obeyed = || self.0.obeyed.lock().unwrap_or_else(PoisonError::into_inner).take(now);
+        match caller {
+            Some(false) => false,
+            Some(true) if by_share(trace, self.0.share) => true,
+            Some(true) => obeyed(),
+            None => by_share(trace, self.0.share),
+        }
+    }
+
+    pub(super) fn hand_over(&self, collected: Collected) {
+        let spans = collected.spans() as u64;
+        if self.0.queue.try_send(collected).is_err() {
+            self.0.tally.dropped.fetch_add(spans, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The last 63 bits of a random id, as OpenTelemetry's own sampler has it.
+fn by_share(trace: TraceId, share: f64) -> bool {
+    let [.., a, b, c, d, e, f, g, h] = trace.to_bytes();
+    let low = u64::from_be_bytes([a, b, c, d, e, f, g, h]) >> 1;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "between 0 and 2^63")]
+    let bound = (share * (1_u64 << 63) as f64) as u64;
+    low < bound
+}
+
+/// What sends the spans: the operator's words (`OTEL_SERVICE_NAME`, `OTEL_RESOURCE_ATTRIBUTES`) come before our own.
+fn resource() -> Resource {
+    let own = [
+        KeyValue::new("service.version", env!("CARGO_PKG_VERSION")),
+        KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string()),
+    ];
+    let resource = Resource::builder_empty()
+        .with_service_name(env!("CARGO_PKG_NAME"))
+        .with_attributes(own)
+        .with_detector(Box::new(EnvResourceDetector::new()));
+    match std::env::var("OTEL_SERVICE_NAME").ok().filter(|name| !name.is_empty()) {
+        Some(name) => resource.with_service_name(name).build(),
+        None => resource.build(),
+    }
+}
+
+/// The task that exports.
+#[derive(Debug)]
+pub struct Exporting {
+    task: JoinHandle<()>,
+    stop: oneshot::Sender<()>,
+}
+
+impl Exporting {
+    /// Exports what is left, for as long as `within`.
+    pub async fn finish(mut self, within: Duration) {
+        let _ = self.stop.send(());
+        if tokio::time::timeout(within, &mut self.task).await.is_err() {
+            self.task.abort();
+            tracing::warn!("traces that were not exported within {within:?} are lost");
+        }
+    }
+}
+
+impl Outbox {
+    /// Begins to export. Needs a runtime.
+    #[must_use]
+    pub fn open(self) -> Exporting {
+        let (stop, stopped) = oneshot::channel();
+        Exporting { task: tokio::spawn(self.run(stopped)), stop }
+    }
+
+    async fn run(mut self, mut stopped: oneshot::Receiver<()>) {
+        let scope = InstrumentationScope::builder(env!("CARGO_PKG_NAME")).with_version(env!("CARGO_PKG_VERSION")).build();
+        let mut is_away = false;
+        loop {
+            let mut batch = Vec::new();
+            let is_over = self.gather(&mut batch, &mut stopped).await;
+            let mut spans = Vec::new();
+            for collected in batch {
+                collected.write(&scope, &mut spans);
+            }
+            if !spans.is_empty() {
+                self.export(spans, &mut is_away).await;
+            }
+            if is_over {
+                return;
+            }
+        }
+    }
+
+    /// A batch; true when it is the last.
+    async fn gather(&mut self, batch: &mut Vec<Collected>, stopped: &mut oneshot::Receiver<()>) -> bool {
+        let mut until = None;
+        while batch.len() < BATCH {
+            let pause = async {
+                match until {
+                    Some(until) => tokio::time::sleep_until(until).await,
+                    None => std::future::pending().await,
+                }
+            };
+            let room = BATCH - batch.len();
+            tokio::select! {
+                biased;
+                _ = &mut *stopped, if !self.queue.is_closed() => self.queue.close(),
+                received = self.queue.recv_many(batch, room) => {
+                    if received == 0 {
+                        return true;
+                    }
+                    until.get_or_insert_with(|| tokio::time::Instant::now() + PAUSE);
+                }
+                () = pause => return false,
+            }
+        }
+        false
+    }
+
+    async fn export(&self, spans: Vec<opentelemetry_sdk::trace::SpanData>, is_away: &mut bool) {
+        let count = spans.len() as u64;
+        let why = match tokio::time::timeout(PATIENCE, self.exporter.export(spans)).await {
+            Ok(Ok(())) => {
+                self.tally.exported.fetch_add(count, Ordering::Relaxed);
+                if std::mem::take(is_away) {
+                    tracing::info!("traces are exported again ({})", self.collector);
+                }
+                return;
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => format!("no answer within {PATIENCE:?}"),
+        };
+        self.tally.dropped.fetch_add(count, Ordering::Relaxed);
+        // Told once, until it takes them again.
+        if !std::mem::replace(is_away, true) {
+            tracing::warn!("traces are not exported ({}), and dropped until they can be: {why}", self.collector);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tracer(share: f64) -> (Tracer, Outbox) {
+        let mut config = crate::service::config::Config::default().telemetry;
+        config.otlp_sample = share;
+        config.otlp_endpoint = Some(Collector::parse("http://127.0.0.1:1").unwrap());
+        Tracer::new(&config).unwrap().unwrap()
+    }
+
+    fn parent(sampled: bool) -> Asked {
+        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
+        let ids = RandomIdGenerator::default();
+        let parent = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), flags, true, TraceState::NONE);
+        Asked { parent, began: Instant::now() }
+    }
+
+    fn stranger() -> Asked {
+        Asked { parent: SpanContext::empty_context(), began: Instant::now() }
+    }
+
+    #[test]
+    fn the_share_decides_where_no_caller_does() {
+        let count = |share: f64| {
+            let (tracer, _outbox) = tracer(share);
+            (0..1000).filter(|_| tracer.request("r", stranger()).1.is_some()).count()
+        };
+        assert_eq!((count(0.0), count(1.0)), (0, 1000));
+        assert!((350..650).contains(&count(0.5)));
+    }
+
+    #[test]
+    fn a_caller_is_followed_and_bounded() {
+        let (everything, _outbox) = tracer(1.0);
+        assert!(everything.request("r", parent(false)).1.is_none(), "what the caller does not sample is not traced");
+        let (nothing, _outbox) = tracer(0.0);
+        let asked = parent(true);
+        let (context, trace) = nothing.request("r", asked.clone());
+        assert!(trace.is_some() && context.trace_id() == asked.parent.trace_id() && context.span_id() != asked.parent.span_id());
+        let obeyed = (0..1000).filter(|_| nothing.request("r", parent(true)).1.is_some()).count();
+        assert!((190..600).contains(&obeyed), "{obeyed}");
+    }
+
+    #[test]
+    fn a_full_queue_drops_and_counts() {
+        let (tracer, mut outbox) = tracer(1.0);
+        for _ in 0..QUEUE + 10 {
+            drop(tracer.request("r", stranger()));
+        }
+        assert_eq!((tracer.tally().dropped(), outbox.queue.len()), (10, QUEUE));
+        outbox.queue.close();
+        drop(tracer.request("r", stranger()));
+        assert_eq!(tracer.tally().dropped(), 11, "and after the end");
+    }
+}

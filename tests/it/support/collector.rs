@@ -1,0 +1,71 @@
+//! A collector of traces: takes batches over HTTP and reads them by the crates that define them.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::routing::post;
+use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
+use opentelemetry_proto::tonic::common::v1::KeyValue;
+use opentelemetry_proto::tonic::common::v1::any_value::Value;
+use opentelemetry_proto::tonic::trace::v1::Span;
+use prost::Message as _;
+
+#[derive(Clone)]
+pub(crate) struct Collector {
+    address: SocketAddr,
+    batches: Arc<Mutex<Vec<Bytes>>>,
+}
+
+impl Collector {
+    pub(crate) async fn start() -> Self {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let collector = Self { address: listener.local_addr().unwrap(), batches: Arc::default() };
+        let router = Router::new().route("/v1/traces", post(take)).with_state(collector.clone());
+        tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
+        collector
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Everything that was sent, as it was sent.
+    pub(crate) fn bytes(&self) -> Vec<u8> {
+        self.batches.lock().unwrap().concat()
+    }
+
+    pub(crate) fn requests(&self) -> Vec<ExportTraceServiceRequest> {
+        let batches = self.batches.lock().unwrap();
+        batches.iter().map(|batch| ExportTraceServiceRequest::decode(batch.clone()).unwrap()).collect()
+    }
+
+    pub(crate) fn spans(&self) -> Vec<Span> {
+        let scopes = self.requests().into_iter().flat_map(|request| request.resource_spans).flat_map(|spans| spans.scope_spans);
+        scopes.flat_map(|scope| scope.spans).collect()
+    }
+
+    /// The span of that name.
+    pub(crate) fn named(&self, name: &str) -> Option<Span> {
+        self.spans().into_iter().find(|span| span.name == name)
+    }
+}
+
+async fn take(State(collector): State<Collector>, headers: HeaderMap, batch: Bytes) {
+    assert_eq!(headers["content-type"], "application/x-protobuf");
+    collector.batches.lock().unwrap().push(batch);
+}
+
+/// Attributes by name, as text.
+pub(crate) fn attributes(of: &[KeyValue]) -> BTreeMap<String, String> {
+    let text = |pair: &KeyValue| match pair.value.as_ref().and_then(|value| value.value.as_ref()) {
+        Some(Value::StringValue(text)) => text.clone(),
+        Some(Value::IntValue(number)) => number.to_string(),
+        other => panic!("{other:?}"),
+    };
+    of.iter().map(|pair| (pair.key.clone(), text(pair))).collect()
+}
