@@ -97,7 +97,7 @@ class Stack:
         self.engine("kill", "--signal", name, self.container(service))
 
     def figure(self, service, name, *labels):
-        return metric(Server(self.replicas[service], 8080), name, *labels)
+        return metric(Server(self.replicas[service], 9090), name, *labels)
 
 
 def metric(server, name, *labels):
