@@ -36,7 +36,10 @@ def derive(compose, given):
             for number, address in enumerate(given["replicas"], 1):
                 replica = copy.deepcopy(service)
                 replica["environment"].update(
-                    MLSWARP_LISTEN=f"{address}:8080", MLSWARP_TRUSTED_PROXIES=LOOPBACK, MLSWARP_DRAG_WAIT=DRAG_WAIT
+                    MLSWARP_LISTEN=f"{address}:8080",
+                    MLSWARP_METRICS_LISTEN=f"{address}:9090",
+                    MLSWARP_TRUSTED_PROXIES=LOOPBACK,
+                    MLSWARP_DRAG_WAIT=DRAG_WAIT,
                 )
                 services[f"{name}-{number}"] = replica
             continue
