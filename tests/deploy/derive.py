@@ -5,7 +5,7 @@ docker-compose brings. Reads the file's path, and what to put in as JSON; writes
 What is changed, and nothing else:
 - every image is one of this machine: the program's as it was built, and Debian's HAProxy, Redis and Prometheus;
 - every container is on the host's network with an address of its own of the loopback, at which it listens where it would listen at all
-  of its own, and asks the test's name server in the place of Docker's; no port is published; the loopback is the trusted network;
+  of its own, and asks the test's name server in the place of Docker's; no port is published; the loopback is the network whose proxy is trusted;
 - `scale: 2` of the replicas becomes services of their own, as one service has one address here;
 - a drag may wait longer for a worker: one machine carries here what several would, and the clients and the engine too;
 - Grafana, which Debian does not have, is left out.
