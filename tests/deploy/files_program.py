@@ -20,8 +20,8 @@ def declared():
     said = subprocess.run([PROGRAM, "--help"], check=True, capture_output=True, text=True, env=clean()).stdout
     variables = {}
     for option in re.split(r"\n(?= {2,}(?:-\w, )?--)", said):
-        if name := re.search(r"\[env: (MLSWARP_\w+)", option):
-            default = re.search(r"\[default: ([^\]]*)\]", option)
+        if name := re.search(r"\[env:\s+(MLSWARP_\w+)", option):
+            default = re.search(r"\[default:\s+([^\]]*)\]", option)
             variables[name[1]] = default[1] if default else ""
     return variables
 
