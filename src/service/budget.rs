@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytes::Bytes;
 use thiserror::Error;
 
+use super::shares::Share;
+
 /// What memory is taken for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Purpose {
@@ -53,10 +55,21 @@ impl Purpose {
     }
 }
 
+/// What there is not enough of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Short {
+    /// All of the memory that the purpose may use.
+    Memory,
+    /// What one client may hold by answers that it does not take.
+    Share,
+}
+
 /// There is not so much left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes; {} of {limit} are taken", .purpose.name(), .taken)]
+#[error("{} would need {asked} bytes; {} of {limit} are taken{}", .purpose.name(), .taken, if *.short == Short::Share { " by answers that this client has not read" } else { "" })]
 pub struct NoRoom {
+    /// Of what.
+    pub short: Short,
     /// For what.
     pub purpose: Purpose,
     /// How many bytes.
@@ -70,8 +83,8 @@ pub struct NoRoom {
 impl NoRoom {
     /// It would not fit if nothing else were there.
     #[must_use]
-    pub const fn is_forever(&self) -> bool {
-        self.asked > self.limit
+    pub fn is_forever(&self) -> bool {
+        self.short == Short::Memory && self.asked > self.limit
     }
 }
 
@@ -98,6 +111,7 @@ pub struct Reservation {
     budget: Budget,
     purpose: Purpose,
     bytes: u64,
+    share: Option<Share>,
 }
 
 impl Budget {
@@ -149,7 +163,17 @@ impl Budget {
     /// # Errors
     /// [`NoRoom`].
     pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, NoRoom> {
-        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0 };
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: None };
+        reservation.grow(bytes)?;
+        Ok(reservation)
+    }
+
+    /// Takes memory for an answer to a client, of which that client holds a share until it has left.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn take_for(&self, share: &Share, bytes: u64) -> Result<Reservation, NoRoom> {
+        let mut reservation = Reservation { budget: self.clone(), purpose: Purpose::Frame, bytes: 0, share: Some(share.clone()) };
         reservation.grow(bytes)?;
         Ok(reservation)
     }
@@ -167,12 +191,21 @@ impl Reservation {
     /// # Errors
     /// [`NoRoom`].
     pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
+        let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
+        if let Some(share) = &self.share {
+            share.take(self.bytes, more).map_err(|taken| NoRoom { short: Short::Share, purpose, asked, limit: share.limit(), taken })?;
+        }
         let account = &self.budget.0;
         let limit = self.purpose.share(account.total);
         let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
         // The sum alone decides; the parts are told, and follow.
         let taken = account.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
-        taken.map_err(|taken| NoRoom { purpose: self.purpose, asked: self.bytes.saturating_add(more), limit, taken })?;
+        if let Err(taken) = taken {
+            if let Some(share) = &self.share {
+                share.give(more);
+            }
+            return Err(NoRoom { short: Short::Memory, purpose, asked, limit, taken });
+        }
         account.by_purpose[self.purpose as usize].fetch_add(more, Ordering::Relaxed);
         self.bytes += more;
         Ok(())
@@ -183,6 +216,9 @@ impl Reservation {
         let less = self.bytes.saturating_sub(bytes);
         self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
         self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
+        if let Some(share) = &self.share {
+            share.give(less);
+        }
         self.bytes -= less;
     }
 
@@ -191,7 +227,7 @@ impl Reservation {
     pub fn split(&mut self, bytes: u64) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
-        Self { budget: self.budget.clone(), purpose: self.purpose, bytes }
+        Self { budget: self.budget.clone(), purpose: self.purpose, bytes, share: self.share.clone() }
     }
 
     /// Bytes that hold the reservation for as long as anyone holds them.
@@ -242,7 +278,7 @@ mod tests {
         let budget = Budget::new(800);
         let upload = budget.take(Purpose::Upload, 600).unwrap();
         let refused = budget.take(Purpose::Upload, 1).unwrap_err();
-        assert_eq!(refused, NoRoom { purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert_eq!(refused, NoRoom { short: Short::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
         assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
         let image = budget.take(Purpose::Image, 100).unwrap();
         assert!(budget.take(Purpose::Plan, 1).is_err());
@@ -262,6 +298,28 @@ mod tests {
         assert!(refused.is_forever());
         upload.grow(100).unwrap();
         assert_eq!(budget.taken(), 600);
+    }
+
+    #[test]
+    fn a_client_holds_its_share_until_its_answers_have_left() {
+        use crate::service::client::Client;
+        use crate::service::shares::Shares;
+        let (budget, shares) = (Budget::new(800), Shares::new(800));
+        let (share, other) = (shares.of(Client::default()), shares.of(Client { address: [10, 0, 0, 1].into(), ..Client::default() }));
+        let mut answer = budget.take_for(&share, 100).unwrap();
+        answer.grow(50).unwrap();
+        let refused = budget.take_for(&share, 60).unwrap_err();
+        assert_eq!(refused, NoRoom { short: Short::Share, purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 });
+        assert!(!budget.take_for(&share, 700).unwrap_err().is_forever());
+        let strip = answer.split(120).with(vec![0; 120]);
+        drop(answer);
+        assert_eq!((share.held(), budget.taken()), (120, 120));
+        // What the account refuses is nobody's.
+        assert_eq!(budget.take_for(&other, 750).unwrap_err().short, Short::Memory);
+        assert_eq!((other.held(), budget.taken()), (0, 120));
+        let whole = budget.take_for(&other, 600).unwrap();
+        drop((strip, whole));
+        assert_eq!((share.held(), other.held(), budget.taken()), (0, 0, 0));
     }
 
     #[test]

@@ -18,6 +18,7 @@ pub mod picture;
 pub mod pool;
 pub mod problem;
 pub mod session;
+pub mod shares;
 pub mod store;
 pub mod telemetry;
 pub mod walk;
@@ -27,7 +28,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use budget::{Budget, NoRoom, Purpose, Reservation};
+use budget::{Budget, NoRoom, Purpose, Reservation, Short};
 use cache::Shelf;
 use causes::Causes;
 use client::Client;
@@ -39,6 +40,7 @@ use phase::Phases;
 use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
+use shares::{Share, Shares};
 use store::timed::Timed;
 use store::{NotOpened, Store, StoreError};
 use telemetry::tracer::{Exporting, NotTraced, Outbox, Tracer};
@@ -68,6 +70,7 @@ struct Shared {
     config: Config,
     doors: Doors,
     budget: Budget,
+    shares: Shares,
     pool: Pool,
     images: Shelf<Image>,
     plans: Shelf<Plan>,
@@ -161,6 +164,7 @@ impl App {
         Ok(Self(Arc::new(Shared {
             doors: Doors::new(&config.doors),
             budget: Budget::new(work.memory_bytes),
+            shares: Shares::new(work.memory_bytes),
             pool: Pool::new(shape)?,
             images: Shelf::new(work.image_cache_bytes),
             plans: Shelf::new(work.plan_cache_bytes),
@@ -212,6 +216,20 @@ impl App {
         self.giving_way(|| self.0.budget.take(purpose, bytes))
     }
 
+    /// Takes memory for an answer to that client, and makes room for it as [`App::reserve`].
+    ///
+    /// # Errors
+    /// As [`App::reserve`]; and [`Code::Overloaded`] for a client that does not read its answers.
+    pub fn reserve_for(&self, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
+        self.giving_way(|| self.0.budget.take_for(share, bytes))
+    }
+
+    /// What the client holds by answers that it has not read.
+    #[must_use]
+    pub fn share(&self, client: Client) -> Share {
+        self.0.shares.of(client)
+    }
+
     /// Takes so much more.
     ///
     /// # Errors
@@ -226,7 +244,7 @@ impl App {
                 Ok(taken) => return Ok(taken),
                 Err(refused) => refused,
             };
-            if refused.is_forever() || !self.give_way() {
+            if refused.is_forever() || refused.short == Short::Share || !self.give_way() {
                 self.0.budget.count_refusal();
                 return Err(refused.into());
             }
@@ -362,7 +380,10 @@ impl From<NoRoom> for Problem {
         } else {
             Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_MEMORY)
         };
-        problem.limit("memory_bytes", error.limit, error.asked)
+        match error.short {
+            Short::Memory => problem.limit("memory_bytes", error.limit, error.asked),
+            Short::Share => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
+        }
     }
 }
 

@@ -13,10 +13,11 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::budget::{Purpose, Reservation};
+use super::budget::Reservation;
 use super::cache::Kept;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
+use super::shares::Share;
 use super::telemetry::Scope;
 use super::telemetry::scope::stage;
 use super::walk::Timing;
@@ -156,11 +157,13 @@ pub(super) struct Sitting {
     pub(super) q: Vec<Handle>,
     pub(super) folds: Folds,
     pub(super) output: OutputSpec,
+    /// Whose answer it is.
+    pub(super) share: Share,
 }
 
 impl Sitting {
     fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
-        let Self { image, setup, plan, q, folds, output } = self;
+        let Self { image, setup, plan, q, folds, output, .. } = self;
         output.target(image.extent(), limits)?;
         let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, gone)?;
         Ok((Warp::new(image, &posed, output, limits)?, posed.into_report()))
@@ -309,7 +312,7 @@ impl Easel {
         let limits = self.app.config().limits;
         let gone = || self.answer.is_closed();
         let prepare = || {
-            let mut held = self.app.reserve(Purpose::Frame, sitting.setup.posed_bytes())?;
+            let mut held = self.app.reserve_for(&sitting.share, sitting.setup.posed_bytes())?;
             let pose = || sitting.warp(&limits, &gone);
             let (warp, report) = if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() }?;
             self.app.reserve_more(&mut held, warp.work_bytes())?;

@@ -414,3 +414,65 @@ async fn a_tls_handshake_without_end_is_cut() {
     let _ = stream.read_to_end(&mut said).await;
     assert!(began.elapsed() < 10 * (HEADER + WRITE));
 }
+
+/// Many connections of one client take a little of their answers now and then: each makes progress, and none is ever late.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn who_sips_holds_his_share_and_no_more() {
+    let keys = "ann ann-s-key-0123456789,bob bob-s-key-9876543210";
+    let server = Server::start(&["--keys", keys, "--memory-bytes", "128MiB", "--write-timeout", "20s"]).await;
+    let (ann, bob) = ("ann-s-key-0123456789", "bob-s-key-9876543210");
+    let session = async |key: &str, file: Vec<u8>| {
+        let upload = server.post("/sessions").bearer_auth(key).multipart(form(&file, r#"{"p": [[20, 20]]}"#)).send().await.unwrap();
+        upload.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    };
+    // Each answer is larger than what the kernel holds for a connection.
+    let (large, small) = (session(ann, photo(2000, 1500)).await, session(bob, photo(128, 96)).await);
+    let body = json!({"q": [[21, 20]], "output": {"compression": "none"}}).to_string();
+    let head = format!(
+        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: x\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    let address = server.address;
+    let sip = move |asked: String| async move {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        let mut stream = socket.connect(address).await.unwrap();
+        stream.write_all(asked.as_bytes()).await.unwrap();
+        let mut status = [0; 12];
+        stream.read_exact(&mut status).await.unwrap();
+        if status.ends_with(b"503") {
+            let mut told = String::new();
+            let _ = stream.read_to_string(&mut told).await;
+            assert!(told.contains("\"unread_bytes\"") && told.contains("retry-after: 2"), "{told}");
+            return None;
+        }
+        assert!(status.ends_with(b"200"), "{}", String::from_utf8_lossy(&status));
+        // Sips, until this is dropped.
+        Some(tokio::spawn(async move {
+            let mut sip = [0; 64];
+            while stream.read_exact(&mut sip).await.is_ok() {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        }))
+    };
+    let (share, mut sipping, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
+    for _ in 0..30 {
+        match sip(format!("{head}{body}")).await {
+            Some(sips) => sipping.push(sips),
+            None => refused += 1,
+        }
+        let held = server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
+        assert!(held <= share + (1 << 20), "{held} of {share}");
+    }
+    assert!(sipping.len() > 1 && refused > 1, "{} sip, {refused} were refused", sipping.len());
+    // Nobody else notices.
+    for n in 0..20 {
+        let drag =
+            server.post(&format!("/sessions/{small}/warp")).bearer_auth(bob).json(&json!({"q": [[20 + n, 20]]})).send().await.unwrap();
+        assert_eq!(drag.status(), 200);
+        assert!(drag.bytes().await.unwrap().starts_with(b"\x89PNG"));
+    }
+    eprintln!("{} answers are sipped, {refused} were refused", sipping.len());
+    sipping.into_iter().for_each(|sips| sips.abort());
+    eventually("what was not taken is given back", || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame) == 0).await;
+}

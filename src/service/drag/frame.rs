@@ -13,6 +13,7 @@ use crate::service::picture::{Cost, Drawn, Picture, Piece};
 use crate::service::pool::{PoolError, Ticket};
 use crate::service::problem::Problem;
 use crate::service::session::SessionId;
+use crate::service::shares::Share;
 use crate::service::store::Record;
 use crate::service::telemetry::Scope;
 use crate::service::walk::{MeshForm, PosedMesh, Timing};
@@ -60,15 +61,15 @@ fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> Output
 }
 
 /// Makes a frame. Dropping the future ends the work at the next strip.
-pub(super) async fn make(app: App, id: SessionId, form: Form, order: Order) -> Result<Frame, Problem> {
-    let made = walk(app, id, form, order).await;
+pub(super) async fn make(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
+    let made = walk(app, id, share, form, order).await;
     if let Err(problem) = &made {
         Scope::current().fail(problem.code);
     }
     made
 }
 
-async fn walk(app: App, id: SessionId, form: Form, order: Order) -> Result<Frame, Problem> {
+async fn walk(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
     let turn = app.0.seats.turn().await;
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.
     let record = app.0.store.touch(id, None).await?.record;
@@ -80,7 +81,7 @@ async fn walk(app: App, id: SessionId, form: Form, order: Order) -> Result<Frame
             let q = read(&app, warm.ticket(), order.pose.q).await?;
             let shape = warm.shape(record.extent);
             let output = output(&record, format, order.width);
-            let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output).await?;
+            let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output, share).await?;
             let (pieces, cost) = collect(picture).await?;
             let full = order.width.is_none_or(|width| width >= full_width(&record));
             let report = told(seq, (extent.width(), extent.height()), full, &report, timing, cost);
@@ -91,7 +92,7 @@ async fn walk(app: App, id: SessionId, form: Form, order: Order) -> Result<Frame
             drop(turn);
             let q = read(&app, &ticket, order.pose.q).await?;
             let shape = walked.shape(record.extent);
-            let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers).await?;
+            let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers, share).await?;
             let report = told(seq, (record.extent.width(), record.extent.height()), true, &report, timing, Cost::default());
             Frame { seq, record, shape, pieces: vec![body], report }
         }

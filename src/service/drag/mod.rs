@@ -19,8 +19,10 @@ use bytes::Bytes;
 
 use super::App;
 use super::budget::{Purpose, Reservation};
+use super::client::Client;
 use super::problem::{Code, Problem};
 use super::session::SessionId;
+use super::shares::Share;
 use super::store::Record;
 use super::telemetry::Scope;
 use super::walk::columns;
@@ -70,6 +72,7 @@ type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 pub struct Drag {
     app: App,
     id: SessionId,
+    share: Share,
     wishes: Wishes,
     desk: Desk<Frame>,
     making: Option<Making>,
@@ -94,7 +97,7 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, or no room.
-    pub async fn open_drag(&self, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
+    pub async fn open_drag(&self, client: Client, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.opens_sockets()?;
         let seat = self.0.seats.take(id)?;
@@ -104,6 +107,7 @@ impl App {
         Ok(Drag {
             app: self.clone(),
             id,
+            share: self.share(client),
             desk: Desk::new(pace(wishes, &record), full(wishes, &record)),
             wishes,
             making: None,
@@ -177,7 +181,7 @@ impl Drag {
             match self.desk.next(now) {
                 Step::Make(order) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let making = frame::make(self.app.clone(), self.id, self.wishes.form, order);
+                    let making = frame::make(self.app.clone(), self.id, self.share.clone(), self.wishes.form, order);
                     self.making = Some(Box::pin(scope.wrap(making)));
                 }
                 Step::GiveUp => self.making = None,

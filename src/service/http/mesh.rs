@@ -30,6 +30,6 @@ pub(super) async fn mesh(
     let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
     let _parsed = parsed(&app, &body)?;
     let drag = DragObject::parse_posed(&body)?;
-    let mesh = app.mesh(id, drag, form).await?;
+    let mesh = app.mesh(client, id, drag, form).await?;
     Ok(answer::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))
 }

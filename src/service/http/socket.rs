@@ -64,7 +64,7 @@ pub(super) async fn drag(
 }
 
 async fn open(app: &App, client: Client, id: &str, wishes: Wishes) -> Result<Drag, Problem> {
-    app.open_drag(session_id(client, id)?, wishes).await
+    app.open_drag(client, session_id(client, id)?, wishes).await
 }
 
 /// `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. What is not known is refused.

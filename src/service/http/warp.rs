@@ -55,7 +55,7 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
     }
-    Ok(picture(app.drag(id, drag, formats).await?, trailers))
+    Ok(picture(app.drag(client, id, drag, formats).await?, trailers))
 }
 
 /// q alone.
@@ -72,7 +72,7 @@ pub(super) async fn drag(
     let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
     let _parsed = parsed(&app, &body)?;
     let drag = DragObject::parse(&body, false)?;
-    Ok(picture(app.drag(id, drag, formats).await?, trailers))
+    Ok(picture(app.drag(client, id, drag, formats).await?, trailers))
 }
 
 /// Adds `Warp-Session` and `Location`.

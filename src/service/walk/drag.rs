@@ -12,14 +12,15 @@ use bytes::Bytes;
 use crate::deform::Handle;
 use crate::pixmap::Extent;
 use crate::service::App;
-use crate::service::budget::Purpose;
 use crate::service::cache::Kept;
 use crate::service::causes::Origin;
+use crate::service::client::Client;
 use crate::service::formats::Formats;
 use crate::service::picture::{Drawn, Sitting};
 use crate::service::pool::{Cancel, Lane, Ticket, Work};
 use crate::service::problem::{Code, Problem};
 use crate::service::session::{Place, SessionId};
+use crate::service::shares::Share;
 use crate::service::store::{Record, Session};
 use crate::service::telemetry::scope::stage;
 use crate::service::wire::{DragObject, MeshObject, MeshShape, Wire};
@@ -114,23 +115,23 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, superseded, whatever is wrong with q, or no room.
-    pub async fn drag(&self, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
+    pub async fn drag(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let turn = self.turn(id, drag.seq).await?;
         let (record, warm) = self.unless_superseded(&turn, self.warm_newest(Arc::clone(&turn.record))).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.over(&record.output) };
-        self.draw_warm(warm, drag.q, record.folds, output).await
+        self.draw_warm(warm, drag.q, record.folds, output, self.share(client)).await
     }
 
     /// The posed grid of a step of a drag; no picture is decoded or drawn.
     ///
     /// # Errors
     /// Unknown session, superseded, whatever is wrong with q, too many vertices for JSON, or no room.
-    pub async fn mesh(&self, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
+    pub async fn mesh(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let turn = self.turn(id, drag.seq).await?;
         let record = Arc::clone(&turn.record);
         let (ticket, walked) = self.unless_superseded(&turn, self.walk(&record, form)).await?;
-        self.pose_walked(ticket, walked, drag.q, &record, form).await
+        self.pose_walked(ticket, walked, drag.q, &record, form, self.share(client)).await
     }
 
     /// All that a picture of the session is made of, under a ticket. Where the session was made anew while this waited, its old file is gone: then of
@@ -171,9 +172,10 @@ impl App {
         q: Vec<Handle>,
         folds: Folds,
         output: OutputSpec,
+        share: Share,
     ) -> Result<Drawn, Problem> {
         let Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } } = warm;
-        self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await
+        self.draw(ticket, Sitting { image, setup, plan, q, folds, output, share }, timing, plan_built).await
     }
 
     /// All that a mesh of the session is made of, under a ticket.
@@ -195,6 +197,7 @@ impl App {
         q: Vec<Handle>,
         record: &Record,
         form: MeshForm,
+        share: Share,
     ) -> Result<PosedMesh, Problem> {
         let app = self.clone();
         let (folds, extent) = (record.folds, record.extent);
@@ -202,7 +205,7 @@ impl App {
             let Walked { setup, plan, mut timing, plan_built } = walked;
             let began = Instant::now();
             let gone = || cancel.is_cancelled();
-            let mut held = app.reserve(Purpose::Frame, setup.posed_bytes())?;
+            let mut held = app.reserve_for(&share, setup.posed_bytes())?;
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
             let posed = if setup.is_wide() { app.0.pool.spread(pose) } else { pose() }?;
             timing.deform = began.elapsed();

@@ -86,7 +86,8 @@ impl App {
         let q = material.object.q.clone().unwrap_or_default();
         let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
         let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
-        let drawn = self.draw(ticket, Sitting { image, setup, plan, q, folds, output }, timing, plan_built).await?;
+        let drawn =
+            self.draw(ticket, Sitting { image, setup, plan, q, folds, output, share: self.share(client) }, timing, plan_built).await?;
         Ok((drawn, material))
     }
 
