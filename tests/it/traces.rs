@@ -191,17 +191,6 @@ async fn what_is_left_is_exported_before_the_end() {
     assert_eq!((collector.headers()["x-tenant"].to_str().unwrap(), log.iter().any(|line| line["level"] == "WARN")), ("seven", false));
 }
 
-#[test]
-fn what_the_variables_of_opentelemetry_ask_for_and_is_not_there_is_told() {
-    let output = mlswarp(&["--listen", "127.0.0.1:0", "--otlp-endpoint", "http://127.0.0.1:1"])
-        .env("OTEL_EXPORTER_OTLP_COMPRESSION", "gzip")
-        .output()
-        .unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.contains("traces cannot be exported to http://127.0.0.1:1/v1/traces") && said.contains("gzip"), "{said}");
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_collector_that_is_away_or_silent_is_nobodys_trouble() {
     // It accepts connections, in its backlog, and never says anything.

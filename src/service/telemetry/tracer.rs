@@ -99,7 +99,7 @@ impl Tracer {
     /// For the collector of the options, if there is one.
     ///
     /// # Errors
-    /// The variables of OpenTelemetry ask for what is not there, such as another protocol.
+    /// The exporter cannot be made of the address and the variables of OpenTelemetry.
     pub fn new(config: &TelemetryConfig) -> Result<Option<(Self, Outbox)>, NotTraced> {
         let Some(collector) = config.otlp_endpoint.clone() else { return Ok(None) };
         let built = SpanExporter::builder()
