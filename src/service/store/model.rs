@@ -301,8 +301,9 @@ pub(super) async fn follows<S: Store>(
                 *seen.entry("opened").or_default() += 1;
                 for (j, known) in all.iter_mut().enumerate() {
                     known.forgets |= lives_anew;
-                    let truth = known.lives(Moment(began, Instant::now()));
                     let found = stores[0].peek(ids[j].id).await;
+                    // After the answer: it may have ended while it was asked for.
+                    let truth = known.lives(Moment(began, Instant::now()));
                     if lives_anew && found.is_ok() && known.live.is_none() && !known.swept {
                         // Who had expired and was not swept has another life.
                         known.live = known.dead.take();

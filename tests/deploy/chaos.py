@@ -1,0 +1,156 @@
+"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is away; a ninth uploads.
+
+Every picture is compared byte for byte with what a lone server made of the same pose before. Nothing is asserted about time; gaps are
+printed (verdict.py)."""
+
+import contextlib
+import json
+import threading
+import time
+
+from commands import Failure, say
+from hands import RequestHand, Server, SocketHand, Uploader
+from image import Container
+from names import Names
+from stack import COMPOSE, Stack
+from verdict import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Story, judge
+
+# Seconds: before the first event, from one to the next, without the store.
+CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
+HANDS = (
+    RequestHand("request 1", "chelsea.png", 0.00),
+    RequestHand("request 2", "coffee.png", 0.02),
+    RequestHand("request 3", "rocket.jpg", 0.04),
+    RequestHand("request 4", "astronaut.png", 0.06),
+    RequestHand("request 5", "horse-cutout.png", 0.08),
+    RequestHand("request 6", "chelsea.png", 0.10),
+    SocketHand("socket 1", "coffee.png", 0.05),
+    SocketHand("socket 2", "astronaut.png", 0.01),
+)
+
+
+def check_stack(stage):
+    check = stage.check
+    with Names() as names, Stack(stage.engine, names, stage.services, stage.scratch) as stack:
+        said = stack.compose("config", "--quiet", file=COMPOSE, check=False)
+        check("docker-compose takes the file as it is", said.returncode == 0, said.stderr.decode(errors="replace")[-300:])
+        stack.start()
+        with Container(stage.engine) as lone:
+            lone.wait_ready()
+            for hand in HANDS:
+                hand.learn(Server("127.0.0.1", lone.port))
+        say(f"the lone server showed {sum(len(looks) for hand in HANDS for looks in hand.looks)} pictures")
+        for hand in HANDS:
+            hand.put(stack.proxy)
+        check_proxy(check, stack)
+
+        uploader, stop, story = Uploader(), threading.Event(), Story()
+        clients = (*HANDS, uploader)
+        threads = [threading.Thread(target=client.drag, args=(stack.proxy, stop), name=client.name) for client in clients]
+        for thread in threads:
+            thread.start()
+        try:
+            facts = tell(stack, story)
+        finally:
+            stop.set()
+            for thread in threads:
+                thread.join(30)
+        judge(check, story, clients, facts)
+        look_after(check, stack, uploader)
+
+
+def check_proxy(check, stack):
+    """What the proxy does with single requests."""
+    plans, right = [], True
+    for hand in HANDS:
+        if isinstance(hand, RequestHand):
+            # The session stands in the body, and the upload came to its replica by the path.
+            body = json.dumps({"session": hand.session.upper(), "q": hand.poses[0]})
+            status, headers, picture = stack.proxy.ask("POST", "/warp", body)
+            plans.append(headers["Warp-Plan"])
+            right = right and status == 200 and picture in hand.looks[0]
+    check("POST /warp goes where the session's upload went", right and set(plans) == {"hit"}, plans)
+    status, headers, body = stack.proxy.ask("GET", "/metrics")
+    told = json.loads(body) if headers["Content-Type"] == "application/problem+json" else {}
+    check("the figures of replicas are not for everybody", (status, told.get("code")) == (404, "not_found"), status)
+    status, headers, body = stack.proxy.ask("GET", "/sessions/none", headers={"X-Request-Id": "an-id-of-the-test"})
+    check(
+        "a request's id goes through",
+        (status, headers["X-Request-Id"]) == (404, "an-id-of-the-test"),
+        f"{status} {headers['X-Request-Id']}",
+    )
+
+
+def tell(stack, story):
+    """The events, one after the other; what was seen of the replicas meanwhile."""
+    facts, (*first_two, third) = {}, stack.replicas
+    story.begin("calm")
+    time.sleep(CALM)
+
+    # docker starts it again by itself, as compose.yaml says.
+    killed = max(first_two, key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'))
+    story.begin(KILLED)
+    stack.kill(killed)
+    time.sleep(PAUSE)
+    stack.wait_balanced(2)
+
+    drained = max(first_two, key=lambda r: stack.figure(r, "mlswarp_sockets"))
+    facts["sockets drained"] = stack.figure(drained, "mlswarp_sockets")
+    story.begin(DRAINED)
+    container = stack.container(drained)
+    begun = time.monotonic()
+    stack.engine("stop", container)
+    facts["drained in"], facts["drained exit"] = time.monotonic() - begun, stack.state(container)["ExitCode"]
+    stack.names.addresses["mlswarp"].remove(stack.replicas[drained])
+    time.sleep(PAUSE - 4)
+    story.begin("it comes back")
+    stack.engine("start", container)
+    stack.names.addresses["mlswarp"].append(stack.replicas[drained])
+    stack.wait_balanced(2)
+    time.sleep(4)
+
+    story.begin("a third one is added")
+    stack.compose("up", "--detach", "--no-build", "--no-recreate", third)
+    stack.names.addresses["mlswarp"].append(stack.replicas[third])
+    stack.wait_balanced(3)
+    time.sleep(PAUSE - 3)
+    frames = stack.figure(third, "mlswarp_frames_sent_total")
+    facts["third"] = frames + stack.figure(third, "mlswarp_requests_total", 'route="/sessions/{id}/warp"')
+
+    story.begin(SILENT)
+    stack.signal("store", "STOP")
+    time.sleep(AWAY)
+    stack.signal("store", "CONT")
+    story.begin(SPEAKS)
+    time.sleep(4)
+    story.begin(ANEW)
+    stack.compose("restart", "--timeout", "5", "store")
+    time.sleep(5)
+    story.begin("the end")
+    return facts
+
+
+def look_after(check, stack, uploader):
+    """Afterwards every session is there, and where it was."""
+    lost = [hand.name for hand in HANDS if stack.proxy.ask("GET", f"/sessions/{hand.session}")[0] != 200]
+    check("no session that was dragged is lost", not lost, lost or f"{len(HANDS)} looked at")
+    behind = []
+    for hand in HANDS:
+        with contextlib.suppress(Failure):
+            seq = stack.proxy.json("GET", f"/sessions/{hand.session}", (200,))["seq"]
+            if isinstance(hand, RequestHand) and seq != hand.seq:
+                behind.append((hand.name, seq, hand.seq))
+    check("each knows how far it was dragged", not behind, behind)
+    lost = [session for session in uploader.promised if stack.proxy.ask("GET", f"/sessions/{session}")[0] != 200]
+    check("no upload that was answered is lost", not lost and uploader.promised, f"{len(uploader.promised)} looked at, {len(lost)} lost")
+    built = {
+        c: sum(stack.figure(r, "mlswarp_plan_builds_total", f'cause="{c}"') for r in stack.replicas)
+        for c in ("new", "evicted", "elsewhere")
+    }
+    say(f"plans filled, by why: {', '.join(f'{c} {n:.0f}' for c, n in built.items())} (of the processes that live)")
+    prometheus = Server(stack.addresses["prometheus"], 9090)
+    targets = prometheus.json("GET", "/api/v1/targets", (200,))["data"]["activeTargets"]
+    health = sorted(f"{t['labels']['job']} {t['health']}" for t in targets)
+    check("Prometheus asks every replica and the proxy", health == ["mlswarp up"] * 3 + ["proxy up"], health)
+    groups = prometheus.json("GET", "/api/v1/rules", (200,))["data"]["groups"]
+    check("and has the alert rules", bool(groups), f"{sum(len(g['rules']) for g in groups)} rules")

@@ -1,0 +1,249 @@
+"""Clients that drag, and one that uploads: each keeps a diary of what it was answered, and when."""
+
+import http.client
+import json
+import math
+import threading
+import time
+import uuid
+from dataclasses import dataclass, field
+
+from commands import ROOT, Failure
+from websocket import BINARY, TEXT, Closed, Refused, WebSocket
+
+# Frames a second that a hand asks for, and poses before it comes round again.
+RATE, POSES = 15, 12
+# A hand that was refused tries again after so long.
+PAUSE = 0.1
+PATIENCE = 10.0
+# Servers close silent connections after ten seconds.
+KEPT = 5.0
+PREVIEW_WIDTH = 256
+PICTURES = ROOT / "tests" / "images"
+
+
+def multipart(picture, warp):
+    """(body, content type) of an upload."""
+    boundary = uuid.uuid4().hex
+    part = f"--{boundary}\r\n" + 'Content-Disposition: form-data; name="{}"{}\r\n\r\n'
+    body = part.format("image", '; filename="picture"').encode() + picture + b"\r\n"
+    body += part.format("warp", "").encode() + json.dumps(warp).encode() + f"\r\n--{boundary}--\r\n".encode()
+    return body, f"multipart/form-data; boundary={boundary}"
+
+
+def reason(answer):
+    """Why, if a problem document says so."""
+    try:
+        return json.loads(answer)["detail"]
+    except (ValueError, KeyError, TypeError):
+        return f"no problem document: {answer[:200]!r}"
+
+
+@dataclass
+class Entry:
+    """One answer: `what` is `frame`, `upload`, `wrong` (another picture), `refused`, `cut` (it broke off) or `closed` (a socket)."""
+
+    what: str
+    at: float
+    detail: object = None
+
+
+@dataclass
+class Server:
+    """Where to ask."""
+
+    host: str
+    port: int
+    kept: threading.local = field(default_factory=threading.local)
+
+    def ask(self, method, path, body=None, kind="application/json", headers=None):
+        """(status, headers, body), over the thread's connection; whatever breaks is an OSError or an HTTPException."""
+        # One that was long silent may be closed at any moment, which would say nothing.
+        if getattr(self.kept, "connection", None) is None or time.monotonic() - self.kept.used > KEPT:
+            self.kept.connection = http.client.HTTPConnection(self.host, self.port, timeout=PATIENCE)
+        self.kept.used = time.monotonic()
+        try:
+            self.kept.connection.request(method, path, body, {**({"Content-Type": kind} if body is not None else {}), **(headers or {})})
+            answer = self.kept.connection.getresponse()
+            return answer.status, answer.headers, answer.read()
+        except BaseException:
+            self.kept.connection.close()
+            self.kept.connection = None
+            raise
+
+    def json(self, method, path, expected, body=None, kind="application/json"):
+        status, _, answered = self.ask(method, path, body, kind)
+        if status not in expected:
+            raise Failure(f"{method} {path} at {self.host} answered {status}: {answered[:300]!r}")
+        return json.loads(answered)
+
+
+class Hand:
+    """Drags a picture of its own by handles of its own, round and round."""
+
+    def __init__(self, name, picture, shift):
+        self.name, self.picture, self.shift = name, picture, shift
+        self.session = str(uuid.uuid4())
+        self.diary, self.seq = [], 0
+        self.file = (PICTURES / picture).read_bytes()
+
+    def note(self, what, detail=None):
+        self.diary.append(Entry(what, time.monotonic(), detail))
+
+    def learn(self, lone):
+        """What each pose looks like, from a server that nothing happens to."""
+        width, height = self._size(lone)
+        inner = [(0.3 + self.shift, 0.35), (0.65, 0.4 + self.shift), (0.5, 0.7 - self.shift)]
+        corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
+        self.rest = [[x * width, y * height] for x, y in inner + corners]
+        circle = [2 * math.pi * i / POSES for i in range(POSES)]
+        moves = [(0.06 * width * math.cos(angle), 0.06 * height * math.sin(angle)) for angle in circle]
+        self.poses = [[[x + dx, y + dy] if i == 0 else [x, y] for i, (x, y) in enumerate(self.rest)] for dx, dy in moves]
+        self.put(lone)
+        self.looks = self._looks(lone)
+        if len(set.union(*self.looks)) < POSES * self.views:
+            raise Failure(f"two poses of {self.picture} look the same: nothing could be told from them")
+
+    def _size(self, lone):
+        # Handles are in pixels: a session without any says how many there are.
+        body, kind = multipart(self.file, {"p": []})
+        image = lone.json("POST", "/sessions", (201,), body, kind)["image"]
+        return image["width"], image["height"]
+
+    def put(self, server):
+        body, kind = multipart(self.file, {"p": self.rest})
+        server.json("PUT", f"/sessions/{self.session}", (200, 201), body, kind)
+
+    def question(self):
+        """The pose that is due."""
+        return json.dumps({"seq": self.seq, "q": self.poses[self.seq % POSES]})
+
+    def judge(self, seq, picture, plan=None):
+        right = picture in self.looks[seq % POSES]
+        self.note("frame" if right else "wrong", plan if right else (seq, len(picture)))
+
+
+class RequestHand(Hand):
+    """By `POST /sessions/{id}/warp`, one after the other."""
+
+    views = 1
+
+    def _looks(self, lone):
+        looks = []
+        for pose in self.poses:
+            status, _, body = lone.ask("POST", f"/sessions/{self.session}/warp", json.dumps({"q": pose}))
+            if status != 200:
+                raise Failure(f"the lone server answered {status}: {body[:300]!r}")
+            looks.append({body})
+        return looks
+
+    def drag(self, server, stop):
+        due = time.monotonic()
+        while not stop.is_set():
+            time.sleep(max(0.0, due - time.monotonic()))
+            due = max(due + 1 / RATE, time.monotonic())
+            self.seq += 1
+            while not self._ask(server) and not stop.is_set():
+                pass
+
+    def _ask(self, server):
+        """Whether there was an answer: what breaks off is asked again, by the same seq."""
+        try:
+            status, headers, answer = server.ask("POST", f"/sessions/{self.session}/warp", self.question())
+        except (OSError, http.client.HTTPException) as error:
+            self.note("cut", repr(error))
+            return False
+        if status == 200:
+            self.judge(self.seq, answer, headers["Warp-Plan"])
+        else:
+            self.note("refused", (status, headers["Retry-After"], reason(answer)))
+            time.sleep(PAUSE)
+        return True
+
+
+class SocketHand(Hand):
+    """By the drag socket; opens another one when it is closed, as the page does."""
+
+    # Previews, and the whole picture whenever the hand seems to rest.
+    views = 2
+
+    def open(self, server, more=""):
+        return WebSocket(server.host, server.port, f"/sessions/{self.session}/drag?frames=png&width={PREVIEW_WIDTH}{more}")
+
+    def _looks(self, lone):
+        line, looks = self.open(lone, "&report=true"), []
+        for seq, pose in enumerate(self.poses):
+            line.send(json.dumps({"seq": seq, "q": pose}).encode())
+            seen, full = set(), False
+            # The preview, and when the hand has rested a while, the whole.
+            while len(seen) < self.views or not full:
+                kind, message = line.receive(time.monotonic() + PATIENCE) or (None, b"")
+                if kind is None:
+                    raise Failure(f"the lone server showed {len(seen)} pictures of a pose")
+                if kind == TEXT:
+                    full = json.loads(message).get("full", full)
+                else:
+                    seen.add(message[8:])
+                    line.send(json.dumps({"ack": seq}).encode())
+            looks.append(seen)
+        line.close()
+        return looks
+
+    def drag(self, server, stop):
+        while not stop.is_set():
+            try:
+                self._hold(self.open(server), stop)
+            except Closed as closed:
+                self.note("closed", closed.code)
+            except Refused as refused:
+                self.note("refused", (refused.status, refused.headers.get("retry-after"), "a socket"))
+                time.sleep(PAUSE)
+            except OSError as error:
+                self.note("cut", repr(error))
+                time.sleep(PAUSE)
+
+    def _hold(self, line, stop):
+        due = time.monotonic()
+        while not stop.is_set():
+            if time.monotonic() >= due:
+                due = max(due + 1 / RATE, time.monotonic())
+                self.seq += 1
+                line.send(self.question().encode())
+            kind, message = line.receive(due) or (None, b"")
+            if kind == BINARY:
+                seq = int.from_bytes(message[:8], "little")
+                line.send(json.dumps({"ack": seq}).encode())
+                self.judge(seq, message[8:])
+            elif kind == TEXT and "code" in (said := json.loads(message)):
+                self.note("refused", (said.get("status"), said.get("retry_after"), reason(message)))
+        line.close()
+
+
+class Uploader:
+    """Uploads a small picture about once a second, by POST and by PUT in turn, and remembers what it was promised."""
+
+    name = "uploads"
+
+    def __init__(self):
+        self.file = (PICTURES / "horse.png").read_bytes()
+        self.diary, self.promised = [], []
+
+    def note(self, what, detail=None):
+        self.diary.append(Entry(what, time.monotonic(), detail))
+
+    def drag(self, server, stop):
+        turn = 0
+        while not stop.wait(1.0):
+            turn += 1
+            body, kind = multipart(self.file, {"p": [[10 + turn, 20], [100, 120]]})
+            way = ("POST", "/sessions") if turn % 2 else ("PUT", f"/sessions/{uuid.uuid4()}")
+            try:
+                status, headers, answer = server.ask(*way, body, kind)
+            except (OSError, http.client.HTTPException) as error:
+                self.note("cut", repr(error))
+                continue
+            if status in (200, 201):
+                self.promised.append(json.loads(answer)["id"])
+                self.note("upload")
+            else:
+                self.note("refused", (status, headers["Retry-After"], reason(answer)))

@@ -1,0 +1,134 @@
+"""The images: bases made of what Debian and this machine have, and deploy/Dockerfile upon them."""
+
+import hashlib
+import inspect
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from commands import AS_ROOT, CACHE, ROOT, Failure, install, run, text, timed, where
+
+SUITE = "bookworm"
+BUILDER_NAME = "mlswarp-test/builder"
+SERVICES_NAME = "mlswarp-test/services"
+IMAGE = "mlswarp-test/mlswarp"
+
+
+def builder_image(engine):
+    """The base of the compiling stage: Debian with a C toolchain, and this machine's Rust and cargo settings."""
+    given = os.environ.get("MLSWARP_TEST_BUILDER")
+    if given:
+        return given
+    rustc, cargo = where("rustc"), where("cargo")
+    if not rustc or not cargo:
+        raise Failure("no Rust toolchain on this machine (rustc and cargo must be in PATH)")
+    sysroot = Path(text(rustc, "--print", "sysroot"))
+    version = text(rustc, "-vV")
+    target = next(line.split()[1] for line in version.splitlines() if line.startswith("host:"))
+    certificates = Path("/etc/ssl/certs/ca-certificates.crt")
+    settings = Path(os.environ.get("CARGO_HOME") or Path.home() / ".cargo") / "config.toml"
+    key = hashlib.sha256((SUITE + version + inspect.getsource(builder_image)).encode())
+    for file in (certificates, settings):
+        key.update(file.read_bytes() if file.is_file() else b"-")
+    tag = f"{BUILDER_NAME}:{key.hexdigest()[:16]}"
+    if engine("image", "inspect", tag, check=False).returncode == 0:
+        return tag
+    for stale in engine.text("image", "ls", "--quiet", BUILDER_NAME).split():
+        engine("image", "rm", "--force", stale, check=False)
+
+    if where("debootstrap") is None:
+        install("debootstrap")
+    tree = Path(tempfile.mkdtemp(prefix="builder-", dir=CACHE))
+    try:
+        with timed(f"making a Debian {SUITE} with gcc"):
+            run(*AS_ROOT, where("debootstrap"), "--variant=minbase", "--include=gcc,libc6-dev,ca-certificates", SUITE, tree)
+        with timed("adding Rust to it"):
+            rust = tree / "usr/local/rust"
+            run(*AS_ROOT, "mkdir", "-p", rust / "bin", rust / "lib/rustlib", tree / "usr/local/cargo")
+            run(*AS_ROOT, "cp", "-a", sysroot / "bin/rustc", sysroot / "bin/cargo", rust / "bin")
+            run(*AS_ROOT, "cp", "-a", *(p for p in (sysroot / "lib").iterdir() if ".so" in p.name), rust / "lib")
+            run(*AS_ROOT, "cp", "-a", sysroot / "lib/rustlib" / target, rust / "lib/rustlib")
+            # What lets cargo reach its registry here has to hold in there too.
+            for file, place in ((certificates, "etc/ssl/certs/"), (settings, "usr/local/cargo/")):
+                if file.is_file():
+                    run(*AS_ROOT, "cp", "-L", file, tree / place)
+            for unused in ("var/cache/apt", "var/lib/apt/lists", "usr/share/doc", "usr/share/man", "usr/share/locale"):
+                run(*AS_ROOT, "rm", "-rf", tree / unused)
+            changes = ("ENV PATH=/usr/local/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin", "ENV CARGO_HOME=/usr/local/cargo")
+            tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
+            engine("import", *(part for change in changes for part in ("--change", change)), "-", tag, stdin=tar.stdout)
+            tar.stdout.close()
+            if tar.wait() != 0:
+                engine("image", "rm", tag, check=False)
+                raise Failure("the tree of the builder could not be read")
+    finally:
+        run(*AS_ROOT, "rm", "-rf", "--one-file-system", tree, check=False)
+    return tag
+
+
+# Of Debian's packages, what compose.yaml's images have: programs by the names that it calls them, and directories with their owners.
+SERVICES = {
+    "usr/local/sbin/haproxy": "haproxy",
+    "usr/local/bin/valkey-server": "redis-server",
+    "usr/local/bin/valkey-cli": "redis-cli",
+    "bin/prometheus": "prometheus",
+    "bin/wget": "busybox",
+}
+OWNED = {"data": "999:1000", "prometheus": "65534:65534"}
+
+
+def services_image(engine):
+    """The proxy, the store and Prometheus in one image, with the libraries that they need and nothing else."""
+    programs = {place: Path(where(name) or name).resolve() for place, name in SERVICES.items()}
+    key = hashlib.sha256(inspect.getsource(services_image).encode() + repr((SERVICES, OWNED)).encode())
+    for program in programs.values():
+        key.update(program.read_bytes())
+    tag = f"{SERVICES_NAME}:{key.hexdigest()[:16]}"
+    if engine("image", "inspect", tag, check=False).returncode == 0:
+        return tag
+    for stale in engine.text("image", "ls", "--quiet", SERVICES_NAME).split():
+        engine("image", "rm", "--force", stale, check=False)
+    tree = Path(tempfile.mkdtemp(prefix="services-", dir=CACHE))
+    try:
+        for place, program in programs.items():
+            # Each library where the loader looks for it, which `ldd` says.
+            libraries = [word for word in text("ldd", program).split() if word.startswith("/")]
+            for file, at in ((program, place), *((Path(library), library.lstrip("/")) for library in libraries)):
+                (tree / at).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(file, tree / at)
+        for directory, owner in OWNED.items():
+            (tree / directory).mkdir()
+            run(*AS_ROOT, "chown", owner, tree / directory)
+        settings = ("ENV PATH=/usr/local/sbin:/usr/local/bin:/bin", 'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]')
+        tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
+        engine("import", *(part for setting in settings for part in ("--change", setting)), "-", tag, stdin=tar.stdout)
+        tar.stdout.close()
+        if tar.wait() != 0:
+            engine("image", "rm", tag, check=False)
+            raise Failure("the tree of the services could not be read")
+    finally:
+        run(*AS_ROOT, "rm", "-rf", "--one-file-system", tree, check=False)
+    return tag
+
+
+def build(engine, tag=IMAGE, *options):
+    """deploy/Dockerfile as it stands; on the host's network, as the builder has no other."""
+    base = builder_image(engine)
+    proxies = [n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")]
+    arguments = [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
+    with timed(f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"):
+        engine.build(
+            "--network=host", "--build-arg", f"BUILDER={base}", *arguments, *options, "-f", ROOT / "deploy/Dockerfile", "-t", tag
+        )  # fmt: skip
+
+
+def program(engine, place, tag=IMAGE):
+    """The program of an image, taken out of it: static, so it runs here as it does there."""
+    name = engine.text("create", tag)
+    try:
+        engine("cp", f"{name}:/mlswarp", place)
+    finally:
+        engine("rm", name, check=False)
+    return place

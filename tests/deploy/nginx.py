@@ -1,0 +1,97 @@
+"""deploy/nginx/nginx.conf: what nginx itself says of it, and a drag through it while a replica is killed."""
+
+import http.client
+import json
+import signal
+import time
+from contextlib import ExitStack
+
+from commands import AS_ROOT, ROOT, run, where
+from hands import RequestHand, Server, SocketHand
+from names import Names
+from processes import Process, redis, replica
+
+FILE = ROOT / "deploy" / "nginx" / "nginx.conf"
+
+
+def derived(stage, listen, replicas):
+    """The file with addresses of this test in the place of its own, and places where everybody may write."""
+    text = FILE.read_text()
+    for old, new in (
+        ("listen 127.0.0.1:8080", f"listen {listen}"),
+        *((f"server 127.0.0.1:{8081 + i}", f"server {r}") for i, r in enumerate(replicas)),
+    ):
+        if old not in text:
+            raise AssertionError(f"nginx.conf has no `{old}` any more")
+        text = text.replace(old, new)
+    place = stage.scratch / "nginx.conf"
+    temporary = "".join(f"{kind}_temp_path {stage.scratch}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    place.write_text(text.replace("pid /tmp/nginx.pid", f"pid {stage.scratch}/nginx.pid").replace("http {\n", "http {\n" + temporary))
+    return place
+
+
+def check_nginx(stage):
+    check, nginx = stage.check, where("nginx")
+    said = run(*AS_ROOT, nginx, "-t", "-c", FILE, check=False)
+    check("nginx takes its file", said.returncode == 0, said.stderr.decode(errors="replace").splitlines()[-1:])
+    with ExitStack() as running:
+        names = running.enter_context(Names())
+        front, (shared, store) = Server(names.address(3), 8080), redis(stage)
+        running.enter_context(shared)
+        addresses = [names.address(n) for n in (11, 12)]
+        store = {"MLSWARP_STORE": store, "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8"}
+        replicas = {a: running.enter_context(replica(f"replica-{a}", stage, a, **store)) for a in addresses}
+        lone = replica("lone", stage, names.address(21))
+        running.enter_context(lone)
+        place = derived(stage, f"{front.host}:8080", [f"{a}:8080" for a in addresses])
+        server = Process("nginx", stage.scratch, [nginx, "-e", "stderr", "-c", place, "-g", "daemon off;"])
+        running.enter_context(server)
+        server.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
+
+        # Enough of them that either replica has some.
+        hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
+        for hand in hands:
+            hand.learn(Server(names.address(21), 8080))
+            hand.put(front)
+        once = [drag(front, hand) for hand in hands for _ in range(3)]
+        check("nginx: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
+        plans = [plan for _, _, plan in once]
+        check(
+            "nginx: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(hands)} sessions"
+        )
+        status, _, _ = front.ask("GET", "/metrics")
+        check("nginx: the figures of replicas are not for everybody", status == 404, status)
+
+        socket = SocketHand("socket", "coffee.png", 0.05)
+        socket.learn(Server(names.address(21), 8080))
+        socket.put(front)
+        line = socket.open(front)
+        socket.seq = 1
+        line.send(socket.question().encode())
+        frame = None
+        while frame is None or frame[0] != 2:
+            frame = line.receive(time.monotonic() + 10) or (2, b"")
+        line.close()
+        check("nginx: a drag socket goes through it", frame[1][8:] in socket.looks[1], f"{len(frame[1])} bytes")
+
+        replicas[addresses[0]].end(signal.SIGKILL)
+        twice = [drag(front, hand) for hand in hands for _ in range(3)]
+        check(
+            "nginx: with a replica killed nobody is refused",
+            all(status == 200 and right for status, right, _ in twice),
+            [s for s, _, _ in twice],
+        )
+        replicas[addresses[1]].end(signal.SIGKILL)
+        status, headers, body = front.ask("GET", f"/sessions/{hands[0].session}")
+        code = json.loads(body).get("code") if headers["Content-Type"] == "application/problem+json" else body[:80]
+        check("nginx: with none left it says so", (status, headers["Retry-After"], code) == (503, "1", "overloaded"), f"{status} {code}")
+
+
+def drag(front, hand):
+    """(status, is it the right picture, `Warp-Plan`) of the next pose."""
+    hand.seq += 1
+    try:
+        status, headers, body = front.ask("POST", f"/sessions/{hand.session}/warp", hand.question())
+    except (OSError, http.client.HTTPException) as error:
+        return repr(error), False, None
+    return status, body in hand.looks[hand.seq % len(hand.looks)], headers["Warp-Plan"]

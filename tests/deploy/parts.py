@@ -1,0 +1,61 @@
+"""The parts of the test, in their order, and what they share."""
+
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import chaos
+import image
+import nginx
+import scaling
+import start
+from commands import Checks
+from engine import Engine
+from images import IMAGE, build, program, services_image
+
+
+@dataclass
+class Stage:
+    """What the parts stand upon."""
+
+    engine: Engine
+    check: Checks
+    scratch: Path
+
+    @cached_property
+    def services(self):
+        return services_image(self.engine)
+
+    @cached_property
+    def program(self):
+        return program(self.engine, self.scratch / "mlswarp")
+
+
+def check_image(stage):
+    image.check_image(stage.engine, stage.check)
+    image.check_service(stage.engine, stage.check)
+
+
+def check_again(stage):
+    """Built from nothing, the program has the same bytes. Minutes, so only in the long form or when asked for."""
+    other = f"{IMAGE}-again"
+    build(stage.engine, other, "--no-cache")
+    try:
+        files = (stage.program, program(stage.engine, stage.scratch / "again", other))
+        digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        stage.check("two builds of one tree give the same program", digests[0] == digests[1], " and ".join(digests))
+    finally:
+        stage.engine("image", "rm", "--force", other, check=False)
+
+
+PARTS = {
+    "image": check_image,
+    "stack": chaos.check_stack,
+    "nginx": nginx.check_nginx,
+    "scaling": scaling.check_scaling,
+    "start": start.check_start,
+    "again": check_again,
+}
+LONG = () if os.environ.get("MLSWARP_TESTS_FULL") == "1" else ("again",)
