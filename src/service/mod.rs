@@ -144,7 +144,7 @@ pub enum NotStarted {
     /// The store cannot be opened.
     #[error("cannot open {0}")]
     Store(#[from] NotOpened),
-    /// The collector of traces is asked for in a way that is not there.
+    /// Traces cannot be exported.
     #[error("{0}")]
     Traces(#[from] NotTraced),
 }

@@ -1,5 +1,6 @@
-//! Doors: rates, places, addresses behind proxies, what browsers are told; and that nothing here asks anybody else.
+//! Doors: rates, places, addresses behind proxies, what browsers are told; and that nothing here asks anybody else, but a collector of traces.
 
+use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
+use crate::layers::sources;
 use crate::support::server::{header, problem};
 use crate::support::{Server, eventually};
 
@@ -157,9 +159,10 @@ async fn every_answer_says_how_it_may_be_read() {
     }
 }
 
-/// Pictures are uploaded, nothing is ever fetched: the program could not, having no HTTP client in it.
+/// Pictures are uploaded, nothing is ever fetched: the program could not. It has no HTTP client but hyper's bare connection, which one file names, and
+/// which goes to the collector of traces that the program was started with.
 #[test]
-fn the_program_has_no_http_client() {
+fn the_program_has_no_http_client_but_that_of_traces() {
     let tree = |format: &str| {
         let mut cargo = Command::new(env!("CARGO"));
         cargo.args(["tree", "--offline", "--locked", "--edges", "normal", "--prefix", "none", "--format", format]);
@@ -175,7 +178,12 @@ fn the_program_has_no_http_client() {
             ["reqwest", "ureq", "isahc", "curl", "surf", "attohttpc", "minreq", "awc", "hyper-rustls", "hyper-tls", "webpki-roots"];
         assert!(!clients.contains(&name), "{line}");
         let features = line.split('[').nth(1).unwrap_or_default();
-        let is_client = name.starts_with("hyper") && features.split([',', ']']).any(|feature| feature.starts_with("client"));
+        let is_client = name.starts_with("hyper-") && features.split([',', ']']).any(|feature| feature.starts_with("client"));
         assert!(!is_client, "{line}");
     }
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&src, &mut files);
+    files.retain(|file| std::fs::read_to_string(file).unwrap().contains("hyper::client"));
+    assert_eq!(files, [src.join("service/telemetry/post.rs")]);
 }

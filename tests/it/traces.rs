@@ -9,7 +9,7 @@ use reqwest::Client;
 use serde_json::{Value, json};
 
 use crate::support::collector::{Collector, attributes};
-use crate::support::program::Program;
+use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, png, problem};
 use crate::support::{Hand, Server, eventually, photo};
 
@@ -93,8 +93,7 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
     assert!(!attributes(&collector.named("GET").unwrap().attributes).contains_key("http.route"));
     let names: Vec<String> = collector.spans().into_iter().map(|span| span.name).collect();
     assert!(!names.iter().any(|name| name.contains("healthz")), "{names:?}");
-    let resource = collector.requests()[0].resource_spans[0].resource.clone().unwrap();
-    let resource = attributes(&resource.attributes);
+    let resource = collector.resource();
     assert_eq!((resource["service.name"].as_str(), resource["service.version"].as_str()), ("mlswarp", env!("CARGO_PKG_VERSION")));
     assert_eq!(resource["service.instance.id"].len(), 36);
     let bytes = collector.bytes();
@@ -177,13 +176,19 @@ async fn ends(program: Program) -> Vec<Value> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_left_is_exported_before_the_end() {
     let collector = Collector::start().await;
-    let program = Program::start(&["--otlp-endpoint", &collector.url(), "--log-format", "json"]);
+    let mut command = mlswarp(&["serve", "--listen", "127.0.0.1:0", "--otlp-endpoint", &collector.url(), "--log-format", "json"]);
+    command.env("OTEL_SERVICE_NAME", "bender").env("OTEL_RESOURCE_ATTRIBUTES", "deployment.environment.name=tests");
+    command.env("OTEL_EXPORTER_OTLP_HEADERS", "x-tenant=seven");
+    let program = Program::spawn(command);
     warp(&program).await;
     let log = ends(program).await;
     let whole = collector.named("POST /warp").expect("its span was sent at the latest when the program ended");
     let answered = log.iter().find(|line| line["message"] == "answered").unwrap();
     assert_eq!(answered["trace_id"], hex(&whole.trace_id), "log lines name the trace");
     assert_eq!(answered["id"], attributes(&whole.attributes)["mlswarp.request_id"]);
+    let resource = collector.resource();
+    assert_eq!((resource["service.name"].as_str(), resource["deployment.environment.name"].as_str()), ("bender", "tests"));
+    assert_eq!((collector.headers()["x-tenant"].to_str().unwrap(), log.iter().any(|line| line["level"] == "WARN")), ("seven", false));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,7 +1,8 @@
 //! Numbers and health on a listener of their own: open to whoever reaches it, never behind the crowd, and there until the end.
 
+use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use reqwest::Client;
 
@@ -38,18 +39,20 @@ fn a_crowd_keeps_no_watcher_out() {
     let watched = free().to_string();
     let program = Program::start(&["--metrics-listen", &watched, "--max-connections", "3"]);
     let listen = program.address.to_string();
+    let is_well = |options: &[&str]| mlswarp(&[&["health", "--listen", &listen], options].concat()).status().unwrap().success();
+    // Connections are taken in the order in which they came.
     let _crowd: Vec<TcpStream> = (0..3).map(|_| TcpStream::connect(program.address).unwrap()).collect();
-    std::thread::sleep(Duration::from_millis(100));
-    assert!(!mlswarp(&["health", "--listen", &listen]).status().unwrap().success(), "the service itself is full");
-    assert!(mlswarp(&["health", "--listen", &listen, "--metrics-listen", &watched]).status().unwrap().success());
+    assert!(!is_well(&[]), "the service itself is full");
+    assert!(is_well(&["--metrics-listen", &watched]));
     // Its own places are bounded too, and given back.
     let watcher: SocketAddr = watched.parse().unwrap();
     let watchers: Vec<TcpStream> = (0..40).map(|_| TcpStream::connect(watcher).unwrap()).collect();
-    std::thread::sleep(Duration::from_millis(100));
-    assert!(!mlswarp(&["health", "--metrics-listen", &watched]).status().unwrap().success());
+    assert!(!is_well(&["--metrics-listen", &watched]));
     drop(watchers);
-    std::thread::sleep(Duration::from_millis(100));
-    assert!(mlswarp(&["health", "--metrics-listen", &watched]).status().unwrap().success());
+    let began = Instant::now();
+    while !is_well(&["--metrics-listen", &watched]) {
+        assert!(began.elapsed() < Duration::from_secs(30), "places are not given back");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -58,11 +61,12 @@ async fn they_are_answered_while_the_service_stops() {
     // An upload that does not come to its end holds the service up for the grace.
     let program = Program::start(&["--metrics-listen", &watched.to_string(), "--shutdown-grace", "3s"]);
     let mut slow = TcpStream::connect(program.address).unwrap();
-    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{";
-    std::io::Write::write_all(&mut slow, head.as_bytes()).unwrap();
+    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 100\r\nExpect: 100-continue\r\n\r\n";
+    slow.write_all(head.as_bytes()).unwrap();
+    let mut begun = [0; 12];
+    slow.read_exact(&mut begun).unwrap();
+    assert_eq!(&begun, b"HTTP/1.1 100");
     let get = async |path: &str| Client::new().get(format!("http://{watched}{path}")).send().await;
-    eventually("the request has begun", || TcpStream::connect(watched).is_ok()).await;
-    tokio::time::sleep(Duration::from_millis(300)).await;
     program.terminate();
     eventually("the service itself is gone", || TcpStream::connect(program.address).is_err()).await;
     assert_eq!(get("/healthz").await.unwrap().status(), 200);

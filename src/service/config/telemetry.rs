@@ -168,9 +168,9 @@ mod tests {
 
     #[test]
     fn a_share_lies_between_nothing_and_all() {
-        assert_eq!(resolve(&["--otlp-sample", "0.05"]).unwrap().telemetry.otlp_sample.to_string(), "0.05");
+        assert_eq!(resolve(&["--otlp-sample=0.05"]).unwrap().telemetry.otlp_sample.to_string(), "0.05");
         for bad in ["2", "-0.1", "NaN", "all", ""] {
-            assert!(resolve(&["--otlp-sample", bad]).is_err(), "{bad}");
+            assert!(resolve(&[&format!("--otlp-sample={bad}")]).is_err(), "{bad}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane), the
-//! body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
+//! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane) and
+//! with it the scope of all that is told of the request, the body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
 
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;

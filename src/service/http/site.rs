@@ -16,7 +16,8 @@ use crate::service::doors::cors::Origins;
 use crate::service::problem::{Code, Problem};
 
 const METHODS: HeaderValue = HeaderValue::from_static("GET, HEAD, POST, PUT, DELETE");
-const REQUEST_HEADERS: HeaderValue = HeaderValue::from_static("accept, authorization, content-type, if-none-match, te, x-request-id");
+const REQUEST_HEADERS: HeaderValue =
+    HeaderValue::from_static("accept, authorization, content-type, if-none-match, te, traceparent, x-request-id");
 /// Every header of the contract that a page's script may want to read.
 const EXPOSED: HeaderValue = HeaderValue::from_static(
     "allow, etag, location, retry-after, server-timing, warp-folds, warp-offset, warp-plan, warp-residual, warp-session, warp-warning, \

@@ -1,7 +1,7 @@
 //! Traces on their way to a collector: which requests are traced, a bounded queue that never makes anybody wait, and one task that exports it in
 //! batches. Where the collector does not keep up, is away or never answers, spans are dropped and counted.
 //!
-//! A caller's `traceparent` is followed: what it does not sample is not traced; what it samples is, as often as [`OBEYED`] allows, since anybody
+//! A caller's `traceparent` is followed: what it does not sample is not traced; what it samples is, as often as `OBEYED` allows, since anybody
 //! may send the flag. Beyond that, and without a caller, the share decides by the trace's id, so that services of one share agree.
 
 use std::fmt;
@@ -99,7 +99,7 @@ impl Tracer {
     /// For the collector of the options, if there is one.
     ///
     /// # Errors
-    /// The variables of OpenTelemetry ask for what is not there, such as another protocol.
+    /// The exporter cannot be made of the address and the variables of OpenTelemetry.
     pub fn new(config: &TelemetryConfig) -> Result<Option<(Self, Outbox)>, NotTraced> {
         let Some(collector) = config.otlp_endpoint.clone() else { return Ok(None) };
         let built = SpanExporter::builder()

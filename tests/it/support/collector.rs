@@ -19,12 +19,13 @@ use prost::Message as _;
 pub(crate) struct Collector {
     address: SocketAddr,
     batches: Arc<Mutex<Vec<Bytes>>>,
+    headers: Arc<Mutex<HeaderMap>>,
 }
 
 impl Collector {
     pub(crate) async fn start() -> Self {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let collector = Self { address: listener.local_addr().unwrap(), batches: Arc::default() };
+        let collector = Self { address: listener.local_addr().unwrap(), batches: Arc::default(), headers: Arc::default() };
         let router = Router::new().route("/v1/traces", post(take)).with_state(collector.clone());
         tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
         collector
@@ -39,6 +40,11 @@ impl Collector {
         self.batches.lock().unwrap().concat()
     }
 
+    /// The head of the last batch.
+    pub(crate) fn headers(&self) -> HeaderMap {
+        self.headers.lock().unwrap().clone()
+    }
+
     pub(crate) fn requests(&self) -> Vec<ExportTraceServiceRequest> {
         let batches = self.batches.lock().unwrap();
         batches.iter().map(|batch| ExportTraceServiceRequest::decode(batch.clone()).unwrap()).collect()
@@ -47,6 +53,11 @@ impl Collector {
     pub(crate) fn spans(&self) -> Vec<Span> {
         let scopes = self.requests().into_iter().flat_map(|request| request.resource_spans).flat_map(|spans| spans.scope_spans);
         scopes.flat_map(|scope| scope.spans).collect()
+    }
+
+    /// What has sent them.
+    pub(crate) fn resource(&self) -> BTreeMap<String, String> {
+        attributes(&self.requests()[0].resource_spans[0].resource.as_ref().unwrap().attributes)
     }
 
     /// The span of that name.
@@ -58,6 +69,7 @@ impl Collector {
 async fn take(State(collector): State<Collector>, headers: HeaderMap, batch: Bytes) {
     assert_eq!(headers["content-type"], "application/x-protobuf");
     collector.batches.lock().unwrap().push(batch);
+    *collector.headers.lock().unwrap() = headers;
 }
 
 /// Attributes by name, as text.
