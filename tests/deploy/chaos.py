@@ -148,6 +148,11 @@ def look_after(check, stack, uploader):
         for c in ("new", "evicted", "elsewhere")
     }
     say(f"plans filled, by why: {', '.join(f'{c} {n:.0f}' for c, n in built.items())} (of the processes that live)")
+    # An id is all that is needed to use a session where nobody needs a key.
+    log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
+    told = [hand.name for hand in HANDS if hand.session in log]
+    lines = log.count(" POST\n")
+    check("the proxy's log has a line for each request and names no session", lines > 100 and not told, told or f"{lines} lines")
     prometheus = Server(stack.addresses["prometheus"], 9090)
     targets = prometheus.json("GET", "/api/v1/targets", (200,))["data"]["activeTargets"]
     health = sorted(f"{t['labels']['job']} {t['health']}" for t in targets)

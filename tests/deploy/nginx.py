@@ -7,7 +7,7 @@ import time
 from contextlib import ExitStack
 
 from commands import AS_ROOT, ROOT, run, where
-from hands import RequestHand, Server, SocketHand
+from hands import RequestHand, Server, SocketHand, multipart
 from names import Names
 from processes import Process, redis, replica
 
@@ -59,6 +59,9 @@ def check_nginx(stage):
         check(
             "nginx: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(hands)} sessions"
         )
+        body, kind = multipart(hands[0].file, {"p": hands[0].rest})
+        status, headers, _ = front.ask("POST", "/sessions", body, kind)
+        check("nginx: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
         status, _, _ = front.ask("GET", "/metrics")
         check("nginx: the figures of replicas are not for everybody", status == 404, status)
 
@@ -85,6 +88,9 @@ def check_nginx(stage):
         status, headers, body = front.ask("GET", f"/sessions/{hands[0].session}")
         code = json.loads(body).get("code") if headers["Content-Type"] == "application/problem+json" else body[:80]
         check("nginx: with none left it says so", (status, headers["Retry-After"], code) == (503, "1", "overloaded"), f"{status} {code}")
+        log = server.log.read_text(errors="replace")
+        told = [hand.name for hand in hands if hand.session in log]
+        check("nginx: its log names no session", '"POST 200"' in log and not told, told or f"{len(log.splitlines())} lines")
 
 
 def drag(front, hand):
