@@ -137,8 +137,8 @@ def check():
     needed = program.seconds(declared["MLSWARP_DRAIN_DELAY"]) + program.seconds(declared["MLSWARP_SHUTDOWN_GRACE"])
     if not needed + 3 <= float(last["TimeoutStopSec"]):
         said.append(f"it takes {needed} s to stop; {last['TimeoutStopSec']} are given")
-    if not own["MLSWARP_STORE"].startswith(f"file:%S/{last['StateDirectory']}/"):
-        said.append(f"no state directory for {own['MLSWARP_STORE']}")
+    if not own.get("MLSWARP_STORE", "").startswith(f"file:%S/{last['StateDirectory']}/"):
+        said.append(f"no state directory for MLSWARP_STORE")
     yield "variables, grace and places are the program's", said
 
     with program.serving(own, preexec=filter_of(text)) as ask:
