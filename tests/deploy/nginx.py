@@ -62,6 +62,8 @@ def check_nginx(stage):
         body, kind = multipart(hands[0].file, {"p": hands[0].rest})
         status, headers, _ = front.ask("POST", "/sessions", body, kind)
         check("nginx: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
+        status, headers, _ = front.ask("GET", f"/{'x' * 9000}")
+        check("nginx: what it refuses itself is a problem document", (status, headers["Content-Type"]) == (400, "application/problem+json"), status)
         status, _, _ = front.ask("GET", "/metrics")
         check("nginx: the figures of replicas are not for everybody", status == 404, status)
 
