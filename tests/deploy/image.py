@@ -25,13 +25,13 @@ MOVED_SHARE = 0.01
 class Container:
     """A container of the image on the host's loopback, as locked up as a cluster would; removed at the end."""
 
-    def __init__(self, engine, **environment):
+    def __init__(self, engine, *options, **environment):
         self.engine, self.port = engine, free_port()
         self.name = f"mlswarp-test-{os.getpid()}-{self.port}"
         environment["MLSWARP_LISTEN"] = f"127.0.0.1:{self.port}"
         engine(
             "run", "--detach", "--name", self.name, "--network=host", "--read-only", "--cap-drop=ALL",
-            "--security-opt=no-new-privileges", "--health-interval=1s",
+            "--security-opt=no-new-privileges", "--health-interval=1s", *options,
             *(part for k, v in environment.items() for part in ("--env", f"{k}={v}")), IMAGE,
         )  # fmt: skip
 
@@ -150,6 +150,15 @@ def check_service(engine, check):
         problem = json.loads(body) if kind.startswith("application/problem+json") else {}
         said = (problem.get("status"), problem.get("code"))
         check("by a problem document", said == (413, "too_large"), f"{kind} {said}")
+
+    volume = f"mlswarp-test-{os.getpid()}"
+    try:
+        with Container(engine, "--volume", f"{volume}:/data", MLSWARP_STORE="file:/data/sessions.db") as service:
+            service.wait_ready()
+            code = service.get("/readyz")
+        check("sessions can live in a volume", code == 200, code)
+    finally:
+        engine("volume", "rm", "--force", volume, check=False)
 
     with Container(engine, MLSWARP_KEYS="ann a-key-of-the-test-0123456789") as service:
         service.wait_ready()
