@@ -84,7 +84,8 @@ class Hand:
     def __init__(self, name, picture, shift):
         self.name, self.picture, self.shift = name, picture, shift
         self.session = str(uuid.uuid4())
-        self.diary, self.seq = [], 0
+        # The last pose that was asked for, and the last whose picture came.
+        self.diary, self.seq, self.answered = [], 0, 0
         self.file = (PICTURES / picture).read_bytes()
 
     def note(self, what, detail=None):
@@ -120,6 +121,7 @@ class Hand:
 
     def judge(self, seq, picture, plan=None):
         right = picture in self.looks[seq % POSES]
+        self.answered = seq
         self.note("frame" if right else "wrong", plan if right else (seq, len(picture)))
 
 
