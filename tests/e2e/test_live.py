@@ -63,6 +63,21 @@ def test_frames_come_by_the_socket_as_meshes(visit, picture):
     assert [m["q"] for m in messages if "q" in m][-1][0] == visit.warp()["q"][0]
 
 
+def test_a_socket_that_nobody_answers_is_given_up(visit, picture):
+    """A machine that is gone closes nothing: the pose takes another way."""
+    pin(visit.open(picture))
+    visit.page.route_web_socket("**/drag?*", lambda socket: None)
+    visit.page.reload()
+    pin(visit.open(picture))
+    assert visit["live"] == "socket"
+    with visit.without_pictures():
+        visit.press(RED, (140, 130))
+        visit.body("[data-moving=true][data-live=http]")
+        visit.page.mouse.up()
+    visit.ready()
+    assert visit.saved("download")[1] == visit.of_server().body
+
+
 def test_a_page_without_the_socket_asks_for_meshes(visits, picture):
     visit = visits(query="?socket=off")
     pin(visit.open(picture))

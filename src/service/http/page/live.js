@@ -8,6 +8,8 @@ import * as api from "./api.js";
 const TRIES = 3;
 /** A socket that lived shorter, ms, has failed. */
 const LIVED = 2000;
+/** A pose that nothing follows for so long, ms: whoever was at the other end is gone, whatever the connection says. */
+const PATIENCE = 5000;
 /** Bytes waiting to be sent beyond which a newer pose waits here. */
 const BACKLOG = 1 << 16;
 
@@ -21,6 +23,8 @@ export class Live {
   #seq = 0;
   #revisions = new Map(); // seq of the socket to revision of the document
   #waiting = null; // the newest pose that has not been sent
+  #sent = null; // the newest pose that the socket has not answered
+  #overdue = 0;
   #asking = null; // AbortController of the POST under way
   #report = null;
 
@@ -55,6 +59,7 @@ export class Live {
     this.#asking?.abort();
     this.#id = null;
     this.#waiting = null;
+    this.#answered();
     this.#open = false;
     const socket = this.#socket;
     this.#socket = null;
@@ -75,6 +80,8 @@ export class Live {
   /** The hand rests: nothing is to be sent any more, and what is under way is not waited for. */
   rest() {
     this.#waiting = null;
+    // Whether the socket answers is seen all the same.
+    this.#sent = null;
     this.#asking?.abort();
     this.#asking = null;
   }
@@ -95,23 +102,43 @@ export class Live {
       this.#flush();
     });
     socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
-    socket.onclose = current(() => {
-      this.#failures = this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1;
-      this.#open = false;
-      this.#socket = null;
-      this.told.way();
-      this.#flush();
-    });
+    socket.onclose = current(() => this.#closed(this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1));
+  }
+
+  /** Another way for the pose that was not answered. */
+  #closed(failures) {
+    this.#waiting ??= this.#sent;
+    this.#answered();
+    this.#failures = failures;
+    this.#open = false;
+    this.#socket = null;
+    this.told.way();
+    this.#flush();
+  }
+
+  #answered() {
+    clearTimeout(this.#overdue);
+    this.#overdue = 0;
+    this.#sent = null;
+  }
+
+  #giveUp() {
+    const socket = this.#socket;
+    this.#closed(this.#failures + 1);
+    socket.close();
   }
 
   #text(message) {
     if (message.columns) this.#grid = message;
-    else if (message.code) this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
-    else if (message.timing) this.#report = message;
+    else if (message.code) {
+      this.#answered();
+      this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
+    } else if (message.timing) this.#report = message;
   }
 
   #binary(bytes) {
     const seq = Number(new DataView(bytes).getBigUint64(0, true));
+    this.#answered();
     const revision = this.#revisions.get(seq);
     for (const old of this.#revisions.keys()) if (old < seq) this.#revisions.delete(old);
     const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
@@ -127,7 +154,9 @@ export class Live {
     if (this.#open) {
       if (this.#socket.bufferedAmount > BACKLOG) return;
       const { q, revision } = this.#waiting;
+      this.#sent = this.#waiting;
       this.#waiting = null;
+      this.#overdue ||= setTimeout(() => this.#giveUp(), PATIENCE);
       this.#revisions.set(++this.#seq, revision);
       this.#socket.send(JSON.stringify({ seq: this.#seq, q }));
     } else if (!this.#asking) {
