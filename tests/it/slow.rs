@@ -503,3 +503,20 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
     drop(answers);
     eventually("what was not taken is given back", || held() == 0).await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn session_objects_that_nobody_reads_are_in_the_account() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(64, 48), &json!({"p": [[20, 20], [40, 30]]})).await;
+    let path = format!("/sessions/{id}");
+    let length = server.get(&path).send().await.unwrap().bytes().await.unwrap().len() as u64;
+    let held = || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
+    eventually("what was read is given back", || held() == 0).await;
+    let mut frames = Frames::open(server.address, 0).await;
+    for n in 0..40 {
+        frames.request(1 + 2 * n, GET, &path, true).await;
+    }
+    eventually("all are held", || held() == 40 * length).await;
+    drop(frames);
+    eventually("what was not read is given back", || held() == 0).await;
+}
