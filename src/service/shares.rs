@@ -6,13 +6,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::client::{Client, Owner};
+use super::doors::network::site;
 
 /// One client may hold this part of the memory in answers.
 const PART: u64 = 4;
 /// Clients that are known before those who hold nothing are looked for and forgotten.
 const MANY: usize = 1024;
 
-/// Who shares: the name of a key, or an address where nobody needs one.
+/// Who shares: the name of a key, or an address where nobody needs one (a /64 of IPv6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Whose {
     Owner(Owner),
@@ -21,7 +22,7 @@ enum Whose {
 
 impl From<Client> for Whose {
     fn from(client: Client) -> Self {
-        if client.owner == Owner::ANYBODY { Self::Address(client.address) } else { Self::Owner(client.owner) }
+        if client.owner == Owner::ANYBODY { Self::Address(site(client.address)) } else { Self::Owner(client.owner) }
     }
 }
 
@@ -98,6 +99,9 @@ mod tests {
         assert_eq!([client(1, 9), client(2, 1), client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [70, 0, 0, 0]);
         shares.of(client(0, 1)).take(0, 60).unwrap();
         assert_eq!([client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [60, 0]);
+        let v6 = |address: &str| shares.of(Client { owner: Owner::ANYBODY, address: address.parse().unwrap() });
+        v6("2001:db8::1").take(0, 50).unwrap();
+        assert_eq!(["2001:db8::2:3", "2001:db8:0:1::1", "::ffff:127.0.0.1"].map(|address| v6(address).held()), [50, 0, 60]);
     }
 
     #[test]

@@ -476,3 +476,47 @@ async fn who_sips_holds_his_share_and_no_more() {
     sipping.into_iter().for_each(|sips| sips.abort());
     eventually("what was not taken is given back", || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame) == 0).await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn mapped_places_that_nobody_reads_are_in_the_account() {
+    let server = Server::start(&["--memory-bytes", "128MiB"]).await;
+    let places = vec!["[1,2]"; 300_000].join(",");
+    let body = format!(
+        r#"{{"extent": [99, 99], "p": [[10, 10], [80, 20], [30, 70]], "q": [[12, 10], [80, 25], [33, 70]], "points": [{places}]}}"#
+    );
+    let head = format!("POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
+    let held = || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
+    let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
+    for _ in 0..6 {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        let mut stream = socket.connect(server.address).await.unwrap();
+        stream.write_all(head.as_bytes()).await.unwrap();
+        stream.write_all(body.as_bytes()).await.unwrap();
+        let mut status = [0; 12];
+        stream.read_exact(&mut status).await.unwrap();
+        refused += usize::from(status.ends_with(b"503"));
+        answers.push(stream);
+        assert!(held() <= share, "{} of {share}", held());
+    }
+    assert!(refused > 0 && refused < answers.len() && held() > 0, "{refused} were refused, {} bytes are held", held());
+    drop(answers);
+    eventually("what was not taken is given back", || held() == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn session_objects_that_nobody_reads_are_in_the_account() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(64, 48), &json!({"p": [[20, 20], [40, 30]]})).await;
+    let path = format!("/sessions/{id}");
+    let length = server.get(&path).send().await.unwrap().bytes().await.unwrap().len() as u64;
+    let held = || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
+    eventually("what was read is given back", || held() == 0).await;
+    let mut frames = Frames::open(server.address, 0).await;
+    for n in 0..40 {
+        frames.request(1 + 2 * n, GET, &path, true).await;
+    }
+    eventually("all are held", || held() == 40 * length).await;
+    drop(frames);
+    eventually("what was not read is given back", || held() == 0).await;
+}

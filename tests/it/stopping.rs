@@ -69,3 +69,15 @@ async fn what_has_begun_is_finished_and_nobody_else_comes() {
     let (status, log) = tokio::task::spawn_blocking(move || program.wait()).await.unwrap();
     assert_eq!(status.code(), Some(0), "{log}");
 }
+
+#[tokio::test]
+async fn who_has_said_nothing_is_not_waited_for() {
+    let program = Program::start(&["--header-timeout", "10m", "--shutdown-grace", "20m"]);
+    let silent = tokio::net::TcpStream::connect(program.address).await.unwrap();
+    // It was accepted when one that came later is answered.
+    assert_eq!(Client::new().get(format!("http://{}/healthz", program.address)).send().await.unwrap().status(), 200);
+    program.terminate();
+    let (status, log) = tokio::task::spawn_blocking(move || program.wait()).await.unwrap();
+    assert_eq!(status.code(), Some(0), "{log}");
+    drop(silent);
+}

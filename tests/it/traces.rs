@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
+use mlswarp::service::pool::{Lane, Work};
 use opentelemetry_proto::tonic::trace::v1::Span;
 use reqwest::Client;
 use serde_json::{Value, json};
@@ -122,6 +123,26 @@ async fn a_callers_choice_is_followed() {
     eventually("the span comes", || collector.named("POST /points").is_some()).await;
     let ids = collector.spans().iter().filter_map(|span| attributes(&span.attributes).remove("mlswarp.request_id")).collect::<Vec<_>>();
     assert_eq!(ids, ["sampled"]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_leaves_before_the_answer_has_a_span_of_its_name() {
+    let collector = Collector::start().await;
+    let server = Server::start(&["--otlp-endpoint", &collector.url(), "--workers", "1"]).await;
+    let pool = server.app.pool();
+    let busy = pool.admit(Work::Upload, Lane::client(mlswarp::service::client::Client::default())).await.unwrap();
+    let waits = tokio::spawn(server.post("/points").json(&json!({"extent": [9, 9], "points": []})).send());
+    eventually("it waits", || pool.load(Work::Upload).waiting == 1).await;
+    waits.abort();
+    eventually("its span comes", || !collector.spans().is_empty()).await;
+    let span = collector.named("POST /points").unwrap();
+    let told = attributes(&span.attributes);
+    assert_eq!(
+        told.keys().map(String::as_str).collect::<Vec<_>>(),
+        ["http.request.method", "http.route", "mlswarp.request_id", "url.scheme"]
+    );
+    nests(&span, &stages(&collector, &span));
+    drop(busy);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

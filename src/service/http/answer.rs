@@ -142,7 +142,11 @@ impl HttpBody for Strips {
 
 /// JSON of the contract.
 pub(super) fn json(value: &impl serde::Serialize) -> Response {
-    let body = serde_json::to_vec(value).expect("objects of the contract have string keys");
+    json_text(serde_json::to_vec(value).expect("objects of the contract have string keys").into())
+}
+
+/// JSON of the contract that is written already.
+pub(super) fn json_text(body: Bytes) -> Response {
     let headers = [(CONTENT_TYPE, HeaderValue::from_static("application/json")), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
     (headers, body).into_response()
 }

@@ -39,7 +39,14 @@ pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) 
     // The pattern, never the path: neither a log nor a trace may hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
     let tracer = app.tracer().filter(|_| !route.as_ref().is_some_and(|route| WATCHED.contains(&route.as_str())));
-    let scope = Scope::request(&id, tracer.map(|tracer| (tracer, Asked { parent: parent(request.headers()), began })));
+    let asked = tracer.map(|_| Asked {
+        parent: parent(request.headers()),
+        began,
+        method: known_method(request.method().as_str()),
+        route: route.as_ref().map(MatchedPath::as_str),
+        scheme: if app.config().doors.tls.is_some() { "https" } else { "http" },
+    });
+    let scope = Scope::request(&id, tracer.zip(asked.as_ref()));
     let fenced = fenced(app.clone(), request, next, Head { began, id, route });
     scope.wrap(fenced).await
 }
@@ -87,10 +94,8 @@ async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Respo
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status().as_u16();
-    let pattern = route.as_ref().map(MatchedPath::as_str);
-    let scheme = if app.config().doors.tls.is_some() { "https" } else { "http" };
-    Scope::current().tell(&Answer { method: known_method(method.as_str()), route: pattern, scheme, status, code });
-    let route = pattern.unwrap_or("-");
+    Scope::current().tell(Answer { status, code });
+    let route = route.as_ref().map_or("-", MatchedPath::as_str);
     app.metrics().answered(route, method.as_str(), status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
     tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), "answered");

@@ -3,27 +3,18 @@
 use axum::Extension;
 use axum::extract::{Path, Request, State};
 use axum::response::Response;
-use serde::Serialize;
 
 use super::answer;
 use super::body::json;
 use super::sessions::session_id;
-use crate::geometry::Point;
 use crate::service::App;
 use crate::service::budget::Purpose;
 use crate::service::client::Client;
 use crate::service::problem::Problem;
-use crate::service::wire::Wire;
-
-#[derive(Serialize)]
-struct Mapped<'a> {
-    points: Wire<&'a [Point]>,
-}
 
 pub(super) async fn once(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
     let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
-    let mapped = app.map_once(client, body).await?;
-    Ok(answer::json(&Mapped { points: Wire(&mapped) }))
+    Ok(answer::json_text(app.map_once(client, body).await?))
 }
 
 pub(super) async fn of_session(
@@ -35,6 +26,5 @@ pub(super) async fn of_session(
     let id = session_id(client, &id)?;
     app.session(id).await?;
     let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
-    let mapped = app.map_session(id, body).await?;
-    Ok(answer::json(&Mapped { points: Wire(&mapped) }))
+    Ok(answer::json_text(app.map_session(client, id, body).await?))
 }

@@ -8,7 +8,7 @@ use axum::http::header::LOCATION;
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
-use super::answer::json;
+use super::answer::json_text;
 use super::{body, upload};
 use crate::service::App;
 use crate::service::budget::Purpose;
@@ -39,7 +39,7 @@ pub(super) async fn put(
     let (put, setup) = app.put(client, id, upload.image, upload.warp).await?;
     Ok(match put {
         Put::Created(session) => (StatusCode::CREATED, [(LOCATION, location(id))], object(&session, &setup)).into_response(),
-        Put::Same(session) | Put::Replaced(session, _) => object(&session, &setup),
+        Put::Same(session) | Put::Replaced(session, _) => held_object(&app, client, &session, &setup)?,
     })
 }
 
@@ -54,7 +54,7 @@ pub(super) async fn handles(
     app.session(id).await?;
     let body = body::json(&app, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
     let (session, setup) = app.revise(id, body).await?;
-    Ok(object(&session, &setup))
+    held_object(&app, client, &session, &setup)
 }
 
 /// The session object. Looking does not prolong its life.
@@ -65,7 +65,7 @@ pub(super) async fn read(
 ) -> Result<Response, Problem> {
     let session = app.session(session_id(client, &id)?).await?;
     let setup = app.session_setup(&session.record).await?;
-    Ok(object(&session, &setup))
+    held_object(&app, client, &session, &setup)
 }
 
 /// Ends the session.
@@ -87,10 +87,22 @@ pub(super) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
     SessionId::parse(client.owner, text).map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
 }
 
+/// The object in its client's share until it is read: it may be asked for on every stream. Of a session that is new it is not: the session is there,
+/// and the store bounds how many.
+fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> Result<Response, Problem> {
+    let text = text(session, setup);
+    let held = app.reserve_for(&app.share(client), text.len() as u64)?;
+    Ok(json_text(held.with(text)))
+}
+
 fn object(session: &Session, setup: &Setup) -> Response {
+    json_text(text(session, setup).into())
+}
+
+fn text(session: &Session, setup: &Setup) -> Vec<u8> {
     let record = &session.record;
     let (columns, rows) = setup.grid();
-    json(&SessionObject {
+    let object = SessionObject {
         id: &record.id.to_string(),
         image: SessionImage { width: record.extent.width(), height: record.extent.height(), digest: Wire(record.image) },
         p: Wire(&record.rest.p),
@@ -105,7 +117,8 @@ fn object(session: &Session, setup: &Setup) -> Response {
         created: &rfc3339(record.created),
         expires: &rfc3339(session.expires),
         seq: session.seq,
-    })
+    };
+    serde_json::to_vec(&object).expect("an object of the contract has string keys")
 }
 
 /// `2026-11-21T09:30:00.125Z`: RFC 3339, UTC, milliseconds. Days to a date by the civil calendar of 400-year eras.

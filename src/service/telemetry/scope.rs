@@ -30,9 +30,9 @@ struct Inner {
 }
 
 impl Scope {
-    /// A request of that id, which is a plain word. `traced`: by whom, and what its client said of traces.
+    /// A request of that id, which is a plain word. `traced`: by whom, and what is known of it.
     #[must_use]
-    pub fn request(id: &str, traced: Option<(&Tracer, Asked)>) -> Self {
+    pub fn request(id: &str, traced: Option<(&Tracer, &Asked<'_>)>) -> Self {
         let (context, trace) = traced.map(|(tracer, asked)| tracer.request(id, asked)).unzip();
         Self(Some(Arc::new(Inner { id: id.into(), context, trace: trace.flatten() })))
     }
@@ -84,7 +84,7 @@ impl Scope {
     }
 
     /// How the request was answered.
-    pub fn tell(&self, answer: &Answer<'_>) {
+    pub fn tell(&self, answer: Answer) {
         if let Some(trace) = self.trace() {
             trace.answered(answer);
         }

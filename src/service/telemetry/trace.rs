@@ -14,24 +14,24 @@ use crate::service::problem::Code;
 /// Stages that one trace keeps; a request has some ten.
 const STAGES: usize = 64;
 
-/// What a client says of traces when it asks.
+/// What is known of a request before anything is done.
 #[derive(Clone, Debug)]
-pub struct Asked {
-    /// The span that its own trace has for this request; valid or not.
+pub struct Asked<'a> {
+    /// The span that the client's own trace has for it; valid or not.
     pub parent: SpanContext,
-    /// When the request came.
+    /// When it came.
     pub began: Instant,
-}
-
-/// How a request was answered.
-#[derive(Clone, Copy, Debug)]
-pub struct Answer<'a> {
     /// A word that HTTP knows, or none.
     pub method: Option<&'static str>,
     /// The pattern of the route, where there is one.
     pub route: Option<&'a str>,
     /// `http` or `https`.
     pub scheme: &'static str,
+}
+
+/// How a request was answered.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
     /// The status.
     pub status: u16,
     /// Why it was refused.
@@ -68,12 +68,12 @@ struct Stage {
 }
 
 impl Trace {
-    pub(super) fn new(tracer: Tracer, context: SpanContext, (name, id): (&str, &str), began: Instant) -> Self {
+    pub(super) fn new(tracer: Tracer, context: SpanContext, id: &str, began: Instant) -> Self {
         let kept = Collected {
             context,
             parent: SpanId::INVALID,
             link: None,
-            name: name.to_owned(),
+            name: String::new(),
             attributes: vec![KeyValue::new("mlswarp.request_id", id.to_owned())],
             status: Status::Unset,
             came: SystemTime::now().checked_sub(began.elapsed()).unwrap_or(SystemTime::UNIX_EPOCH),
@@ -84,15 +84,30 @@ impl Trace {
         Self { tracer, kept: Mutex::new(kept) }
     }
 
-    /// A child of a span of the client's.
-    pub(super) fn below(self, parent: SpanId) -> Self {
-        self.kept().parent = parent;
+    /// A child of a span of the client's, if it has one. All this is told at once: who leaves is not answered.
+    pub(super) fn of_request(self, asked: &Asked<'_>) -> Self {
+        let mut kept = self.kept();
+        kept.parent = asked.parent.span_id();
+        kept.attributes.push(KeyValue::new("http.request.method", asked.method.unwrap_or("_OTHER")));
+        kept.attributes.push(KeyValue::new("url.scheme", asked.scheme));
+        let named = asked.method.unwrap_or("HTTP");
+        kept.name = match asked.route {
+            Some(route) => {
+                kept.attributes.push(KeyValue::new("http.route", route.to_owned()));
+                format!("{named} {route}")
+            }
+            None => named.to_owned(),
+        };
+        drop(kept);
         self
     }
 
     /// Belongs to another trace.
-    pub(super) fn linked(self, other: Option<&SpanContext>) -> Self {
-        self.kept().link = other.cloned();
+    pub(super) fn of_frame(self, handshake: Option<&SpanContext>) -> Self {
+        let mut kept = self.kept();
+        "drag frame".clone_into(&mut kept.name);
+        kept.link = handshake.cloned();
+        drop(kept);
         self
     }
 
@@ -108,21 +123,10 @@ impl Trace {
         }
     }
 
-    pub(super) fn answered(&self, answer: &Answer<'_>) {
+    pub(super) fn answered(&self, answer: Answer) {
         let mut kept = self.kept();
         kept.ended = Some(Instant::now());
-        let method = answer.method.unwrap_or("_OTHER");
-        kept.attributes.push(KeyValue::new("http.request.method", method));
         kept.attributes.push(KeyValue::new("http.response.status_code", i64::from(answer.status)));
-        kept.attributes.push(KeyValue::new("url.scheme", answer.scheme));
-        let named = answer.method.unwrap_or("HTTP");
-        kept.name = match answer.route {
-            Some(route) => {
-                kept.attributes.push(KeyValue::new("http.route", route.to_owned()));
-                format!("{named} {route}")
-            }
-            None => named.to_owned(),
-        };
         if let Some(code) = answer.code {
             kept.fail(code);
         }

@@ -2,14 +2,15 @@
 //! batches. Where the collector does not keep up, is away or never answers, spans are dropped and counted.
 //!
 //! A caller's `traceparent` is followed: what it does not sample is not traced; what it samples is, as often as `OBEYED` allows, since anybody
-//! may send the flag. Beyond that, and without a caller, the share decides by the trace's id, so that services of one share agree.
+//! may send the flag. Beyond that, and without a caller, the share decides by the id of the request's own span: the trace's id is the caller's to
+//! choose.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use opentelemetry::trace::{SpanContext, TraceFlags, TraceId, TraceState};
+use opentelemetry::trace::{SpanContext, SpanId, TraceFlags, TraceId, TraceState};
 use opentelemetry::{InstrumentationScope, KeyValue};
 use opentelemetry_otlp::{ExporterBuildError, Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
@@ -129,40 +130,38 @@ impl Tracer {
     }
 
     /// The span of a request, and its trace where it is sampled.
-    pub(super) fn request(&self, id: &str, asked: Asked) -> (SpanContext, Option<Trace>) {
-        let Asked { parent, began } = asked;
+    pub(super) fn request(&self, id: &str, asked: &Asked<'_>) -> (SpanContext, Option<Trace>) {
+        let Asked { parent, began, .. } = asked;
         let (trace, caller) = if parent.is_valid() {
             (parent.trace_id(), Some(parent.is_sampled()))
         } else {
             (RandomIdGenerator::default().new_trace_id(), None)
         };
-        let context = self.context(trace, self.samples(trace, caller, began));
-        // The name comes with the answer.
-        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("HTTP", id), began).below(parent.span_id()));
+        let context = self.context(trace, caller, *began);
+        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, *began).of_request(asked));
         (context, made)
     }
 
     /// The span of a frame. It is no child of its handshake, whose trace would have no end; it links to it.
     pub(super) fn frame(&self, id: &str, handshake: Option<&SpanContext>) -> (SpanContext, Option<Trace>) {
-        let trace = RandomIdGenerator::default().new_trace_id();
-        let context = self.context(trace, by_share(trace, self.0.share));
-        let made =
-            context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), ("drag frame", id), Instant::now()).linked(handshake));
+        let now = Instant::now();
+        let context = self.context(RandomIdGenerator::default().new_trace_id(), None, now);
+        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, now).of_frame(handshake));
         (context, made)
     }
 
-    fn context(&self, trace: TraceId, sampled: bool) -> SpanContext {
-        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
-        SpanContext::new(trace, RandomIdGenerator::default().new_span_id(), flags, false, TraceState::NONE)
+    fn context(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> SpanContext {
+        let span = RandomIdGenerator::default().new_span_id();
+        let flags = if self.samples(span, caller, now) { TraceFlags::SAMPLED } else { TraceFlags::default() };
+        SpanContext::new(trace, span, flags, false, TraceState::NONE)
     }
 
-    fn samples(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> bool {
+    fn samples(&self, span: SpanId, caller: Option<bool>, now: Instant) -> bool {
         let obeyed = || self.0.obeyed.lock().unwrap_or_else(PoisonError::into_inner).take(now);
         match caller {
             Some(false) => false,
-            Some(true) if by_share(trace, self.0.share) => true,
-            Some(true) => obeyed(),
-            None => by_share(trace, self.0.share),
+            Some(true) => by_share(span, self.0.share) || obeyed(),
+            None => by_share(span, self.0.share),
         }
     }
 
@@ -174,10 +173,9 @@ impl Tracer {
     }
 }
 
-/// The last 63 bits of a random id, as OpenTelemetry's own sampler has it.
-fn by_share(trace: TraceId, share: f64) -> bool {
-    let [.., a, b, c, d, e, f, g, h] = trace.to_bytes();
-    let low = u64::from_be_bytes([a, b, c, d, e, f, g, h]) >> 1;
+/// By 63 bits of a random id.
+fn by_share(span: SpanId, share: f64) -> bool {
+    let low = u64::from_be_bytes(span.to_bytes()) >> 1;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "between 0 and 2^63")]
     let bound = (share * (1_u64 << 63) as f64) as u64;
     low < bound
@@ -302,22 +300,25 @@ mod tests {
         Tracer::new(&config).unwrap().unwrap()
     }
 
-    fn parent(sampled: bool) -> Asked {
-        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
-        let ids = RandomIdGenerator::default();
-        let parent = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), flags, true, TraceState::NONE);
-        Asked { parent, began: Instant::now() }
+    fn parent(sampled: bool) -> Asked<'static> {
+        asked(RandomIdGenerator::default().new_trace_id(), sampled)
     }
 
-    fn stranger() -> Asked {
-        Asked { parent: SpanContext::empty_context(), began: Instant::now() }
+    fn asked(trace: TraceId, sampled: bool) -> Asked<'static> {
+        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
+        let span = RandomIdGenerator::default().new_span_id();
+        Asked { parent: SpanContext::new(trace, span, flags, true, TraceState::NONE), ..stranger() }
+    }
+
+    fn stranger() -> Asked<'static> {
+        Asked { parent: SpanContext::empty_context(), began: Instant::now(), method: Some("GET"), route: Some("/"), scheme: "http" }
     }
 
     #[test]
     fn the_share_decides_where_no_caller_does() {
         let count = |share: f64| {
             let (tracer, _outbox) = tracer(share);
-            (0..1000).filter(|_| tracer.request("r", stranger()).1.is_some()).count()
+            (0..1000).filter(|_| tracer.request("r", &stranger()).1.is_some()).count()
         };
         assert_eq!((count(0.0), count(1.0)), (0, 1000));
         assert!((350..650).contains(&count(0.5)));
@@ -326,24 +327,31 @@ mod tests {
     #[test]
     fn a_caller_is_followed_and_bounded() {
         let (everything, _outbox) = tracer(1.0);
-        assert!(everything.request("r", parent(false)).1.is_none(), "what the caller does not sample is not traced");
+        assert!(everything.request("r", &parent(false)).1.is_none(), "what the caller does not sample is not traced");
         let (nothing, _outbox) = tracer(0.0);
         let asked = parent(true);
-        let (context, trace) = nothing.request("r", asked.clone());
+        let (context, trace) = nothing.request("r", &asked);
         assert!(trace.is_some() && context.trace_id() == asked.parent.trace_id() && context.span_id() != asked.parent.span_id());
-        let obeyed = (0..1000).filter(|_| nothing.request("r", parent(true)).1.is_some()).count();
+        let obeyed = (0..1000).filter(|_| nothing.request("r", &parent(true)).1.is_some()).count();
         assert!((190..600).contains(&obeyed), "{obeyed}");
+    }
+
+    #[test]
+    fn a_caller_chooses_no_id_that_is_traced_more_often() {
+        let (tracer, _outbox) = tracer(0.01);
+        let traced = (0..2000).filter(|_| tracer.request("r", &asked(TraceId::from_bytes(1_u128.to_be_bytes()), true)).1.is_some()).count();
+        assert!((190..800).contains(&traced), "{traced}");
     }
 
     #[test]
     fn a_full_queue_drops_and_counts() {
         let (tracer, mut outbox) = tracer(1.0);
         for _ in 0..QUEUE + 10 {
-            drop(tracer.request("r", stranger()));
+            drop(tracer.request("r", &stranger()));
         }
         assert_eq!((tracer.tally().dropped(), outbox.queue.len()), (10, QUEUE));
         outbox.queue.close();
-        drop(tracer.request("r", stranger()));
+        drop(tracer.request("r", &stranger()));
         assert_eq!(tracer.tally().dropped(), 11, "and after the end");
     }
 }

@@ -4,16 +4,17 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
+use serde::Serialize;
 
-use crate::deform::Handle;
 use crate::geometry::Point;
 use crate::service::App;
 use crate::service::client::Client;
 use crate::service::pool::{Lane, Ticket, Work};
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
+use crate::service::shares::Share;
 use crate::service::telemetry::scope::stage;
-use crate::service::wire::PointsObject;
+use crate::service::wire::{PointsObject, Wire};
 use crate::warp::{GridSpec, Setup, WarpError};
 
 /// Places mapped between two looks at whether the client is still there.
@@ -22,51 +23,71 @@ const PLACES_PER_STEP: usize = 4096;
 /// Places that are mapped sooner than other threads wake.
 const PLACES_ALONE: usize = 256;
 
+/// Longest text of a mapped place, bytes: two numbers of 24 characters, brackets, commas.
+const PLACE_TEXT: usize = 52;
+
+/// Length of the answer around its places, bytes.
+const AROUND: usize = r#"{"points":[]}"#.len();
+
+/// The answer.
+#[derive(Serialize)]
+struct Mapped<'a> {
+    points: Wire<&'a [Point]>,
+}
+
 impl App {
-    /// Maps places by f exactly.
+    /// Maps places by f exactly, into the JSON of the answer.
     ///
     /// # Errors
     /// Whatever is wrong with the handles, or no room.
-    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Vec<Point>, Problem> {
+    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
-        let object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
-        let (mut rest, extent) = object.warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
+        let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let limits = self.0.config.limits;
         let setup = self.0.pool.run(&ticket, move |_| Setup::new(&rest, extent, &limits)).await??;
-        self.map(&ticket, Arc::new(setup), object.q, object.points).await
+        self.map(&ticket, self.share(client), Arc::new(setup), object).await
     }
 
-    /// Maps places by f of a session.
+    /// Maps places by f of a session, into the JSON of the answer.
     ///
     /// # Errors
     /// Unknown session, whatever is wrong with the handles, or no room.
-    pub async fn map_session(&self, id: SessionId, json: Bytes) -> Result<Vec<Point>, Problem> {
+    pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
         let session = self.0.store.touch(id, None).await?;
         let setup = self.session_setup(&session.record).await?;
         let ticket = self.0.pool.admit(Work::Upload, Lane::Session(id)).await?;
         let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
-        self.map(&ticket, setup, object.q, object.points).await
+        self.map(&ticket, self.share(client), setup, object).await
     }
 
-    async fn map(&self, ticket: &Ticket, setup: Arc<Setup>, q: Vec<Handle>, places: Vec<Point>) -> Result<Vec<Point>, Problem> {
-        let pool = self.0.pool.clone();
+    async fn map(&self, ticket: &Ticket, share: Share, setup: Arc<Setup>, object: PointsObject) -> Result<Bytes, Problem> {
+        let app = self.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
             let began = Instant::now();
+            let PointsObject { q, points: places, .. } = object;
+            let text = AROUND + PLACE_TEXT * places.len();
+            let mut held = app.reserve_for(&share, (text + size_of_val(places.as_slice())) as u64)?;
             let pose = setup.pose(&q)?;
             let mut mapped = Vec::with_capacity(places.len());
             for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {
                 if cancel.is_cancelled() {
-                    return Err(WarpError::GivenUp);
+                    return Err(WarpError::GivenUp.into());
                 }
                 let map = || setup.map(&pose, step);
-                let step = if step.len() > PLACES_ALONE { pool.spread(map) } else { map() };
+                let step = if step.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() };
                 mapped.extend(step.map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
             }
             stage("deform", began);
-            Ok::<_, WarpError>(mapped)
+            let mut body = Vec::with_capacity(text);
+            serde_json::to_writer(&mut body, &Mapped { points: Wire(&mapped) }).expect("an object of numbers, into memory");
+            // It may wait long for its reader.
+            body.shrink_to_fit();
+            held.shrink_to(body.len() as u64);
+            Ok::<_, Problem>(held.with(body))
         });
-        Ok(mapped.await??)
+        mapped.await?
     }
 }

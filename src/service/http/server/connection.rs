@@ -2,6 +2,7 @@
 //! the head; the body (`body.rs`); the answer (`steady.rs`, `streams.rs`); and what lies between two requests.
 
 use std::io;
+use std::mem::MaybeUninit;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,6 +16,7 @@ use hyper::server::conn::{http1, http2};
 use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use socket2::SockRef;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
@@ -104,6 +106,12 @@ impl Connections {
     }
 
     async fn open(&self, steady: Steady) -> io::Result<(Wire, Version)> {
+        // Browsers and proxies open connections ahead: whoever has said nothing when the service stops is not waited for.
+        let (mut first, mut late) = ([0], [MaybeUninit::uninit()]);
+        tokio::select! {
+            said = steady.socket().peek(&mut first) => said?,
+            () = self.stopping() => SockRef::from(steady.socket()).peek(&mut late)?,
+        };
         let Some(tls) = &self.tls else {
             let version = version(steady.socket()).await?;
             return Ok((Wire::Plain(steady), version));
@@ -118,7 +126,9 @@ impl Connections {
         let mut builder = http1::Builder::new();
         builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)).with_upgrades());
+        // The connection first: one that has not read anything when it is told to end does not read what has come.
         let ended = tokio::select! {
+            biased;
             ended = connection.as_mut() => ended,
             () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
@@ -144,6 +154,7 @@ impl Connections {
             .keep_alive_timeout(self.config.header_timeout);
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)));
         let ended = tokio::select! {
+            biased;
             ended = connection.as_mut() => ended,
             () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
