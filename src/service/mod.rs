@@ -317,7 +317,7 @@ impl App {
     }
 
     /// Whether work that arrives now would be admitted, and with what. A store that is away after it was there leaves a service that does what it can:
-    /// all replicas share it, and a proxy that took every one of them away would end also the sessions that go on without it. Answers within about
+    /// a file is used by this process alone and Redis is away for all replicas, and a proxy that took every one of them away would end also the sessions that go on without it. Answers within about
     /// a second.
     ///
     /// # Errors

@@ -98,7 +98,9 @@ async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Respo
     let route = route.as_ref().map_or("-", MatchedPath::as_str);
     app.metrics().answered(route, method.as_str(), status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
-    tracing::info!(target: "mlswarp::http", %method, route, status, ms = format_args!("{ms:.1}"), "answered");
+    // A client may send any word as its method, as long as a head may be.
+    let method = known_method(method.as_str()).unwrap_or("other");
+    tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
     response
 }
 
