@@ -30,7 +30,7 @@ pub(super) fn talk(bytes: &[u8]) {
     };
     let (app, runtime, id) = &*SESSION;
     runtime.block_on(async {
-        let mut drag = app.open_drag(*id, wishes).await.expect("a seat");
+        let mut drag = app.open_drag(Client::default(), *id, wishes).await.expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {
             drag.hear(message, Instant::now());
             go_on(&mut drag).await;

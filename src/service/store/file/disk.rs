@@ -8,6 +8,7 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
+use std::ops::{Deref, DerefMut};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -97,9 +98,41 @@ pub(super) struct Disk {
 
 struct Open {
     /// `None` after a failure: what the disk holds is not certain before it has been opened again.
-    database: Option<Arc<Database>>,
+    database: Option<Arc<Held>>,
     tried: Instant,
     failures: u64,
+}
+
+/// A database that may be closed by anybody: to close one that is damaged may well fail, and is nobody's failure.
+struct Held(Option<Database>);
+
+impl Held {
+    fn new(database: Database) -> Arc<Self> {
+        Arc::new(Self(Some(database)))
+    }
+}
+
+impl Deref for Held {
+    type Target = Database;
+
+    fn deref(&self) -> &Database {
+        self.0.as_ref().expect("it is there until it is dropped")
+    }
+}
+
+impl DerefMut for Held {
+    fn deref_mut(&mut self) -> &mut Database {
+        self.0.as_mut().expect("it is there until it is dropped")
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let database = self.0.take();
+        if catch_unwind(AssertUnwindSafe(|| drop(database))).is_err() {
+            tracing::error!("the session file was damaged when it was closed");
+        }
+    }
 }
 
 /// Whether the database has just been opened again.
@@ -119,7 +152,7 @@ impl Disk {
     }
 
     fn of(path: &Path, database: Database) -> Self {
-        let open = Open { database: Some(Arc::new(database)), tried: Instant::now(), failures: 0 };
+        let open = Open { database: Some(Held::new(database)), tried: Instant::now(), failures: 0 };
         Self { path: path.to_owned(), open: Mutex::new(open) }
     }
 
@@ -164,7 +197,7 @@ impl Disk {
         let mut open = self.lock();
         match opened {
             Ok(database) => {
-                open.database = Some(Arc::new(database));
+                open.database = Some(Held::new(database));
                 tracing::info!("the session file is open again");
                 Ok(Opened::Again)
             }
@@ -202,16 +235,16 @@ impl Disk {
     }
 
     /// Closes that database, unless it has been closed and opened again meanwhile.
-    fn fail(&self, failing: &Arc<Database>, failed: &Failed) -> StoreError {
+    fn fail(&self, failing: &Arc<Held>, failed: &Failed) -> StoreError {
         let mut open = self.lock();
         open.failures += 1;
-        let database = open.database.take_if(|database| Arc::ptr_eq(database, failing));
-        if database.is_some() {
+        let closed = open.database.take_if(|database| Arc::ptr_eq(database, failing));
+        if closed.is_some() {
             open.tried = Instant::now();
         }
+        // Closing it, which the last one to hold it does, waits for the disk.
         drop(open);
-        // The last one to hold it closes it, and may well fail at that.
-        let _ = catch_unwind(AssertUnwindSafe(|| drop(database)));
+        drop(closed);
         tracing::error!(why = failed.why, "the session file does not do its work");
         if failed.full { StoreError::NoRoom } else { StoreError::Away }
     }
