@@ -2,6 +2,7 @@
 //! coverage to guide it, on the program as the other tests build it: what takes minutes to build and hours to run is in `long/`.
 
 #![expect(clippy::cast_possible_truncation, reason = "random numbers are cut to bytes")]
+#![expect(clippy::print_stdout, reason = "what was tried is what is read")]
 
 mod mutation;
 mod targets;

@@ -2,8 +2,8 @@
 //! an answer, memory stays within its account, and when the crowd has gone everything is as it was. What is measured is printed; of
 //! speed nothing is asserted but that bounds hold ten times over.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a failed unwrap is a failed test; the figures are the point")]
-#![expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "figures for people")]
+#![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+#![expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "figures for people")]
 
 #[expect(dead_code, reason = "shared with the integration tests")]
 #[path = "../it/support/program.rs"]
