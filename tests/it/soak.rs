@@ -25,6 +25,9 @@ const HANDS: u64 = 4;
 const SESSIONS: usize = 24;
 /// What may stay more, as a part of what stayed after the warming.
 const GROWTH: f64 = 0.05;
+/// Periods of load, of which one must end within that. Holes between what is kept come and go by some MiB; what has leaked is still there after
+/// the next period, and as much again.
+const PERIODS: u64 = 3;
 /// Seconds for which it must be still: longer than the program waits before it gives memory back, and than sessions live.
 const STILL: u32 = 6;
 /// Longest wait for one answer.
@@ -340,13 +343,22 @@ async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
     let first = load(&day, 1, Duration::from_secs(warming)).await;
     let warm = rest(&day).await;
     let kept_when_warm = day.kept().await;
-    let second = load(&day, 2, Duration::from_secs(time)).await;
-    let after = rest(&day).await;
-    let kept_after = day.kept().await;
     let mib = |bytes: &u64| bytes >> 20;
-    println!("answers: {:?}", day.answers.lock().unwrap());
     println!("resident, MiB: begun {}, warming {:?}, warm {}", mib(&begun), first.iter().map(mib).collect::<Vec<_>>(), mib(&warm));
-    println!("then {:?}, after {}; KiB: {} -> {}", second.iter().map(mib).collect::<Vec<_>>(), mib(&after), warm >> 10, after >> 10);
+    let mut is_as_it_was = false;
+    for period in 0..PERIODS {
+        let curve = load(&day, 2 + period, Duration::from_secs(time)).await;
+        let (after, kept_after) = (rest(&day).await, day.kept().await);
+        println!("then {:?}, after {}; KiB: {} -> {}", curve.iter().map(mib).collect::<Vec<_>>(), mib(&after), warm >> 10, after >> 10);
+        println!("of these the caches keep {} KiB -> {} KiB", kept_when_warm >> 10, kept_after >> 10);
+        // What a cache keeps now and did not then has not leaked.
+        let allowed = warm as f64 * (1.0 + GROWTH) + kept_after.saturating_sub(kept_when_warm) as f64;
+        is_as_it_was = after as f64 <= allowed;
+        if is_as_it_was {
+            break;
+        }
+    }
+    println!("answers: {:?}", day.answers.lock().unwrap());
     let (answers, served) = (day.answers.lock().unwrap().clone(), |what: &str, status: u16| {
         day.answers.lock().unwrap().iter().any(|((w, s), _)| *w == what && *s == status)
     });
@@ -355,8 +367,5 @@ async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
     {
         assert!(served(what, status), "{what} {status}: {answers:?}");
     }
-    println!("of these the caches keep {} KiB -> {} KiB", kept_when_warm >> 10, kept_after >> 10);
-    // What a cache keeps now and did not then has not leaked.
-    let allowed = warm as f64 * (1.0 + GROWTH) + kept_after.saturating_sub(kept_when_warm) as f64;
-    assert!(after as f64 <= allowed, "{warm} bytes when warm, {after} after; the caches kept {kept_when_warm}, now {kept_after}");
+    assert!(is_as_it_was, "{warm} bytes when warm, more after each of {PERIODS} periods");
 }
