@@ -73,15 +73,14 @@ impl Day {
         line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
     }
 
-    /// What is resident at rest and not kept by a cache.
-    async fn stayed(&self) -> u64 {
+    /// What is resident at rest, and what of it the caches keep.
+    async fn stayed(&self) -> (u64, u64) {
         let resident = rest(self).await;
         let url = format!("http://{}/metrics", self.program.address);
         let text = self.client.get(url).send().await.unwrap().text().await.unwrap();
         let samples = text.lines().filter(|line| line.starts_with("mlswarp_memory_reserved_bytes{"));
         let kept = samples.map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()).sum::<u64>();
-        println!("at rest: {} KiB, of which caches keep {} KiB", resident >> 10, kept >> 10);
-        resident - kept
+        (resident, kept)
     }
 
     fn session(&self, dice: &mut Dice) -> String {
@@ -350,8 +349,15 @@ async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
     for period in 0..PERIODS {
         let curve = load(&day, 2 + period, Duration::from_secs(time)).await;
         let after = day.stayed().await;
-        println!("then {:?}: {} KiB -> {} KiB", curve.iter().map(mib).collect::<Vec<_>>(), before >> 10, after >> 10);
-        has_grown = after as f64 > before as f64 * (1.0 + GROWTH);
+        println!("then {:?}", curve.iter().map(mib).collect::<Vec<_>>());
+        println!(
+            "at rest, KiB, and what caches keep of it: {} ({}) -> {} ({})",
+            before.0 >> 10,
+            before.1 >> 10,
+            after.0 >> 10,
+            after.1 >> 10
+        );
+        has_grown = (after.0 - after.1) as f64 > (before.0 - before.1) as f64 * (1.0 + GROWTH);
         if !has_grown {
             break;
         }
