@@ -11,6 +11,8 @@ import { setTimeout as pause } from "node:timers/promises";
 import WebSocket from "ws";
 
 const STEPS = 120;
+const PATIENCE = 5000; // ms: whoever answers nothing for so long is gone, whatever the connection says
+let newest = 0; // the pose that was sent last
 const [picture, out, server = "http://127.0.0.1:8080"] = process.argv.slice(2);
 
 // The first handle circles (60 px wide), the others stay.
@@ -21,8 +23,9 @@ function pose([[x, y], ...others], step) {
 
 // Says where the handles are, 125 times a second. Nobody waits for a frame: the server keeps the newest pose alone.
 async function move(socket, rest) {
-  for (let step = 0; step < STEPS; step++) {
-    socket.send(JSON.stringify({ seq: step, q: pose(rest, step) }));
+  for (let seq = newest; seq < STEPS && socket.readyState === WebSocket.OPEN; seq++) {
+    newest = seq;
+    socket.send(JSON.stringify({ seq, q: pose(rest, seq) }));
     await pause(8);
   }
 }
@@ -30,24 +33,23 @@ async function move(socket, rest) {
 // Shows the frames and acknowledges each; the next comes after that. The last one is of the last pose, at full size.
 function watch(socket) {
   return new Promise((resolve, reject) => {
-    let frames = 0;
-    let report; // of the frame that follows
+    let report; // of the frame that follows; the first one tells the grid
+    const silent = setTimeout(() => resolve(socket.terminate()), PATIENCE);
     socket.on("error", reject);
-    socket.on("close", (code, reason) => reject(new Error(`closed: ${code} ${reason}`)));
+    socket.on("close", () => resolve(clearTimeout(silent)));
     socket.on("message", (message, isBinary) => {
+      silent.refresh();
       if (!isBinary) {
-        const told = JSON.parse(message);
-        if (told.code) reject(new Error(`${told.code}: ${told.detail}`));
-        else if (told.columns) console.log(`${told.width} x ${told.height}, ${told.columns} x ${told.rows} vertices`);
-        else report = told;
+        report = JSON.parse(message);
+        if (report.code) reject(new Error(`${report.code}: ${report.detail}`));
         return;
       }
       const seq = Number(message.readBigUInt64LE(0));
       socket.send(JSON.stringify({ ack: seq }));
-      frames += 1;
       if (seq === STEPS - 1 && report.full) {
-        console.log(`${frames} frames for ${STEPS} poses; the last is ${report.width} x ${report.height}`);
+        console.log(`${STEPS} poses; the last frame is ${report.width} x ${report.height}`);
         resolve(message.subarray(8));
+        socket.close();
       }
     });
   });
@@ -62,9 +64,16 @@ const answer = await fetch(`${server}/sessions`, { method: "POST", body: form })
 if (!answer.ok) throw new Error(await answer.text());
 const session = answer.headers.get("Location");
 
-// From here on nothing but q travels.
-const socket = new WebSocket(`${server.replace("http", "ws")}${session}/drag?frames=png&width=auto&report=true`);
-socket.on("open", () => move(socket, rest));
-await writeFile(out, await watch(socket));
-socket.close();
+// From here on nothing but q travels. A socket that ends, or answers nothing, is given up; the next one begins with the pose that was sent last.
+async function drag() {
+  for (;;) {
+    const socket = new WebSocket(`${server.replace("http", "ws")}${session}/drag?frames=png&width=auto&report=true`);
+    socket.on("open", () => move(socket, rest));
+    const last = await watch(socket);
+    if (last) return last;
+    console.log("another socket, as this one is gone");
+    await pause(200);
+  }
+}
+await writeFile(out, await drag());
 await fetch(`${server}${session}`, { method: "DELETE" });

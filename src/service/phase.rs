@@ -18,6 +18,8 @@ enum Phase {
     Leaving,
     /// Nobody comes any more; what has begun is finished.
     Stopping,
+    /// What has begun has a moment left.
+    Hurrying,
 }
 
 /// The phase, and who waits for it to change.
@@ -32,6 +34,11 @@ impl Phases {
     fn is_at_least(&self, phase: Phase) -> bool {
         *self.0.borrow() >= phase
     }
+
+    async fn reached(&self, phase: Phase) {
+        // The sender lives as long as `self`, so waiting cannot fail.
+        let _ = self.0.subscribe().wait_for(|now| *now >= phase).await;
+    }
 }
 
 impl App {
@@ -45,6 +52,11 @@ impl App {
         self.0.phases.move_on_to(Phase::Stopping);
     }
 
+    /// The service stops, and soon: no delay and no grace are waited for any more.
+    pub fn hurry(&self) {
+        self.0.phases.move_on_to(Phase::Hurrying);
+    }
+
     /// Whether the service will stop soon: connections are better not kept for another request.
     #[must_use]
     pub fn is_leaving(&self) -> bool {
@@ -53,8 +65,12 @@ impl App {
 
     /// Waits until the service is stopping.
     pub async fn stopping(&self) {
-        // The sender lives as long as `self`, so waiting cannot fail.
-        let _ = self.0.phases.0.subscribe().wait_for(|phase| *phase == Phase::Stopping).await;
+        self.0.phases.reached(Phase::Stopping).await;
+    }
+
+    /// Waits until the service stops in a hurry.
+    pub async fn hurrying(&self) {
+        self.0.phases.reached(Phase::Hurrying).await;
     }
 
     /// Whether newcomers are asked for.

@@ -6,6 +6,7 @@ translated makes the test fail. Envoy itself is out of its wheel on PyPI.
 """
 
 import functools
+import http.server
 import json
 import signal
 import sys
@@ -134,10 +135,15 @@ def translated(front, endpoints):
         },
         {"name": "envoy.filters.http.router", "typed_config": typed("extensions.filters.http.router.v3.Router")},
     ]
+    early = typed(
+        "extensions.http.early_header_mutation.header_mutation.v3.HeaderMutation",
+        mutations=[{"remove": name} for name in take("ClientTrafficPolicy", "headers", "earlyRequestHeaders", "remove")],
+    )
     log = typed("extensions.access_loggers.file.v3.FileAccessLog", path="/dev/stdout", log_format={"json_format": sink["format"]["json"]})
     manager = typed(
         "extensions.filters.network.http_connection_manager.v3.HttpConnectionManager",
         stat_prefix="clients", http_filters=filters, use_remote_address=True,
+        early_header_mutation_extensions=[{"name": "envoy.http.early_header_mutation.header_mutation", "typed_config": early}],
         access_log=[{"name": "envoy.access_loggers.file", "typed_config": log}],
         route_config={"virtual_hosts": [{"name": "mlswarp", "domains": ["*"], "routes": routes}]},
     )  # fmt: skip
@@ -176,7 +182,7 @@ def translated(front, endpoints):
     # What says where the others apply, and what was read together with the above.
     for kind, *path in (
         ("BackendTrafficPolicy", "targetRefs"), ("BackendTrafficPolicy", "loadBalancer", "type"), ("EnvoyExtensionPolicy", "targetRefs"),
-        ("HTTPRoute", "parentRefs"), ("HTTPRoute", "hostnames"),
+        ("ClientTrafficPolicy", "targetRefs"), ("HTTPRoute", "parentRefs"), ("HTTPRoute", "hostnames"),
     ):  # fmt: skip
         take(kind, *path)
     forgotten = [leaf for kind in files.left for leaf in files.forgotten(kind)]
@@ -218,6 +224,32 @@ def dragged(hands, front, events):
         for thread in threads:
             thread.join()
     return list(story.chapters({hand.name: hand.diary for hand in hands}))
+
+
+class Echo(http.server.BaseHTTPRequestHandler):
+    """Says from whom a request came, as far as it is told."""
+
+    def do_GET(self):
+        body = json.dumps(self.headers.get_all("X-Forwarded-For")).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+def check_claims(check, proxy, front, endpoints, server):
+    """What a client claims about itself does not come through."""
+    with http.server.ThreadingHTTPServer((server.host, server.port), Echo) as echo:
+        threading.Thread(target=echo.serve_forever, daemon=True).start()
+        tell(endpoints, [server])
+        proxy.wait(lambda: front.ask("GET", "/")[2].startswith(b"["), "another server")
+        told = [json.loads(front.ask("GET", "/", headers=claims)[2]) for claims in ({}, {"X-Forwarded-For": "203.0.113.9, 10.0.0.1"})]
+        echo.shutdown()
+    right = told[0] == told[1] and len(told[0]) == 1 and "," not in told[0][0]
+    check("envoy: what a client says of where it is does not come through", right, told)
 
 
 def check_envoy(stage):
@@ -286,6 +318,7 @@ def check_envoy(stage):
             # While nobody knows that a replica was killed, its sessions come to another one by a second hash; then all by a new table.
             check(f"envoy: {chapter.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(hands)} sessions")
             say(f"envoy: {chapter.name}: longest time without a frame {max(gaps):.0f} ms, {len(chapter.all('cut'))} cut short")
+        check_claims(check, proxy, front, endpoints, Server(names.address(31), 8080))
         proxy.end(signal.SIGTERM)
         # Written when it ends.
         log = proxy.log.read_text(errors="replace")

@@ -1,5 +1,6 @@
 """The images: bases made of what Debian and this machine have, and deploy/Dockerfile upon them."""
 
+import contextlib
 import hashlib
 import inspect
 import os
@@ -14,6 +15,35 @@ SUITE = "bookworm"
 BUILDER_NAME = "mlswarp-test/builder"
 SERVICES_NAME = "mlswarp-test/services"
 IMAGE = "mlswarp-test/mlswarp"
+
+
+def has(engine, tag):
+    """Whether the image is there; if not, its older likes go."""
+    if engine("image", "inspect", tag, check=False).returncode == 0:
+        return True
+    for stale in engine.text("image", "ls", "--quiet", tag.partition(":")[0]).split():
+        engine("image", "rm", "--force", stale, check=False)
+    return False
+
+
+@contextlib.contextmanager
+def planted(name):
+    """An empty tree for an image, for as long as it takes to fill it."""
+    tree = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=CACHE))
+    try:
+        yield tree
+    finally:
+        run(*AS_ROOT, "rm", "-rf", "--one-file-system", tree, check=False)
+
+
+def take(engine, tree, tag, *settings):
+    """The tree as an image with those settings."""
+    tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
+    engine("import", *(part for setting in settings for part in ("--change", setting)), "-", tag, stdin=tar.stdout)
+    tar.stdout.close()
+    if tar.wait() != 0:
+        engine("image", "rm", tag, check=False)
+        raise Failure(f"the tree of {tag} could not be read")
 
 
 def builder_image(engine):
@@ -33,15 +63,11 @@ def builder_image(engine):
     for file in (certificates, settings):
         key.update(file.read_bytes() if file.is_file() else b"-")
     tag = f"{BUILDER_NAME}:{key.hexdigest()[:16]}"
-    if engine("image", "inspect", tag, check=False).returncode == 0:
+    if has(engine, tag):
         return tag
-    for stale in engine.text("image", "ls", "--quiet", BUILDER_NAME).split():
-        engine("image", "rm", "--force", stale, check=False)
-
     if where("debootstrap") is None:
         install("debootstrap")
-    tree = Path(tempfile.mkdtemp(prefix="builder-", dir=CACHE))
-    try:
+    with planted("builder") as tree:
         with timed(f"making a Debian {SUITE} with gcc"):
             run(*AS_ROOT, where("debootstrap"), "--variant=minbase", "--include=gcc,libc6-dev,ca-certificates", SUITE, tree)
         with timed("adding Rust to it"):
@@ -56,15 +82,7 @@ def builder_image(engine):
                     run(*AS_ROOT, "cp", "-L", file, tree / place)
             for unused in ("var/cache/apt", "var/lib/apt/lists", "usr/share/doc", "usr/share/man", "usr/share/locale"):
                 run(*AS_ROOT, "rm", "-rf", tree / unused)
-            changes = ("ENV PATH=/usr/local/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin", "ENV CARGO_HOME=/usr/local/cargo")
-            tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
-            engine("import", *(part for change in changes for part in ("--change", change)), "-", tag, stdin=tar.stdout)
-            tar.stdout.close()
-            if tar.wait() != 0:
-                engine("image", "rm", tag, check=False)
-                raise Failure("the tree of the builder could not be read")
-    finally:
-        run(*AS_ROOT, "rm", "-rf", "--one-file-system", tree, check=False)
+            take(engine, tree, tag, "ENV PATH=/usr/local/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin", "ENV CARGO_HOME=/usr/local/cargo")
     return tag
 
 
@@ -86,12 +104,9 @@ def services_image(engine):
     for program in programs.values():
         key.update(program.read_bytes())
     tag = f"{SERVICES_NAME}:{key.hexdigest()[:16]}"
-    if engine("image", "inspect", tag, check=False).returncode == 0:
+    if has(engine, tag):
         return tag
-    for stale in engine.text("image", "ls", "--quiet", SERVICES_NAME).split():
-        engine("image", "rm", "--force", stale, check=False)
-    tree = Path(tempfile.mkdtemp(prefix="services-", dir=CACHE))
-    try:
+    with planted("services") as tree:
         for place, program in programs.items():
             # Each library where the loader looks for it, which `ldd` says.
             libraries = [word for word in text("ldd", program).split() if word.startswith("/")]
@@ -101,15 +116,7 @@ def services_image(engine):
         for directory, owner in OWNED.items():
             (tree / directory).mkdir()
             run(*AS_ROOT, "chown", owner, tree / directory)
-        settings = ("ENV PATH=/usr/local/sbin:/usr/local/bin:/bin", 'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]')
-        tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
-        engine("import", *(part for setting in settings for part in ("--change", setting)), "-", tag, stdin=tar.stdout)
-        tar.stdout.close()
-        if tar.wait() != 0:
-            engine("image", "rm", tag, check=False)
-            raise Failure("the tree of the services could not be read")
-    finally:
-        run(*AS_ROOT, "rm", "-rf", "--one-file-system", tree, check=False)
+        take(engine, tree, tag, "ENV PATH=/usr/local/sbin:/usr/local/bin:/bin", 'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]')
     return tag
 
 

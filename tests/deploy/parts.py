@@ -10,6 +10,7 @@ import chaos
 import envoy
 import image
 import nginx
+import retries
 import scaling
 import start
 from commands import Checks
@@ -54,6 +55,7 @@ def check_again(stage):
 PARTS = {
     "image": check_image,
     "stack": chaos.check_stack,
+    "retries": retries.check_retries,
     "nginx": nginx.check_nginx,
     "envoy": envoy.check_envoy,
     "scaling": scaling.check_scaling,

@@ -95,10 +95,10 @@ pub(super) struct DoorsArgs {
     /// Longest time in which a client takes nothing of what it is sent.
     #[arg(long, env = "MLSWARP_WRITE_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
     write_timeout: String,
-    /// After SIGTERM or Ctrl-C: how long newcomers are still served while /readyz says 503, for proxies to notice.
+    /// After SIGTERM or Ctrl-C: how long newcomers are still served while /readyz says 503, for proxies to notice. A second signal ends this and the grace: a second later all is cut.
     #[arg(long, env = "MLSWARP_DRAIN_DELAY", value_name = "TIME", default_value = "0s", global = true)]
     drain_delay: String,
-    /// How long requests may go on after that.
+    /// How long requests may go on after that, unless a second signal hurries.
     #[arg(long, env = "MLSWARP_SHUTDOWN_GRACE", value_name = "TIME", default_value = "20s", global = true)]
     shutdown_grace: String,
 }

@@ -59,6 +59,10 @@ impl Store for Timed {
         self.0.ready()
     }
 
+    fn settle(&self) -> Answer<'_, ()> {
+        self.0.settle()
+    }
+
     fn figures(&self) -> Figures {
         self.0.figures()
     }

@@ -5,6 +5,7 @@ use std::io;
 use std::mem::MaybeUninit;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
@@ -52,6 +53,8 @@ const WATCHERS: (usize, usize) = (64, 32);
 
 /// What an HTTP/2 connection begins with (RFC 9113, section 3.4).
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+/// Whoever has sent a part of its first head, or of a handshake, when the service stops has so long for the rest: it may be on its way.
+const LATE: Duration = Duration::from_millis(500);
 /// How often a connection that has sent a part of the preface is looked at again.
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
@@ -93,9 +96,10 @@ impl Connections {
     /// Serves a connection until it ends.
     pub(super) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: Place) {
         let opened = match Steady::new(socket, self.config.write_timeout, place) {
-            Ok(steady) => {
-                timeout(self.config.header_timeout, self.open(steady)).await.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
-            }
+            Ok(steady) => tokio::select! {
+                opened = timeout(self.config.header_timeout, self.open(steady)) => opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
+                () = self.late() => Err(io::ErrorKind::TimedOut.into()),
+            },
             Err(error) => Err(error),
         };
         match opened {
@@ -125,14 +129,20 @@ impl Connections {
     async fn http1(&self, wire: Wire, peer: SocketAddr) {
         let mut builder = http1::Builder::new();
         builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
-        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)).with_upgrades());
+        let begun = Arc::<AtomicBool>::default();
+        let service = self.service(peer, &begun);
+        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service).with_upgrades());
         // The connection first: one that has not read anything when it is told to end does not read what has come.
         let ended = tokio::select! {
             biased;
             ended = connection.as_mut() => ended,
             () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
-                connection.await
+                tokio::select! {
+                    biased;
+                    ended = connection.as_mut() => ended,
+                    () = self.unbegun(&begun) => return log_late(),
+                }
             }
         };
         log_end(ended);
@@ -152,13 +162,19 @@ impl Connections {
             .max_send_buf_size(STREAM_SEND)
             .keep_alive_interval(self.config.header_timeout)
             .keep_alive_timeout(self.config.header_timeout);
-        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), self.service(peer)));
+        let begun = Arc::<AtomicBool>::default();
+        let service = self.service(peer, &begun);
+        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service));
         let ended = tokio::select! {
             biased;
             ended = connection.as_mut() => ended,
             () = self.stopping() => {
                 connection.as_mut().graceful_shutdown();
-                connection.await
+                tokio::select! {
+                    biased;
+                    ended = connection.as_mut() => ended,
+                    () = self.unbegun(&begun) => return log_late(),
+                }
             }
             () = streams.idle(self.config.header_timeout) => {
                 connection.as_mut().graceful_shutdown();
@@ -180,18 +196,40 @@ impl Connections {
         self.app.stopping().await;
     }
 
+    /// Ends a while after the service stops.
+    async fn late(&self) {
+        self.stopping().await;
+        tokio::time::sleep(LATE).await;
+    }
+
+    /// Ends when nothing has come of a connection by then: hyper would wait for the rest of its first head as long as for any. After a first request
+    /// hyper waits for nothing but the answer.
+    async fn unbegun(&self, begun: &AtomicBool) {
+        self.late().await;
+        if begun.load(Ordering::Relaxed) {
+            std::future::pending().await
+        }
+    }
+
+    /// Answers a connection's requests, and notes that there was one.
     fn service(
         &self,
         peer: SocketAddr,
+        begun: &Arc<AtomicBool>,
     ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = std::convert::Infallible, Future: Send> + Clone + Send + use<>
     {
-        let router = TowerToHyperService::new(self.router.clone());
+        let (router, begun) = (TowerToHyperService::new(self.router.clone()), Arc::clone(begun));
         service_fn(move |mut request: Request<Incoming>| {
+            begun.store(true, Ordering::Relaxed);
             request.extensions_mut().insert(ConnectInfo(peer));
             let answer = router.call(request);
             async move { Ok(answer.await?.map(paced)) }
         })
     }
+}
+
+fn log_late() {
+    tracing::debug!("a connection that had sent a part of its first head is closed: the service stops");
 }
 
 fn log_end(ended: hyper::Result<()>) {

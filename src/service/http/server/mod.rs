@@ -1,5 +1,5 @@
 //! The listener and its end. Connections have tasks of their own (`connection.rs`); every wait for a client has an end. SIGTERM and Ctrl-C stop
-//! asking for newcomers, then accepting them, let requests finish for the grace period, and end the server. Keys and certificate are read again when their files change.
+//! asking for newcomers, then accepting them, let requests finish for the grace period, and end the server; a second one leaves them a moment. Keys and certificate are read again when their files change.
 
 mod connection;
 mod reread;
@@ -25,8 +25,10 @@ use crate::service::config::Config;
 use crate::service::doors::tls::TlsFiles;
 use crate::service::{App, NotStarted};
 
-/// Longest time for drag sockets to close when the service stops, and then for the last traces to leave.
+/// Longest time for drag sockets to close when the service stops, and then for the store to be told the last numbers and for the last traces to leave.
 const FAREWELL: Duration = Duration::from_secs(3);
+/// What is left of all of that, the grace included, to whoever is told a second time.
+const HURRY: Duration = Duration::from_secs(1);
 /// Pause when the operating system has no room for another connection.
 const NO_ROOM: Duration = Duration::from_millis(100);
 /// Files beside connections: the runtime's, the store's, the log, those who watch.
@@ -63,7 +65,8 @@ pub fn run(config: Config) -> Result<(), ServeError> {
     let ended = runtime.block_on(async {
         let listener = listen(config.listen)?;
         let app = App::new(config)?;
-        serve(app, listener, stop_signal()?).await
+        let stop = stop_signal(&app)?;
+        serve(app, listener, stop).await
     });
     // What still runs belongs to clients that have been cut off.
     runtime.shutdown_timeout(Duration::from_millis(100));
@@ -116,7 +119,10 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         app.leave();
         if !doors.drain_delay.is_zero() {
             tracing::info!(delay = ?doors.drain_delay, "leaving: not ready any more, still serving");
-            tokio::time::sleep(doors.drain_delay).await;
+            tokio::select! {
+                () = tokio::time::sleep(doors.drain_delay) => {}
+                () = app.hurrying() => {}
+            }
         }
     };
     tokio::select! {
@@ -127,14 +133,28 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     drop(listener);
     tracing::info!(grace = ?doors.shutdown_grace, connections = tasks.len(), "stopping");
     app.stop();
-    let all_ended = async { while tasks.join_next().await.is_some() {} };
-    // Those that go on after the grace are cut off.
-    let _ = tokio::time::timeout(doors.shutdown_grace, all_ended).await;
-    tasks.abort_all();
-    // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
-    let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
-    if let Some(exporting) = exporting {
-        exporting.finish(FAREWELL).await;
+    let ending = async {
+        let all_ended = async { while tasks.join_next().await.is_some() {} };
+        // Those that go on after the grace are cut off.
+        let _ = tokio::time::timeout(doors.shutdown_grace, all_ended).await;
+        tasks.abort_all();
+        // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
+        let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
+        let told = tokio::time::timeout(FAREWELL, app.settled());
+        let exported = async {
+            if let Some(exporting) = exporting {
+                exporting.finish(FAREWELL).await;
+            }
+        };
+        let _ = tokio::join!(told, exported);
+    };
+    let hurried = async {
+        app.hurrying().await;
+        tokio::time::sleep(HURRY).await;
+    };
+    tokio::select! {
+        () = ending => {}
+        () = hurried => tracing::warn!("told twice to stop: what has not ended within {HURRY:?} is cut off"),
     }
     tracing::info!("stopped");
     Ok(())
@@ -195,19 +215,45 @@ fn raise_open_files(connections: usize) {
     }
 }
 
-/// Ends at SIGTERM or Ctrl-C. Listens from the moment it is made.
-fn stop_signal() -> io::Result<impl Future<Output = ()> + Send + 'static> {
-    #[cfg(unix)]
-    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-    #[cfg(unix)]
-    let mut interrupt = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::interrupt())?;
+/// Ends at SIGTERM or Ctrl-C, listens from the moment it is made, and afterwards for a second one, which hurries. A third is nothing more.
+fn stop_signal(app: &App) -> io::Result<impl Future<Output = ()> + Send + 'static> {
+    let (mut signals, app) = (Signals::new()?, app.clone());
     Ok(async move {
+        signals.next().await;
+        tokio::spawn(async move {
+            signals.next().await;
+            app.hurry();
+        });
+    })
+}
+
+/// SIGTERM and Ctrl-C.
+struct Signals {
+    #[cfg(unix)]
+    terminate: tokio::signal::unix::Signal,
+    #[cfg(unix)]
+    interrupt: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    fn new() -> io::Result<Self> {
+        #[cfg(unix)]
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self {
+            #[cfg(unix)]
+            terminate: signal(SignalKind::terminate())?,
+            #[cfg(unix)]
+            interrupt: signal(SignalKind::interrupt())?,
+        })
+    }
+
+    async fn next(&mut self) {
         #[cfg(unix)]
         tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
         }
         #[cfg(not(unix))]
         let _ = tokio::signal::ctrl_c().await;
-    })
+    }
 }

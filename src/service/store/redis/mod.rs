@@ -3,9 +3,10 @@
 //! its `maxmemory`. A picture's file is kept once a session.
 //!
 //! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
-//! period, with numbers that rise in this process alone and are told to the server when it is back; everything else is refused.
+//! period, with numbers that rise in this process alone and are told to the server when it is back (`owed.rs`); everything else is refused.
 
 mod line;
+mod owed;
 mod script;
 #[cfg(test)]
 mod tests;
@@ -19,12 +20,14 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 use redis::{Cmd, FromRedisValue};
+use tokio::task::JoinSet;
 
 use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
 use crate::service::session::{Revision, SessionId};
 use crate::service::telemetry::Scope;
 use crate::warp::Digest;
 use line::Line;
+use owed::{Debt, Owed};
 use script::{number, said};
 use warm::{Known, Memory, Warm};
 
@@ -34,6 +37,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const IMPATIENCE: Duration = Duration::from_millis(200);
 /// Longest wait for a file.
 const PATIENCE_FOR_FILES: Duration = Duration::from_secs(10);
+/// Sessions whose numbers are told at one time, once the server hears.
+const TOLD_AT_ONCE: usize = 64;
 /// Longest wait of those who ask whether the server is there, and how long its answer is believed.
 const READINESS: Duration = Duration::from_secs(1);
 
@@ -47,6 +52,7 @@ struct Shared {
     /// Files take longer than records, and would hold them up.
     files: Line,
     memory: Memory,
+    owed: Owed,
     /// A server that made a drag wait is not asked by drags before.
     spared: Mutex<Option<Instant>>,
     seen: Mutex<Option<(Instant, bool)>>,
@@ -71,6 +77,7 @@ impl RedisStore {
             line: line("records")?,
             files: line("files")?,
             memory: Memory::new(bounds.idle, bounds.bytes),
+            owed: Owed::default(),
             spared: Mutex::default(),
             seen: Mutex::default(),
             damaged: AtomicU64::new(0),
@@ -165,17 +172,53 @@ impl Shared {
         match self.briefly(Arc::clone(self).ask_touch(id, seq, Some(Arc::clone(&warm)))).await {
             // The server does not answer: what is known here goes on.
             Err(StoreError::Away | StoreError::NoRoom) => {
-                let mut known = warm.known();
-                known.seq = known.seq.max(seq);
+                let known = {
+                    let mut known = warm.known();
+                    known.seq = known.seq.max(seq);
+                    *known
+                };
+                if seq.is_some() && self.owed.owe(id, Debt { given: warm.given(), until: Instant::now() + self.idle }) {
+                    tokio::spawn(Arc::clone(self).tell_owed());
+                }
                 Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
             }
             answer => answer,
         }
     }
 
+    /// Tells the server what it does not know, until nothing is left of that.
+    async fn tell_owed(self: Arc<Self>) {
+        let mut at_once = 1;
+        loop {
+            let mut telling = JoinSet::new();
+            for (id, debt) in self.owed.take(at_once) {
+                let shared = Arc::clone(&self);
+                telling.spawn(async move { shared.tell(id, debt).await });
+            }
+            if telling.is_empty() {
+                return;
+            }
+            let told = telling.join_all().await;
+            at_once = if told.contains(&false) { 1 } else { TOLD_AT_ONCE };
+            if at_once == 1 {
+                tokio::time::sleep(READINESS).await;
+            }
+        }
+    }
+
+    /// Whether the server has heard it, or nobody has a use for it: a session that is gone, or lives anew.
+    async fn tell(&self, id: SessionId, debt: Debt) -> bool {
+        let command = script::touch(id, None, Some(debt.given), self.idle);
+        if Instant::now() >= debt.until || self.run::<(i64, Vec<u8>, String)>(PATIENCE, &command).await.is_ok() {
+            return true;
+        }
+        // Whoever asks this goes on telling.
+        let _ = self.owed.owe(id, debt);
+        false
+    }
+
     async fn ask_touch(self: Arc<Self>, id: SessionId, seq: Option<u64>, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
-        let known = warm.as_deref().map(|warm| (warm.record.as_ref(), warm.known().seq));
-        let command = script::touch(id, seq, known, self.idle);
+        let command = script::touch(id, seq, warm.as_deref().map(Warm::given), self.idle);
         let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &command).await?;
         if said != said::HERE {
             return Err(self.gone(id, said));
@@ -233,7 +276,7 @@ impl Shared {
         if said != said::HERE {
             return Err(self.gone(id, said));
         }
-        let record = match warm {
+        let record = match &warm {
             Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
             _ => {
                 // What is remembered is not so any more.
@@ -241,7 +284,9 @@ impl Shared {
                 self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?
             }
         };
-        Ok(self.session(record, number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0))))
+        // Higher ones may have been seen here while the server did not answer.
+        let here = warm.filter(|warm| warm.record.created == record.created).and_then(|warm| warm.known().seq);
+        Ok(self.session(record, number(&seq)?.max(here), Duration::from_millis(u64::try_from(left).unwrap_or(0))))
     }
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
@@ -315,6 +360,13 @@ impl Store for RedisStore {
 
     fn ready(&self) -> Answer<'_, ()> {
         Box::pin(self.0.ready())
+    }
+
+    fn settle(&self) -> Answer<'_, ()> {
+        Box::pin(async {
+            self.0.owed.nothing().await;
+            Ok(())
+        })
     }
 
     fn figures(&self) -> Figures {

@@ -10,11 +10,11 @@
 //! NAME is owner and session as hexadecimal digits. Numbers (`seq`) have twenty digits, so that they compare as texts. A server that is full
 //! refuses a script's first write when that could take memory; a script that only prolongs a life begins with what takes none.
 
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use redis::{Cmd, Pipeline};
 
-use crate::service::session::SessionId;
+use crate::service::session::{Revision, SessionId};
 use crate::service::store::record::{hex, made, write};
 use crate::service::store::{Record, StoreError};
 
@@ -88,6 +88,17 @@ if redis.call('EXISTS', KEYS[1]) == 0 then return redis.call('EXISTS', KEYS[3]) 
 redis.call('DEL', KEYS[1], KEYS[2], KEYS[3])
 return 2";
 
+/// What is known here of a session, and may not be known there.
+#[derive(Clone, Copy)]
+pub(super) struct Given {
+    /// Of its record: one that is known is not sent again.
+    pub(super) revision: Revision,
+    /// Its life: numbers of another one do not count.
+    pub(super) created: SystemTime,
+    /// The highest number.
+    pub(super) seq: Option<u64>,
+}
+
 /// Numbers as texts that compare like numbers; nothing is below every number.
 pub(super) fn digits(seq: Option<u64>) -> String {
     seq.map_or_else(String::new, |seq| format!("{seq:020}"))
@@ -102,8 +113,8 @@ fn key(id: SessionId, what: &str) -> String {
     format!("mlswarp:{{{}}}:{what}", hex(&id.to_bytes()))
 }
 
-fn life(record: &Record) -> String {
-    record.created.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos().to_string()
+fn life(created: SystemTime) -> String {
+    created.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos().to_string()
 }
 
 fn script(script: &str, id: SessionId, idle: Duration) -> Cmd {
@@ -126,18 +137,18 @@ pub(super) fn same(record: &Record, idle: Duration) -> Cmd {
 /// The file and the record, both or neither.
 pub(super) fn put(record: &Record, file: &[u8], idle: Duration) -> Pipeline {
     let mut command = script(PUT, record.id, idle);
-    command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record));
+    command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record.created));
     let mut transaction = redis::pipe();
     transaction.atomic().cmd("SET").arg(key(record.id, "file")).arg(file).arg("PX").arg(millis(idle)).ignore();
     transaction.add_command(command);
     transaction
 }
 
-pub(super) fn touch(id: SessionId, seq: Option<u64>, known: Option<(&Record, Option<u64>)>, idle: Duration) -> Cmd {
+pub(super) fn touch(id: SessionId, seq: Option<u64>, known: Option<Given>, idle: Duration) -> Cmd {
     let mut command = script(TOUCH, id, idle);
     command.arg(digits(seq));
     match known {
-        Some((record, seq)) => command.arg(hex(record.revision.as_bytes())).arg(life(record)).arg(digits(seq)),
+        Some(Given { revision, created, seq }) => command.arg(hex(revision.as_bytes())).arg(life(created)).arg(digits(seq)),
         None => command.arg("").arg("").arg(""),
     };
     command

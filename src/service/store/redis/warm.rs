@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::script::Given;
 use crate::service::session::SessionId;
 use crate::service::store::Record;
 use crate::service::store::index::record_bytes;
@@ -28,6 +29,11 @@ pub(super) struct Known {
 impl Warm {
     pub(super) fn known(&self) -> MutexGuard<'_, Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the server may not know of it.
+    pub(super) fn given(&self) -> Given {
+        Given { revision: self.record.revision, created: self.record.created, seq: self.known().seq }
     }
 }
 
