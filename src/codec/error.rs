@@ -12,7 +12,7 @@ pub enum CodecError {
         found: String,
     },
     /// The header asks for more than is allowed. Decided before memory is taken.
-    #[error("{what}: {actual}; at most {limit}")]
+    #[error("{}; at most {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` when the machine itself has no room.
         what: &'static str,
@@ -40,5 +40,15 @@ impl CodecError {
     /// A well-formed file of a kind that is not read.
     pub(super) fn unsupported(found: impl Into<String>) -> Self {
         Self::Unsupported { found: found.into() }
+    }
+}
+
+/// What the header says, in words; `what` as in [`CodecError::TooLarge`].
+fn measured(what: &str, actual: u64) -> String {
+    match what {
+        "image_pixels" => format!("the picture has {actual} pixels"),
+        "image_side" => format!("the picture has a side of {actual} px"),
+        "image_frames" => format!("the file is an animation of {actual} frames"),
+        _ => format!("{what}: {actual}"),
     }
 }

@@ -138,7 +138,11 @@ fn looks_like(bytes: &[u8]) -> String {
         [_, _, _, _, b'f', b't', b'y', b'p', b'h' | b'm', ..] => "HEIF",
         [b'%', b'P', b'D', b'F', ..] => "PDF",
         [b'8', b'B', b'P', b'S', ..] => "Photoshop",
-        [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => "XML or HTML",
+        [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => {
+            let head = &bytes[..bytes.len().min(1024)];
+            if head.windows(4).any(|tag| tag == b"<svg") { "SVG" } else { "XML or HTML" }
+        }
+        [_] => "1 byte, too few for a picture",
         _ if bytes.len() < 12 => return format!("{} bytes, too few for a picture", bytes.len()),
         _ => {
             let [a, b, c, d] = [bytes[0], bytes[1], bytes[2], bytes[3]];

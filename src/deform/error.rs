@@ -30,7 +30,7 @@ pub enum DeformError {
         places: usize,
     },
     /// The posed handles differ from the rest handles in number.
-    #[error("q has {posed} handles, p has {rest}")]
+    #[error("q has {}, p has {rest}", counted(*posed, "handle"))]
     CountMismatch {
         /// Handles at rest.
         rest: usize,
@@ -48,7 +48,7 @@ pub enum DeformError {
         posed: String,
     },
     /// `weights` has another length than `p`.
-    #[error("weights has {weights} entries, p has {rest} handles")]
+    #[error("weights has {}, p has {}", counted(*weights, "number"), counted(*rest, "handle"))]
     WeightCount {
         /// Handles at rest.
         rest: usize,
@@ -105,6 +105,11 @@ pub enum DeformError {
         /// The set has lines.
         lines: bool,
     },
+}
+
+/// A number of things: `1 handle`, `2 handles`.
+fn counted(n: usize, thing: &str) -> String {
+    if n == 1 { format!("1 {thing}") } else { format!("{n} {thing}s") }
 }
 
 /// Something a client should know though a result exists.

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use super::config::Config;
 use super::problem::{Code, Problem};
 use super::walk::q_is_missing;
-use super::wire::WarpObject;
+use super::wire::{WarpObject, WarpPatch};
+use crate::codec::Format;
 use crate::pixmap::Extent;
 use crate::warp::{Image, Posed, Report, Setup, Warp};
 
@@ -23,7 +24,11 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
         return Err(Problem::new(Code::MalformedRequest, "standard input can be the image or the warp object, not both"));
     }
     let file = read("image", image, config.max_body_bytes)?;
-    let object = WarpObject::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
+    let patch = WarpPatch::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
+    // As `Accept` does for a request.
+    let format = patch.output.format.or_else(|| format_of(out));
+    let mut object = patch.over(WarpObject::default());
+    object.output.format = format.unwrap_or(object.output.format);
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;
     threads.install(|| bend(config, &file, &object, out))
@@ -52,6 +57,16 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
     };
     drawn.map_err(|e| Problem::new(Code::Internal, format!("{} cannot be written: {e}", out.display())))?;
     Ok(Summary { extent: warp.target(), report: posed.into_report() })
+}
+
+/// The format that a file's name promises.
+fn format_of(out: &Path) -> Option<Format> {
+    match out.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "png" => Some(Format::Png),
+        "jpg" | "jpeg" => Some(Format::Jpeg),
+        "webp" => Some(Format::WebP),
+        _ => None,
+    }
 }
 
 fn is_stdio(path: &Path) -> bool {

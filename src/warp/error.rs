@@ -31,7 +31,7 @@ pub enum WarpError {
     #[error("the work was given up: nobody waits for it any more")]
     GivenUp,
     /// Over a limit.
-    #[error("{what}: {actual}; at most {limit}")]
+    #[error("{}; at most {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
         what: &'static str,
@@ -59,5 +59,18 @@ impl WarpError {
             Self::BadPlace { index, value, limit } => Self::BadPlace { index: index + offset, value, limit },
             other => other,
         }
+    }
+}
+
+/// What was asked for, in words; `what` as in [`WarpError::TooLarge`].
+fn measured(what: &str, actual: u64) -> String {
+    match what {
+        "handle_columns" => format!("the handles take {actual} columns (a point 1, a segment 2)"),
+        "grid_vertices" => format!("the grid would have {actual} vertices"),
+        "grid_columns" => format!("the grid would have {actual} columns"),
+        "grid_rows" => format!("the grid would have {actual} rows"),
+        "output_side" => format!("the answer would have a side of {actual} px"),
+        "output_pixels" => format!("the answer would have {actual} pixels"),
+        _ => format!("{what}: {actual}"),
     }
 }

@@ -106,6 +106,24 @@ def test_two_tabs_at_one_session_both_get_their_pictures(bent):
     assert bent.saved("download")[1] == bent.of_server().body
 
 
+def test_a_tab_whose_session_got_other_handles_elsewhere_goes_on_with_its_own(bent):
+    """The socket refuses its pose in the middle of a drag: nobody has to do anything about it."""
+    bent.expects("422")
+    second = bent.context.new_page()
+    second.goto(bent.address)
+    second.wait_for_selector("body[data-state=ready]", state="attached")
+    session, handles = bent["session"], bent["handles"]
+    second.click("#add")
+    second.wait_for_selector(f"body[data-state=ready][data-handles='{int(handles) + 1}']", state="attached")
+    bent.page.bring_to_front()
+    assert (bent["session"], bent["live"]) == (session, "socket")
+    bent.drag((140, 130), (150, 150))
+    bent.ready()
+    assert bent["handles"] == handles and bent["session"] != session
+    assert second.evaluate("document.body.dataset.session") == session
+    assert bent.saved("download")[1] == bent.of_server().body
+
+
 def test_the_theme_and_the_keys_are_remembered(visit):
     assert visit["theme"] == "auto"
     visit.page.click("#theme")

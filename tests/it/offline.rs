@@ -39,6 +39,17 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     child.stdin.take().unwrap().write_all(&image).unwrap();
     assert_eq!(child.wait_with_output().unwrap().stdout, answer);
 
+    for (name, first) in [("out.JPG", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.gif", b"\x89P")] {
+        let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path(name)]).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        assert!(std::fs::read(path(name)).unwrap().starts_with(first), "{name}: the name says the format, where it is one");
+        std::fs::remove_file(path(name)).unwrap();
+    }
+    let named = json!({"p": [[20, 20]], "q": [[40, 20]], "output": {"format": "webp"}});
+    std::fs::write(path("warp.json"), named.to_string()).unwrap();
+    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
+    assert!(output.status.success() && std::fs::read(path("out.png")).unwrap().starts_with(b"RIFF"), "what is asked for in words wins");
+
     std::fs::write(path("warp.json"), r#"{"p": [[1, 1]], "q": [[1, 1]], "methd": "rigid"}"#).unwrap();
     let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("never.png")]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));

@@ -32,7 +32,7 @@ async fn its_files_come_with_a_tag_and_a_policy() {
         assert_eq!(server.get(path).header("If-None-Match", "\"other\"").send().await.unwrap().status(), 200, "{path}");
     }
     let index = server.get("/").send().await.unwrap().text().await.unwrap();
-    assert!(index.contains("content=\"body=5242880 pixels=50000000 side=16384 idle=120\""), "the limits of this server");
+    assert!(index.contains("content=\"body=5242880 pixels=50000000 side=16384 idle=120 memory=1\""), "the limits of this server");
 }
 
 #[tokio::test]

@@ -1,9 +1,10 @@
 //! Whoever refuses (a route, a layer, the framework), the answer is a whole problem document. Only what is not HTTP at all (a head that
 //! cannot be parsed or is too long) is answered by the HTTP library, without a body.
 
-use reqwest::Method;
-use serde_json::json;
+use reqwest::{Method, RequestBuilder};
+use serde_json::{Value, json};
 
+use crate::support::bombs;
 use crate::support::server::{form, header, png, problem};
 use crate::support::{Server, photo};
 
@@ -79,4 +80,132 @@ async fn a_request_that_takes_too_long_is_told_so() {
     let server = Server::start(&["--request-timeout", "1ms", "--workers", "1"]).await;
     let response = server.upload("/sessions", &photo(900, 900), &json!({"p": [[2, 2]], "grid": "pixel"})).await;
     problem(response, 408, "timeout").await;
+}
+
+const PAGE: &str = include_str!("../../api/problems.md");
+const CONTRACT: &str = include_str!("../../api/openapi.json");
+
+/// The document that `api/problems.md` shows under a code.
+fn shown(code: &str) -> Value {
+    let section = PAGE.split("\n## ").find(|section| section.lines().next() == Some(code)).expect(code);
+    let example = section.split("```json").nth(1).and_then(|rest| rest.split("```").next()).expect(code);
+    serde_json::from_str(example).unwrap()
+}
+
+/// What the service says is what the page shows, word for word. (Left out: what takes a fault or the passing of time to see.)
+#[tokio::test]
+async fn the_page_shows_what_is_said() {
+    async fn said(request: RequestBuilder) -> Value {
+        let mut document: Value = request.send().await.unwrap().json().await.unwrap();
+        document.as_object_mut().unwrap().remove("request_id");
+        document
+    }
+    async fn same(code: &str, request: RequestBuilder) {
+        let (mut said, shown) = (said(request).await, shown(code));
+        // 9.0 is 9.
+        if let (Some(a), Some(b)) = (said["actual"].as_f64(), shown["actual"].as_f64())
+            && a.total_cmp(&b).is_eq()
+        {
+            said["actual"] = shown["actual"].clone();
+        }
+        assert_eq!(said, shown, "{code}");
+    }
+    let server = Server::start(&[]).await;
+    let image = photo(16, 12);
+    same("malformed_request", server.post("/points").header("content-type", "application/json").body(r#"{"p": [NaN]}"#)).await;
+    same("not_found", server.get("/wrap")).await;
+    same("no_such_session", server.get("/sessions/0f8fad5b-d9cb-469f-a165-70867728950e")).await;
+    same("method_not_allowed", server.get("/warp")).await;
+    same("not_acceptable", server.post("/warp").header("accept", "image/avif").multipart(form(&image, "{}"))).await;
+    same("unsupported_media_type", server.post("/warp").header("content-type", "text/plain").body("hello")).await;
+    same("unsupported_format", server.post("/warp").multipart(form(b"GIF89a\x01\0\x01\0\0\0\0;", "{}"))).await;
+    same("bad_image", server.post("/warp").multipart(form(&image[..image.len() / 2], "{}"))).await;
+
+    let points = |n: usize| -> Vec<Value> { (0..n).map(|k| json!([10 * k, 5 * k * k])).collect() };
+    let with = |handles: &[Value], k: usize, handle: Value| -> Vec<Value> {
+        handles.iter().enumerate().map(|(i, old)| if i == k { handle.clone() } else { old.clone() }).collect()
+    };
+    let (six, line) = (points(6), json!([[120, 80], [150, 90]]));
+    let meeting = with(&with(&six, 2, json!([120, 80])), 5, json!([120, 80]));
+    let apart = with(&with(&six, 2, json!([130, 60])), 5, json!([144, 60]));
+    let cases = [
+        ("too_large", json!({"output": {"width": 20_000}})),
+        ("not_supported", json!({"method": "tps"})),
+        ("unknown_field", json!({"grid": {"cells": 5}})),
+        ("bad_value", json!({"p": with(&six, 3, json!([1]))})),
+        ("shape_mismatch", json!({"p": with(&six, 1, line), "q": six})),
+        ("contradictory_handles", json!({"p": meeting, "q": apart})),
+        ("degenerate_line", json!({"p": with(&six, 4, json!([[1, 2], [1, 2]])), "q": six})),
+        ("alpha_out_of_range", json!({"p": six, "q": six, "alpha": 9})),
+    ];
+    for (code, warp) in cases {
+        same(code, server.post("/warp").multipart(form(&image, warp.to_string()))).await;
+    }
+    let beyond = r#"{"p": [[1, 1], [2, 2], [3, 3], [4, 4]], "q": [[1, 1], [2, 2], [3, 3], [1e999, 4]]}"#;
+    same("not_finite", server.post("/warp").multipart(form(&image, beyond))).await;
+    let folds = json!({"p": [[2, 6], [14, 6], [8, 1]], "q": [[14, 6], [2, 6], [8, 1]], "method": "affine", "folds": "reject"});
+    let mut folded = said(server.post("/warp").multipart(form(&image, folds.to_string()))).await;
+    let cells = std::mem::replace(&mut folded["actual"], json!(12));
+    folded["detail"] = folded["detail"].as_str().unwrap().replace(&cells.to_string(), "12").into();
+    assert_eq!(folded, shown("folded"));
+
+    let id = server.session(&image, &json!({"p": [[2, 2]]})).await;
+    let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
+    png(pose(42).send().await.unwrap()).await;
+    same("superseded", pose(41)).await;
+    same("upgrade_required", server.get(&format!("/sessions/{id}/drag"))).await;
+
+    let server = Server::start(&["--keys", "ann 0123456789abcdef"]).await;
+    same("unauthorized", server.post("/points")).await;
+    same("forbidden", server.post("/points").header("authorization", "Bearer fedcba9876543210")).await;
+    let server = Server::start(&["--rate-per-address", "1"]).await;
+    for _ in 0..100 {
+        let said = said(server.get("/sessions/x")).await;
+        if said["code"] == "rate_limited" {
+            assert_eq!(said, shown("rate_limited"));
+            return;
+        }
+    }
+    panic!("nobody is told to go on more slowly");
+}
+
+/// What is asked for most when it does not work: each answer says enough to mend the request.
+#[tokio::test]
+async fn a_mistake_is_told_so_that_it_can_be_mended() {
+    let server = Server::start(&[]).await;
+    let image = photo(16, 12);
+    let said = async |image: &[u8], warp: &str, words: &[&str]| {
+        let document: Value = server.post("/warp").multipart(form(image, warp.to_owned())).send().await.unwrap().json().await.unwrap();
+        for word in words {
+            assert!(document["detail"].as_str().unwrap().contains(word), "{word}: {document}");
+        }
+    };
+    said(&image, "@warp.json", &["the part `warp`: not JSON"]).await;
+    said(&image, r#"{"p": [[1, 1], [2, 2]], "q": [[1, 1]]}"#, &["q has 1 handle, p has 2"]).await;
+    said(&image, r#"{"p": [[1, 1], [2, 2]], "q": [[1, 1], [2, 2]], "weights": [1]}"#, &["weights has 1 number, p has 2 handles"]).await;
+    said(&image, r#"{"p": [{"x": 1, "y": 1}], "q": []}"#, &["[x, y]", "an object"]).await;
+    said(b"<svg xmlns=\"http://www.w3.org/2000/svg\"/>", "{}", &["SVG", "PNG, JPEG, WebP"]).await;
+    let animation =
+        bombs::png(&[(b"IHDR", bombs::ihdr(16, 12)), (b"acTL", vec![0, 0, 0, 3, 0, 0, 0, 0]), (b"IDAT", bombs::deflated_zeros(600))]);
+    said(&animation, "{}", &["an animation of 3 frames; at most 1"]).await;
+    let json: Value = server.drag(&json!({"p": [[1, 1]], "q": [[1, 1]]})).await.json().await.unwrap();
+    assert!(json["detail"].as_str().unwrap().contains("multipart/form-data"), "{json}");
+}
+
+#[test]
+fn the_contract_shows_the_documents_of_the_page() {
+    fn look(value: &Value, seen: &mut usize) {
+        if let Some(code) = value["code"].as_str().filter(|_| value["type"].as_str().is_some_and(|of| of.starts_with("/problems/"))) {
+            assert_eq!(*value, shown(code));
+            *seen += 1;
+        }
+        match value {
+            Value::Object(fields) => fields.values().for_each(|value| look(value, seen)),
+            Value::Array(items) => items.iter().for_each(|value| look(value, seen)),
+            _ => {}
+        }
+    }
+    let mut seen = 0;
+    look(&serde_json::from_str(CONTRACT).unwrap(), &mut seen);
+    assert!(seen > 20, "{seen}");
 }

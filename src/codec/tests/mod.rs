@@ -114,6 +114,9 @@ fn unsupported_formats_are_named() {
     assert_eq!(found(b"\0\0\0\x20ftypavif........"), "AVIF");
     assert_eq!(found(b""), "nothing (0 bytes)");
     assert_eq!(found(b"\x89PNG\r\n"), "6 bytes, too few for a picture");
+    assert_eq!(found(b"x"), "1 byte, too few for a picture");
+    assert_eq!(found(b"<?xml version=\"1.0\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\"/>"), "SVG");
+    assert_eq!(found(b"<!doctype html><p>"), "XML or HTML");
     assert_eq!(found(b"RIFF\0\0\0\0WAVEfmt "), "an unknown format that begins with 52 49 46 46");
 }
 

@@ -52,7 +52,7 @@ pub enum Command {
         image: PathBuf,
         /// The warp object (JSON); `-` reads standard input.
         warp: PathBuf,
-        /// Where the picture goes; `-` writes standard output.
+        /// Where the picture goes; `-` writes standard output. Where the warp object names no format, .png, .jpg or .webp does.
         #[arg(short, long)]
         out: PathBuf,
     },

@@ -16,6 +16,7 @@ use sha2::{Digest as _, Sha256};
 use crate::service::App;
 use crate::service::config::Config;
 use crate::service::problem::{Code, Problem};
+use crate::service::store::Place;
 
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -36,7 +37,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS,
         "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
-        "mesh.js" JS, "open.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
+        "mesh.js" JS, "open.js" JS, "outside.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
         "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
         "icon.svg" "image/svg+xml",
         "cat.jpg" "image/jpeg", "portrait.jpg" "image/jpeg", "rocket.jpg" "image/jpeg", "horse.webp" "image/webp",
@@ -100,15 +101,16 @@ async fn file(State(_): State<App>, Path(name): Path<String>, headers: HeaderMap
     }
 }
 
-/// `name=number ...`: bytes, pixels, pixels, seconds.
+/// `name=number ...`: bytes, pixels, pixels, seconds, and 1 where pictures are kept in memory alone.
 fn limits(config: &Config) -> String {
     let image = config.limits.image;
     format!(
-        "body={} pixels={} side={} idle={}",
+        "body={} pixels={} side={} idle={} memory={}",
         config.max_body_bytes,
         image.max_pixels,
         image.max_side,
-        config.store.bounds.idle.as_secs()
+        config.store.bounds.idle.as_secs(),
+        u8::from(config.store.place == Place::Memory)
     )
 }
 

@@ -246,6 +246,6 @@ impl App {
 
     fn superseded(&self, seq: u64) -> Problem {
         self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
-        Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq")
+        Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq").actual(seq)
     }
 }

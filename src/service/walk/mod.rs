@@ -122,7 +122,7 @@ impl App {
         let read = {
             let file = file.clone();
             move |_: &_| {
-                let patch = WarpPatch::parse(&json)?;
+                let patch = WarpPatch::parse(&json).map_err(of_the_part)?;
                 let asked = patch.output.format;
                 let object = patch.over(WarpObject::default());
                 let format = draws.unwrap_or(Formats::ANY).choose(asked, object.output.format)?;
@@ -205,6 +205,14 @@ impl App {
 }
 
 /// A warp of handles needs to know where they go.
+/// Of two parts only one is JSON: which one cannot be read is said where the text has no place to point to.
+fn of_the_part(mut problem: Problem) -> Problem {
+    if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
+        problem.detail.insert_str(0, "the part `warp`: ");
+    }
+    problem
+}
+
 pub(super) fn q_is_missing() -> Problem {
     Problem::new(Code::BadValue, "q is missing: where do the handles go?").pointer("/q")
 }

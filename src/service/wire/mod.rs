@@ -93,7 +93,12 @@ impl DragObject {
     pub fn parse(json: &[u8], session: bool) -> Result<Self, Problem> {
         let root = json::root(json)?;
         if session {
-            let [session, q, seq, output] = root.fields("an object", &["session", "q", "seq", "output"])?;
+            let [session, q, seq, output] = root.fields("an object", &["session", "q", "seq", "output"]).map_err(|mut problem| {
+                if problem.code == Code::UnknownField {
+                    problem.detail.push_str("; a picture and its handles `p` are sent as multipart/form-data");
+                }
+                problem
+            })?;
             let session = session.ok_or_else(|| root.missing("session", "the id of a session"))?.string("the id of a session")?;
             Self::read(&root, Some(session), [q, seq, output])
         } else {

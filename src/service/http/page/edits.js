@@ -128,17 +128,22 @@ export const wire = (document, which) => document.handles.map((h) => (h[which].l
 /** What the server takes for alpha when nobody says: 2 with any line, else 1. */
 export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
 
-/** The session's part of a warp object. Alpha is always said: a field that is left out keeps what the session had. */
+/** What is drawn where the picture does not reach: `transparent`, `edge` or `#rrggbbaa`. What an older page has kept does not say. */
+export const outsideOf = ({ outside }) => outside ?? "transparent";
+
+/** The session's part of a warp object. Alpha and outside are always said: a field that is left out keeps what the session had. */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const weights = handles.some((h) => h.weight !== undefined) ? { weights: handles.map((h) => h.weight ?? 1) } : {};
-  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), grid: grid === "auto" ? grid : { cell: grid } };
+  const output = { outside: outsideOf(document) };
+  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), grid: grid === "auto" ? grid : { cell: grid }, output };
 }
 
 /** The whole warp object, as it is taken along. */
 export function warpOf(document) {
-  const { alpha, ...rest } = restOf(document);
-  return { ...rest, ...(document.alpha === null ? {} : { alpha }), q: wire(document, "q") };
+  const { alpha, output, ...rest } = restOf(document);
+  const chosen = { ...(document.alpha !== null && { alpha }), ...(output.outside !== "transparent" && { output }) };
+  return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
 /** The document of a warp object, `null` when it is none that this page can show. */
@@ -155,13 +160,22 @@ export function documentOf(warp) {
   const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
   const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;
   const grid = (warp.grid ?? "auto") === "auto" ? "auto" : warp.grid.cell;
-  if (method === null || alpha === undefined || !(grid === "auto" || grid > 0)) return null;
-  return { handles, method, alpha, grid };
+  const outside = readOutside(warp.output?.outside ?? "transparent");
+  if (method === null || alpha === undefined || outside === null || !(grid === "auto" || grid > 0)) return null;
+  return { handles, method, alpha, grid, outside };
+}
+
+/** As the server writes it, or null. */
+function readOutside(told) {
+  if (told === "transparent" || told === "edge") return told;
+  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
+  return colour ? colour + alpha : null;
 }
 
 /** Whether a session has the handles at rest, and the rest, of a document. */
 export function sameRest(object, document) {
-  const { p, weights, method, alpha, grid } = restOf(document);
+  const { p, weights, method, alpha, grid, output } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  return object.units === "px" && [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid]].every(([a, b]) => same(a, b));
+  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid], [object.output.outside, output.outside]];
+  return object.units === "px" && pairs.every(([a, b]) => same(a, b));
 }

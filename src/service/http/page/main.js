@@ -3,6 +3,7 @@
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
+import { outsideOf } from "./edits.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
@@ -85,6 +86,7 @@ const keeper = new Keeper(
 store.subscribe((state, previous) => {
   const { meshShown: lines, compare, compareAt: at, peek } = state;
   if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
+  view.setOutside(outsideOf(state.document));
   stage.classList.toggle("armed", Boolean(state.arm || state.draft.length));
 });
 

@@ -173,8 +173,8 @@ async function copyOf(file) {
 }
 
 /** What a link without handles means: the session's own, put back. An alpha that is the usual one was not asked for. */
-function warpOfSession({ p, weights, method, alpha, units, grid }) {
-  const warp = { p, weights, method, units, grid: grid.requested };
+function warpOfSession({ p, weights, method, alpha, units, grid, output }) {
+  const warp = { p, weights, method, units, grid: grid.requested, output };
   const usual = documentOf(warp);
   return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
 }

@@ -1,10 +1,13 @@
 // The source drawn through the posed grid, in WebGL (2, else 1). Each cell is its bilinear patch, as 1, 4 or 16 pairs of triangles; cells are
-// drawn in row order without blending, so that under folds the later one is seen, as in the server's picture. Alpha is premultiplied.
+// drawn in row order without blending, so that under folds the later one is seen, as in the server's picture. What lies outside is drawn first.
+// Alpha is premultiplied.
+
+import { STRIDE, edgeTriangles } from "./outside.js";
 
 const VERTEX = `
-attribute vec2 place; attribute vec2 texture;
+attribute vec3 place; attribute vec2 texture;
 uniform vec4 view; varying vec2 at;
-void main() { at = texture; gl_Position = vec4(place * view.xy + view.zw, 0.0, 1.0); }`;
+void main() { at = texture; gl_Position = vec4(place.xy * view.xy + view.zw, place.z, 1.0); }`;
 const FRAGMENT = `
 precision mediump float; uniform sampler2D source; varying vec2 at;
 void main() { gl_FragColor = texture2D(source, at); }`;
@@ -26,7 +29,7 @@ export class Painter {
 
   /** `kind`: webgl2, webgl, or none when neither is there. */
   constructor(canvas) {
-    const wish = { alpha: true, premultipliedAlpha: true, antialias: false, depth: false };
+    const wish = { alpha: true, premultipliedAlpha: true, antialias: false, depth: true };
     const second = canvas.getContext("webgl2", wish);
     this.#gl = second ?? canvas.getContext("webgl", wish);
     this.kind = second ? "webgl2" : this.#gl ? "webgl" : "none";
@@ -57,7 +60,7 @@ export class Painter {
     gl.linkProgram(program);
     gl.useProgram(program);
     this.view = gl.getUniformLocation(program, "view");
-    this.#buffers = { places: gl.createBuffer(), rest: gl.createBuffer(), cells: gl.createBuffer() };
+    this.#buffers = { places: gl.createBuffer(), rest: gl.createBuffer(), cells: gl.createBuffer(), edge: gl.createBuffer() };
     gl.enableVertexAttribArray(0);
     gl.enableVertexAttribArray(1);
     this.#shape = "";
@@ -86,18 +89,13 @@ export class Painter {
     this.#shape = "";
   }
 
-  /** Draws a mesh; `place`: { zoom, x, y } in device px of the canvas, `crisp`: no smoothing of enlarged pixels. */
-  paint(mesh, { zoom, x, y }, crisp) {
+  /** Draws a mesh; `place`: { zoom, x, y } in device px of the canvas, `crisp`: no smoothing of enlarged pixels, `outside`: as the document has it. */
+  paint(mesh, { zoom, x, y }, crisp, outside) {
     const gl = this.#gl;
     if (!this.#texture || gl.isContextLost()) return;
     const { width, height } = gl.canvas;
     const n = this.#parts(mesh);
     this.#arrange(mesh, n);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
-    gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
-    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
-    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 0, 0);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, crisp ? gl.NEAREST : gl.LINEAR);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.SCISSOR_TEST);
@@ -108,7 +106,35 @@ export class Painter {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.round(x + zoom * this.#size[0]) - left, Math.round(height - y) - bottom);
     gl.uniform4f(this.view, (2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height);
+    if (outside === "edge") this.#paintEdge(mesh);
+    else if (outside !== "transparent") this.#paintColour(outside);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
+    gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
+    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 0, 0);
     gl.drawElements(gl.TRIANGLES, this.#count, this.#wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0);
+  }
+
+  #paintColour(outside) {
+    const gl = this.#gl;
+    const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
+    gl.clearColor(r * a, g * a, b * a, a);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+  }
+
+  /** Depth is the distance from the border: the nearest place of it is seen. */
+  #paintEdge(mesh) {
+    const gl = this.#gl;
+    const vertices = edgeTriangles(mesh);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.edge);
+    gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.DYNAMIC_DRAW);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * STRIDE, 0);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 4 * STRIDE, 12);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    gl.drawArrays(gl.TRIANGLES, 0, vertices.length / STRIDE);
+    gl.disable(gl.DEPTH_TEST);
   }
 
   #parts({ grid }) {

@@ -1,7 +1,7 @@
 // The controls around the picture: each shows the state and changes it.
 
-import { alphaOf, kindName } from "./edits.js";
-import { HINTS, METHODS, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
+import { alphaOf, kindName, outsideOf } from "./edits.js";
+import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -56,6 +56,9 @@ export class Panel {
     find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : Number(target.value) }));
     find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
     find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
+    find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
+    // What lets through a part of what is below stays so: the field knows colours alone.
+    find("outside-colour").addEventListener("input", ({ target }) => this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"));
     find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
     this.#holds(find("before"));
   }
@@ -117,6 +120,12 @@ export class Panel {
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
     select.value = value;
+    const outside = outsideOf(document);
+    const colour = outside.startsWith("#");
+    find("outside").value = colour ? "colour" : outside;
+    find("outside-colour").hidden = !colour;
+    if (colour) find("outside-colour").value = outside.slice(0, 7);
+    text("outside-note", OUTSIDE[find("outside").value]);
   }
 
   #drawTools(state) {

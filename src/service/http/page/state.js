@@ -1,4 +1,4 @@
-// The document (handles, method, alpha, grid), what is selected, and the history. Reducers are pure: a state and an action give the next
+// The document (handles, method, alpha, grid, outside), what is selected, and the history. Reducers are pure: a state and an action give the next
 // state. Everything that shows something subscribes.
 
 /** Steps of undo that are kept. */
@@ -6,7 +6,7 @@ const STEPS = 200;
 /** Steps with the same tag that follow each other within so many milliseconds are one. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto" });
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent" });
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open

@@ -242,9 +242,9 @@ export class Sync {
     return span < 200 ? 0 : ((this.#frames.length - 1) * 1000) / span;
   }
 
-  /** Only a problem of the newest pose matters; a lost session is found again by the loop. */
+  /** Only a problem of the newest pose matters; a session that is lost, or that somebody else gave other handles, is mended by the loop (`#after`). */
   #liveProblem(problem, revision) {
-    if (problem.code === "superseded" || TRANSIENT.has(problem.code) || LOST.has(problem.code)) return;
+    if (problem.code === "superseded" || problem.code === "shape_mismatch" || TRANSIENT.has(problem.code) || LOST.has(problem.code)) return;
     if (revision === this.store.state.revision) this.#refuse(problem);
   }
 

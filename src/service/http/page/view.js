@@ -20,6 +20,7 @@ export class View {
   mesh = null;
   folds = 0;
 
+  #outside = "transparent";
   #folded = [];
   #fitted = true;
   #urls = new Map(); // element to object URL
@@ -155,6 +156,13 @@ export class View {
     this.folds = this.#folded.length;
   }
 
+  /** What lies outside of a mesh; pictures of the server have it in them. */
+  setOutside(outside) {
+    if (outside === this.#outside) return;
+    this.#outside = outside;
+    this.invalidate();
+  }
+
   /** Mesh lines, comparison, the original while a key is held. */
   show(what) {
     this.#show = { ...this.#show, ...what };
@@ -270,7 +278,7 @@ export class View {
     }
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     const following = this.source === "mesh" || this.source === "frame";
-    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP);
+    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP, this.#outside);
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();

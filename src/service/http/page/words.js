@@ -65,6 +65,12 @@ export const METHODS = {
   affine: "May also stretch and slant: follows the handles most freely.",
 };
 
+export const OUTSIDE = {
+  transparent: "Nothing where the picture does not reach.",
+  edge: "Its edge goes on where the picture does not reach.",
+  colour: "This colour where the picture does not reach.",
+};
+
 export function focusWords(alpha) {
   if (alpha < 0.95) return "Wide: each handle is felt across the picture.";
   if (alpha < 1.35) return "Balanced: felt far away, but less and less.";
@@ -96,8 +102,8 @@ export const HINTS = {
   move: { mouse: "Click where it should go", touch: "Tap where it should go" },
 };
 
-export function limitWords({ body, pixels, idle }) {
+export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it in memory only and forgets it after ${time}.`;
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and forgets it after ${time}.`;
 }

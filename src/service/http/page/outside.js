@@ -1,0 +1,58 @@
+// Where the posed picture does not reach, the colour of the border's nearest place: what the server draws for `edge`, for what follows the hand.
+// Every segment of the border has a strip on both sides, every vertex fans between the strips; their depth is the distance from the border, so
+// that of two the nearer is seen. The picture itself is drawn over them.
+
+/** Numbers a vertex: x, y (picture px), depth, and the place in the texture. */
+export const STRIDE = 5;
+/** Triangles of a fan: the chord of a wide one would come too near. */
+const FAN = 4;
+
+/** Vertices of the grid around the picture, closed. */
+function around({ columns, rows }) {
+  const [right, bottom] = [columns - 1, rows - 1];
+  const along = (count, place) => Array.from({ length: count }, (_, k) => place(k));
+  return [
+    ...along(right, (i) => [i, 0]),
+    ...along(bottom, (j) => [right, j]),
+    ...along(right, (i) => [right - i, bottom]),
+    ...along(bottom + 1, (j) => [0, bottom - j]),
+  ];
+}
+
+/** Triangles around the posed border, three vertices each. */
+export function edgeTriangles(mesh) {
+  const { width, height } = mesh.grid;
+  const border = around(mesh.grid).map(([i, j]) => [mesh.posed(i, j), mesh.restX(i) / width, mesh.restY(j) / height]);
+  // As far as anything that is seen can lie from the border.
+  const reach = 4 * Math.max(width, height, ...border.map(([[x, y]]) => Math.max(Math.abs(x), Math.abs(y))));
+  const numbers = [];
+  /** `angle` null: on the border itself. */
+  const vertex = ([[x, y], u, v], angle) => {
+    if (angle === null) numbers.push(x, y, 0, u, v);
+    else numbers.push(x + reach * Math.cos(angle), y + reach * Math.sin(angle), 1, u, v);
+  };
+  const triangle = (...corners) => corners.forEach(([place, angle]) => vertex(place, angle));
+  let before = null;
+  const turns = [];
+  border.slice(1).forEach((b, k) => {
+    const a = border[k];
+    const [dx, dy] = [b[0][0] - a[0][0], b[0][1] - a[0][1]];
+    if (dx === 0 && dy === 0) return;
+    const normal = Math.atan2(-dx, dy);
+    for (const side of [normal, normal + Math.PI]) {
+      triangle([a, null], [b, null], [b, side]);
+      triangle([a, null], [b, side], [a, side]);
+    }
+    if (before !== null) turns.push([a, before, normal]);
+    before = normal;
+  });
+  // The first and the last segment meet as well.
+  if (turns.length) turns.push([border[0], before, turns[0][1]]);
+  for (const [place, from, to] of turns) {
+    const turn = Math.atan2(Math.sin(to - from), Math.cos(to - from)) / FAN;
+    for (const side of [from, from + Math.PI]) {
+      for (let k = 0; k < FAN; k++) triangle([place, null], [place, side + k * turn], [place, side + (k + 1) * turn]);
+    }
+  }
+  return new Float32Array(numbers);
+}
