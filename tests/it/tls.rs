@@ -101,12 +101,6 @@ async fn http_1_and_2_and_the_drag_socket_go_through_it() {
     socket.send(Message::text(json!({"seq": 7, "q": [[3, 2]]}).to_string())).await.unwrap();
     let Some(Ok(Message::Binary(frame))) = socket.next().await else { panic!("a frame") };
     assert_eq!(frame[..8], 7_u64.to_le_bytes());
-    // Whoever speaks without TLS is not answered.
-    let mut plain = TcpStream::connect(server.address).await.unwrap();
-    plain.write_all(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n").await.unwrap();
-    let mut answer = Vec::new();
-    let _ = plain.read_to_end(&mut answer).await;
-    assert!(!answer.starts_with(b"HTTP"), "{answer:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
