@@ -44,6 +44,10 @@ impl Folder {
         self.0.join(name).to_str().unwrap().to_owned()
     }
 
+    pub(crate) fn files(&self) -> TlsFiles {
+        TlsFiles { cert: self.path("cert.pem").into(), key: self.path("key.pem").into() }
+    }
+
     fn options(&self) -> [String; 4] {
         ["--tls-cert".to_owned(), self.path("cert.pem"), "--tls-key".to_owned(), self.path("key.pem")]
     }
