@@ -281,6 +281,19 @@ async fn spans_go_by_tls_to_whom_is_trusted_and_to_nobody_else() {
         command.env("SSL_CERT_FILE", roots.files().cert).env_remove("SSL_CERT_DIR");
         let program = Program::spawn(command);
         warp(&program).await;
+        // Until a batch has been taken or refused, whichever it is.
+        let began = Instant::now();
+        let is_told = |metrics: String| {
+            let counts = |line: &str| {
+                line.strip_prefix("mlswarp_spans_exported_total ").or_else(|| line.strip_prefix("mlswarp_spans_dropped_total "))
+                    != Some("0")
+            };
+            metrics.lines().filter(|line| line.starts_with("mlswarp_spans_") && line.contains("_total ")).any(counts)
+        };
+        while !is_told(Client::new().get(format!("http://{}/metrics", program.address)).send().await.unwrap().text().await.unwrap()) {
+            assert!(began.elapsed() < Duration::from_secs(60), "no batch leaves");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
         let log = ends(program).await;
         log.iter().filter(|line| line["level"] == "WARN").count()
     };
