@@ -148,6 +148,15 @@ class RequestHand(Hand):
             while not self._ask(server) and not stop.is_set():
                 pass
 
+    def once(self, server, session=None, headers=None):
+        """(status, is it the right picture, `Warp-Plan`) of the next pose; the session may be written in another way."""
+        self.seq += 1
+        try:
+            status, said, body = server.ask("POST", f"/sessions/{session or self.session}/warp", self.question(), headers=headers)
+        except (OSError, http.client.HTTPException) as error:
+            return repr(error), False, None
+        return status, body in self.looks[self.seq % POSES], said["Warp-Plan"]
+
     def _ask(self, server):
         """Whether there was an answer: what breaks off is asked again, by the same seq."""
         try:

@@ -1,6 +1,5 @@
 """deploy/nginx/nginx.conf: what nginx itself says of it, and a drag through it while a replica is killed."""
 
-import http.client
 import json
 import signal
 import time
@@ -53,7 +52,7 @@ def check_nginx(stage):
         for hand in hands:
             hand.learn(Server(names.address(21), 8080))
             hand.put(front)
-        once = [drag(front, hand) for hand in hands for _ in range(3)]
+        once = [hand.once(front) for hand in hands for _ in range(3)]
         check("nginx: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
         plans = [plan for _, _, plan in once]
         check(
@@ -80,7 +79,7 @@ def check_nginx(stage):
         check("nginx: a drag socket goes through it", frame[1][8:] in socket.looks[1], f"{len(frame[1])} bytes")
 
         replicas[addresses[0]].end(signal.SIGKILL)
-        twice = [drag(front, hand) for hand in hands for _ in range(3)]
+        twice = [hand.once(front) for hand in hands for _ in range(3)]
         check(
             "nginx: with a replica killed nobody is refused",
             all(status == 200 and right for status, right, _ in twice),
@@ -93,13 +92,3 @@ def check_nginx(stage):
         log = server.log.read_text(errors="replace")
         told = [hand.name for hand in hands if hand.session in log]
         check("nginx: its log names no session", '"POST 200"' in log and not told, told or f"{len(log.splitlines())} lines")
-
-
-def drag(front, hand):
-    """(status, is it the right picture, `Warp-Plan`) of the next pose."""
-    hand.seq += 1
-    try:
-        status, headers, body = front.ask("POST", f"/sessions/{hand.session}/warp", hand.question())
-    except (OSError, http.client.HTTPException) as error:
-        return repr(error), False, None
-    return status, body in hand.looks[hand.seq % len(hand.looks)], headers["Warp-Plan"]

