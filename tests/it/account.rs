@@ -10,6 +10,7 @@ use axum::http::{Method, Request};
 use http_body_util::BodyExt as _;
 use mlswarp::service::App;
 use mlswarp::service::budget::Purpose;
+use mlswarp::service::client::Client;
 use mlswarp::service::http::router;
 use mlswarp::service::pool::Work;
 use serde_json::json;
@@ -155,4 +156,43 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
         Purpose::ALL.iter().map(|purpose| app.budget().taken_for(*purpose)).sum::<u64>() + app.budget().taken()
     };
     eventually("sessions expire, and nothing is left", || kept() == 0).await;
+}
+
+/// The object of a new session is in its client's share before the session is there: who reads nothing opens none, and is not told that there is none
+/// when there is.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn objects_of_new_sessions_are_in_the_account() {
+    let app = App::new(config(&[])).unwrap();
+    let p: Vec<_> = (0..200).map(|n| json!([f64::from(n) + 0.123_456_789_012_345_6, 5])).collect();
+    let upload = multipart(&photo(300, 20), &json!({"p": p}).to_string());
+    let ask = async |method: Method, path: &str, upload: &[u8]| {
+        let request = Request::builder().method(method).uri(path).header("content-type", "multipart/form-data; boundary=x");
+        router(app.clone()).oneshot(request.body(pieces(upload)).unwrap()).await.unwrap()
+    };
+    let held = || app.budget().taken_for(Purpose::Frame);
+    let named = "/sessions/8f3b1c1e-6f0a-4c8e-9d53-0f1a2b3c4d5e";
+    let sessions = || app.metrics_text().lines().find_map(|line| line.strip_prefix("mlswarp_store_sessions ")).unwrap().to_owned();
+    for (method, path, status) in [(Method::POST, "/sessions", 201), (Method::PUT, named, 201), (Method::PUT, named, 200)] {
+        let answer = ask(method, path, &upload).await;
+        assert_eq!(answer.status(), status, "{path}");
+        assert!(held() > 4000, "{} bytes are held", held());
+        let body = answer.into_body().collect().await.unwrap().to_bytes();
+        assert_eq!(held(), body.len() as u64);
+        drop(body);
+        eventually("what was read is given back", || held() == 0).await;
+    }
+    assert_eq!(sessions(), "2");
+    let share = app.share(Client::default());
+    let _unread = app.reserve_for(&share, share.limit()).unwrap();
+    let other = multipart(&photo(300, 20), r#"{"p": [[1, 2]]}"#);
+    for (method, path) in [(Method::POST, "/sessions"), (Method::PUT, named), (Method::PUT, &named.replace("8f", "7f"))] {
+        let answer = ask(method, path, &other).await;
+        assert_eq!(answer.status(), 503, "{path}");
+        let document = answer.into_body().collect().await.unwrap().to_bytes();
+        assert_eq!(serde_json::from_slice::<serde_json::Value>(&document).unwrap()["limit_name"], "unread_bytes");
+    }
+    // None was made, and none was replaced.
+    assert_eq!(sessions(), "2");
+    drop(_unread);
+    assert_eq!(ask(Method::PUT, named, &upload).await.status(), 200);
 }

@@ -14,7 +14,7 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 
 use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, header, problem};
-use crate::support::{Server, photo};
+use crate::support::{Scratch, Server, photo};
 
 const ANN: &str = "ann-s-key-0123456789";
 const BOB: &str = "bob-s-key-9876543210";
@@ -249,4 +249,41 @@ fn beyond_the_loopback_a_key_is_wanted() {
     for word in ["--listen (MLSWARP_LISTEN)", "MLSWARP_KEYS_FILE", "MLSWARP_ALLOW_ANONYMOUS=true"] {
         assert!(told.contains(word), "{told}");
     }
+}
+
+/// A socket is open for as long as the key that has opened it is one: not for as long as its name has another.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_socket_ends_with_its_key() {
+    let folder = Scratch::new();
+    let file = folder.path("keys");
+    let write = |text: &str| {
+        std::fs::write(folder.path("new"), text).unwrap();
+        std::fs::rename(folder.path("new"), &file).unwrap();
+    };
+    write(&format!("ann {ANN}\nann {BOB}\n"));
+    let server = Server::start(&["--keys-file", &file]).await;
+    let opened = server.post("/sessions").bearer_auth(ANN).multipart(form(&photo(16, 12), rest().to_string())).send().await.unwrap();
+    let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let open = async |key: &str| {
+        let mut request = format!("ws://{}/sessions/{id}/drag", server.address).into_client_request().unwrap();
+        request.headers_mut().insert("Authorization", format!("Bearer {key}").parse().unwrap());
+        let (mut socket, _) = client_async(request, TcpStream::connect(server.address).await.unwrap()).await.unwrap();
+        assert!(matches!(socket.next().await, Some(Ok(Message::Text(_)))), "hello");
+        socket
+    };
+    let (mut ends, mut stays) = (open(ANN).await, open(BOB).await);
+    // Another key beside changes nothing.
+    write(&format!("ann {ANN}\nann {BOB}\nbob {NOBODY}\n"));
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    assert!(tokio::time::timeout(Duration::from_millis(300), ends.next()).await.is_err());
+    write(&format!("ann {BOB}\n"));
+    let began = Instant::now();
+    let Some(Ok(Message::Text(told))) = ends.next().await else { panic!("why it ends") };
+    let told: Value = serde_json::from_str(&told).unwrap();
+    assert_eq!((&told["code"], &told["status"]), (&"forbidden".into(), &403.into()), "{told}");
+    let Some(Ok(Message::Close(Some(close)))) = ends.next().await else { panic!("its end") };
+    assert_eq!(u16::from(close.code), 1008);
+    assert!(began.elapsed() < Duration::from_secs(30));
+    stays.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+    assert!(matches!(stays.next().await, Some(Ok(Message::Binary(_)))), "a frame");
 }

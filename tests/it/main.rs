@@ -13,6 +13,7 @@ mod drag;
 mod environment;
 mod formats;
 mod golden;
+mod heads;
 mod hostile;
 mod identity;
 mod keys;

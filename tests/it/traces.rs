@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 use crate::support::collector::{Collector, attributes};
 use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, png, problem};
-use crate::support::{Hand, Server, eventually, photo};
+use crate::support::{Hand, Scratch, Server, eventually, photo};
+use crate::tls::Folder;
 
 const KEY: &str = "a-key-of-the-tests-0123456789";
 const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
@@ -239,4 +240,75 @@ async fn spans_that_nobody_takes_are_counted() {
     assert!(metrics.contains("mlswarp_spans_exported_total 0\n"), "{metrics}");
     let dropped = metrics.lines().find_map(|line| line.strip_prefix("mlswarp_spans_dropped_total ")).unwrap();
     assert!(dropped.parse::<u64>().unwrap() >= 7);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn spans_that_a_collector_rejects_are_not_exported() {
+    let collector = Collector::start().await;
+    collector.reject(3);
+    let server = Server::start(&["--otlp-endpoint", &collector.url()]).await;
+    server.is_well().await;
+    let tally = || {
+        let tally = server.app.tracer().unwrap().tally();
+        (tally.exported(), tally.dropped())
+    };
+    eventually("the batch is counted", || tally() != (0, 0)).await;
+    let (exported, dropped) = tally();
+    assert_eq!((exported + dropped, dropped % 3), (collector.spans().len() as u64, 0), "three of each batch: {exported}, {dropped}");
+    assert!(exported > 0 && dropped > 0);
+    // Whoever says that all were rejected, and more than there were, has rejected all.
+    collector.reject(i64::MAX);
+    server.is_well().await;
+    eventually("the next is counted", || tally().1 > dropped).await;
+    assert_eq!(tally().0 + tally().1, collector.spans().len() as u64);
+    collector.reject(-1);
+    let before = tally();
+    server.is_well().await;
+    eventually("and the next", || tally() != before).await;
+    assert!(tally().0 > before.0 && tally().1 == before.1);
+}
+
+/// A hosted collector: its certificate must lead to a root that is trusted here, and be for its name.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn spans_go_by_tls_to_whom_is_trusted_and_to_nobody_else() {
+    let (folder, other) = (Folder::new("collector"), Folder::new("collector-other"));
+    let collector = Collector::start_tls(&folder.files(), "127.0.0.1").await;
+    let elsewhere = Collector::start_tls(&folder.files(), "127.0.0.2").await;
+    let port = collector.address().port();
+    let run = async |address: String, roots: &Folder| {
+        let mut command =
+            mlswarp(&["serve", "--listen", "127.0.0.1:0", "--otlp-endpoint", &format!("https://{address}"), "--log-format", "json"]);
+        command.env("SSL_CERT_FILE", roots.files().cert).env_remove("SSL_CERT_DIR");
+        let program = Program::spawn(command);
+        warp(&program).await;
+        // Until a batch has been taken or refused, whichever it is.
+        let began = Instant::now();
+        let is_told = |metrics: String| {
+            let counts = |line: &str| {
+                line.strip_prefix("mlswarp_spans_exported_total ").or_else(|| line.strip_prefix("mlswarp_spans_dropped_total "))
+                    != Some("0")
+            };
+            metrics.lines().filter(|line| line.starts_with("mlswarp_spans_") && line.contains("_total ")).any(counts)
+        };
+        while !is_told(Client::new().get(format!("http://{}/metrics", program.address)).send().await.unwrap().text().await.unwrap()) {
+            assert!(began.elapsed() < Duration::from_secs(60), "no batch leaves");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        let log = ends(program).await;
+        log.iter().filter(|line| line["level"] == "WARN").count()
+    };
+    // Not trusted; trusted, and of another name.
+    assert_eq!((run(collector.address().to_string(), &other).await, collector.spans().len()), (1, 0));
+    assert_eq!((run(elsewhere.address().to_string(), &folder).await, elsewhere.spans().len()), (1, 0));
+    for host in ["127.0.0.1", "localhost"] {
+        let before = collector.spans().len();
+        assert_eq!(run(format!("{host}:{port}"), &folder).await, 0, "{host}");
+        assert!(collector.spans().len() > before && collector.named("POST /warp").is_some(), "{host}");
+    }
+    // Without a root nothing could ever be sent: that is said at the start.
+    let none = Scratch::new().path("none.pem");
+    let mut command = mlswarp(&["serve", "--listen", "127.0.0.1:0", "--otlp-endpoint", &format!("https://127.0.0.1:{port}")]);
+    let ended = command.env("SSL_CERT_FILE", none).env_remove("SSL_CERT_DIR").output().unwrap();
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert!(!ended.status.success() && said.contains("SSL_CERT_FILE"), "{said}");
 }

@@ -16,7 +16,7 @@ pub(super) struct TelemetryArgs {
     /// Another address and port where /metrics, /healthz and /readyz are answered, without a key and without TLS.
     #[arg(long, env = "MLSWARP_METRICS_LISTEN", value_name = "ADDR", default_value = "", hide_default_value = true, global = true)]
     metrics_listen: String,
-    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318; spans go to /v1/traces there.
+    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or https://collector.example; spans go to /v1/traces there.
     #[arg(long, env = "MLSWARP_OTLP_ENDPOINT", value_name = "URL", default_value = "", hide_default_value = true, global = true)]
     otlp_endpoint: String,
     /// Share of requests and frames that are traced, 0 to 1, where no caller has decided.
@@ -40,21 +40,22 @@ pub struct TelemetryConfig {
 pub struct Collector {
     /// Host, and port.
     pub authority: String,
+    /// It is spoken to by TLS.
+    pub is_tls: bool,
     /// Where it takes spans.
     path: String,
 }
 
 impl Collector {
-    /// `http://host[:port][/path]`.
+    /// `http[s]://host[:port][/path]`.
     ///
     /// # Errors
     /// What is not so.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mistake = |why: &str| Err(format!("`{text}` {why}"));
-        if text.starts_with("https://") {
-            return mistake("is not http: let a collector on this machine or in its network take the spans and carry them on by TLS");
-        }
-        let Some(rest) = text.strip_prefix("http://") else { return mistake("is not an address such as http://127.0.0.1:4318") };
+        let (plain, encrypted) = (text.strip_prefix("http://"), text.strip_prefix("https://"));
+        let is_tls = encrypted.is_some();
+        let Some(rest) = plain.or(encrypted) else { return mistake("is not an address such as http://127.0.0.1:4318") };
         let (authority, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
         let plain = |text: &str, more: &[u8]| text.bytes().all(|b| b.is_ascii_alphanumeric() || more.contains(&b));
         if !plain(authority, b".-_:[]") || !plain(path, b"/.-_~%") {
@@ -62,18 +63,27 @@ impl Collector {
         }
         let (host, port) = match authority.rfind(':') {
             Some(colon) if !authority.ends_with(']') => (&authority[..colon], &authority[colon + 1..]),
-            _ => (authority, "80"),
+            _ => (authority, if is_tls { "443" } else { "80" }),
         };
         if host.is_empty() || port.parse::<u16>().is_err() {
             return mistake("names no host, or no port");
         }
-        Ok(Self { authority: format!("{host}:{port}"), path: format!("{}{TRACES}", path.trim_end_matches('/')) })
+        Ok(Self { authority: format!("{host}:{port}"), is_tls, path: format!("{}{TRACES}", path.trim_end_matches('/')) })
+    }
+}
+
+impl Collector {
+    /// Its name, or its address without brackets: what its certificate is for.
+    #[must_use]
+    pub fn host(&self) -> &str {
+        let host = self.authority.rsplit_once(':').map_or(&*self.authority, |(host, _)| host);
+        host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host)
     }
 }
 
 impl fmt::Display for Collector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "http://{}{}", self.authority, self.path)
+        write!(f, "{}://{}{}", if self.is_tls { "https" } else { "http" }, self.authority, self.path)
     }
 }
 
@@ -136,12 +146,14 @@ mod tests {
             ("http://[::1]:4318/otlp/", "http://[::1]:4318/otlp/v1/traces"),
             ("http://collector.example", "http://collector.example:80/v1/traces"),
             ("http://[::1]", "http://[::1]:80/v1/traces"),
+            ("https://collector.example", "https://collector.example:443/v1/traces"),
+            ("https://[::1]:4318/otlp", "https://[::1]:4318/otlp/v1/traces"),
         ] {
             let config = resolve(&["--otlp-endpoint", text]).unwrap().telemetry;
             assert_eq!(config.otlp_endpoint.unwrap().to_string(), url);
         }
         for bad in
-            ["https://collector:4318", "collector:4318", "http://", "http://:4318", "http://a:b", "http://u:p@host:1", "http://host:1/a b"]
+            ["ftp://collector:4318", "collector:4318", "http://", "http://:4318", "http://a:b", "http://u:p@host:1", "http://host:1/a b"]
         {
             let refused = resolve(&["--otlp-endpoint", bad]).unwrap_err();
             assert!(refused.contains("--otlp-endpoint (MLSWARP_OTLP_ENDPOINT)"), "{bad}: {refused}");

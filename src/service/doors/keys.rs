@@ -17,6 +17,21 @@ const MOST: usize = 1000;
 /// Longest name.
 const LONGEST_NAME: usize = 64;
 
+/// What somebody came in by: a key, of which its digest and its owner are kept, or nothing where nobody needs one. It is good for as long as the key is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Pass(Option<Key>);
+
+impl Pass {
+    /// Where there are no keys.
+    pub const ANYBODY: Self = Self(None);
+}
+
+impl fmt::Debug for Pass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Pass({})", if self.0.is_some() { "a key" } else { "anybody" })
+    }
+}
+
 /// Keys that are taken.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct Keys(Vec<Key>);
@@ -70,12 +85,29 @@ impl Keys {
         self.0.is_empty()
     }
 
-    /// Whose key it is. Takes as long for a wrong key as for a right one, wherever it stands and however much of it is right: digests are compared,
+    /// Whose key it is, and what shows that it is still one. Takes as long for a wrong key as for a right one, wherever it stands and however much of it is right: digests are compared,
     /// each in constant time, every one of them, and the owner is chosen without a branch.
     #[must_use]
+    pub fn look_up(&self, key: &str) -> Option<(Owner, Pass)> {
+        let digest = Sha256::digest(key).into();
+        let Search { found, owner, .. } = self.search(&digest);
+        let owner = Owner::from_bytes(owner);
+        bool::from(found).then_some((owner, Pass(Some(Key { digest, owner }))))
+    }
+
+    /// Whose key it is.
+    #[must_use]
     pub fn owner_of(&self, key: &str) -> Option<Owner> {
-        let Search { found, owner, .. } = self.search(&Sha256::digest(key).into());
-        bool::from(found).then(|| Owner::from_bytes(owner))
+        self.look_up(key).map(|(owner, _)| owner)
+    }
+
+    /// Whether the pass's key is still one of the same name's.
+    #[must_use]
+    pub fn honour(&self, pass: Pass) -> bool {
+        pass.0.is_none_or(|key| {
+            let Search { found, owner, .. } = self.search(&key.digest);
+            bool::from(found) && Owner::from_bytes(owner) == key.owner
+        })
     }
 
     fn search(&self, digest: &[u8; 32]) -> Search {
@@ -174,5 +206,18 @@ mod tests {
             assert!(!mistake.contains("0123456789"), "{mistake}");
         }
         assert_eq!(format!("{:?}", Keys::parse("ann 0123456789abcdef").unwrap()), "1 keys");
+    }
+
+    #[test]
+    fn a_pass_is_good_for_as_long_as_its_key_is_one_of_its_name() {
+        let keys = |text: &str| Keys::parse(text).unwrap();
+        let (owner, pass) = keys(&format!("ann {ONE}")).look_up(ONE).unwrap();
+        assert_eq!(owner, owner_of_name("ann"));
+        assert!(keys(&format!("bob {TWO}\nann {ONE}")).honour(pass));
+        for others in ["", &format!("ann {TWO}"), &format!("bob {ONE}")] {
+            assert!(!keys(others).honour(pass), "{others}");
+            assert!(keys(others).honour(Pass::ANYBODY));
+        }
+        assert_eq!(format!("{pass:?} {:?}", Pass::ANYBODY), "Pass(a key) Pass(anybody)");
     }
 }

@@ -11,13 +11,14 @@ use std::hash::Hash;
 use std::io::Read as _;
 use std::net::IpAddr;
 use std::path::Path;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 use std::time::Instant;
 
-use keys::Keys;
+use keys::{Keys, Pass};
 use network::site;
 use places::Places;
 use rates::Rates;
+use tokio::sync::watch;
 
 use super::client::Owner;
 use super::config::DoorsConfig;
@@ -27,7 +28,7 @@ use super::problem::{Code, Problem};
 #[derive(Debug)]
 pub struct Doors {
     /// None where no keys are configured.
-    keys: Option<RwLock<Arc<Keys>>>,
+    keys: Option<watch::Sender<Arc<Keys>>>,
     by_address: Option<Rates<IpAddr>>,
     by_owner: Option<Rates<Owner>>,
     places: Places,
@@ -38,7 +39,7 @@ impl Doors {
     #[must_use]
     pub fn new(config: &DoorsConfig) -> Self {
         Self {
-            keys: config.keys.as_ref().map(|keys| RwLock::new(Arc::new(keys.all.clone()))),
+            keys: config.keys.as_ref().map(|keys| watch::Sender::new(Arc::new(keys.all.clone()))),
             by_address: config.rate_per_address.map(Rates::new),
             by_owner: config.rate_per_key.map(Rates::new),
             places: Places::new(config.max_connections, config.max_connections_per_address),
@@ -54,7 +55,16 @@ impl Doors {
     /// Other keys from now on.
     pub fn replace_keys(&self, new: Keys) {
         if let Some(keys) = &self.keys {
-            *keys.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(new);
+            keys.send_replace(Arc::new(new));
+        }
+    }
+
+    /// Waits until the pass is good no more.
+    pub async fn revoked(&self, pass: Pass) {
+        let revoked = async { self.keys.as_ref()?.subscribe().wait_for(|keys| !keys.honour(pass)).await.is_ok().then_some(()) };
+        // Without keys none can be revoked, and the sender lives as long as `self`.
+        if revoked.await.is_none() {
+            std::future::pending().await
         }
     }
 
@@ -62,18 +72,18 @@ impl Doors {
     ///
     /// # Errors
     /// [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
-    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Owner, Problem> {
+    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<(Owner, Pass), Problem> {
         let now = Instant::now();
         // The address first: guesses count too.
         count(self.by_address.as_ref(), site(address), now)?;
-        let Some(keys) = &self.keys else { return Ok(Owner::ANYBODY) };
-        let keys = Arc::clone(&keys.read().unwrap_or_else(PoisonError::into_inner));
+        let Some(keys) = &self.keys else { return Ok((Owner::ANYBODY, Pass::ANYBODY)) };
+        let keys = Arc::clone(&keys.borrow());
         let Some(key) = key else {
             return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
         };
-        let owner = keys.owner_of(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
+        let (owner, pass) = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
         count(self.by_owner.as_ref(), owner, now)?;
-        Ok(owner)
+        Ok((owner, pass))
     }
 }
 

@@ -46,8 +46,9 @@ pub(super) async fn keyed(State(app): State<App>, mut request: Request, next: Ne
     let key = key(request.headers());
     request.headers_mut().remove(AUTHORIZATION);
     match app.doors().admit(client.address, key.as_deref()) {
-        Ok(owner) => {
+        Ok((owner, pass)) => {
             request.extensions_mut().insert(Client { owner, ..client });
+            request.extensions_mut().insert(pass);
             next.run(request).await
         }
         Err(problem) if problem.code == Code::Unauthorized => ([(WWW_AUTHENTICATE, BEARER)], problem).into_response(),

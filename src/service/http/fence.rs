@@ -85,23 +85,50 @@ async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Respo
             finish(response, &id)
         }
     };
-    site.tell(response.headers_mut());
     // The next request of this connection would perhaps come when nobody listens any more.
     if app.is_leaving() && version < Version::HTTP_2 && response.status() != StatusCode::SWITCHING_PROTOCOLS {
         response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
     }
-    if let Ok(id) = HeaderValue::from_str(&id) {
+    let method = method.as_str();
+    sent(&app, &mut response, site, &Sent { head: &Head { began, id, route }, method, code });
+    response
+}
+
+/// The answer to what never was a request: the head could not be read, or came where it may not.
+pub(super) fn refused(app: &App, problem: Problem) -> Response {
+    let head = Head { began: Instant::now(), id: Uuid::new_v4().to_string(), route: None };
+    Scope::request(&head.id, None).enter(|| {
+        app.metrics().refused(&problem);
+        let code = Some(problem.code);
+        let mut response = finish(problem.into_response(), &head.id);
+        let site = Site::new(&app.config().doors, &Request::default());
+        sent(app, &mut response, site, &Sent { head: &head, method: "", code });
+        response
+    })
+}
+
+/// What an answer was given to.
+struct Sent<'a> {
+    head: &'a Head,
+    method: &'a str,
+    code: Option<Code>,
+}
+
+/// The end of every answer: what all of them say, and what is told of them.
+fn sent(app: &App, response: &mut Response, site: Site, to: &Sent<'_>) {
+    let Sent { head: Head { began, id, route }, method, code } = to;
+    site.tell(response.headers_mut());
+    if let Ok(id) = HeaderValue::from_str(id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status().as_u16();
-    Scope::current().tell(Answer { status, code });
+    Scope::current().tell(Answer { status, code: *code });
     let route = route.as_ref().map_or("-", MatchedPath::as_str);
-    app.metrics().answered(route, method.as_str(), status, began.elapsed());
+    app.metrics().answered(route, method, status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
     // A client may send any word as its method, as long as a head may be.
-    let method = known_method(method.as_str()).unwrap_or("other");
+    let method = known_method(method).unwrap_or("other");
     tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
-    response
 }
 
 async fn answer(app: &App, request: Request, next: Next) -> Response {

@@ -56,6 +56,8 @@ pub(super) enum Heard {
 pub(super) struct Line<S> {
     socket: WebSocketStream<S>,
     queue: VecDeque<Message>,
+    /// What is said before the connection is closed from here, where there is room for it.
+    last_words: Option<Message>,
     is_flushed: bool,
     /// Since when the client has taken nothing of what there is for it.
     blocked: Option<Instant>,
@@ -74,11 +76,16 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             .max_message_size(Some(most))
             .max_frame_size(Some(most));
         let socket = WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await;
-        Self { socket, queue: VecDeque::new(), is_flushed: true, blocked: None, wrote: Instant::now() }
+        Self { socket, queue: VecDeque::new(), last_words: None, is_flushed: true, blocked: None, wrote: Instant::now() }
     }
 
     pub(super) fn text(&mut self, text: String) {
         self.queue.push_back(Message::text(text));
+    }
+
+    /// Says this before it closes the connection, whatever waits.
+    pub(super) fn last_words(&mut self, text: String) {
+        self.last_words = Some(Message::text(text));
     }
 
     pub(super) fn ping(&mut self) {
@@ -159,8 +166,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         let farewell = async {
             if let Ending::Close(code, reason) = ending {
                 if code != CloseCode::Normal {
-                    // Between two fragments there is room for a close.
+                    // Between two fragments there is room for a close, and for nothing else.
+                    let is_within =
+                        matches!(self.queue.front(), Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(Data::Continue));
                     self.queue.clear();
+                    self.queue.extend(self.last_words.take().filter(|_| !is_within));
                 }
                 self.queue.push_back(Message::Close(Some(CloseFrame { code, reason: reason.into() })));
             }

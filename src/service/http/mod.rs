@@ -1,5 +1,5 @@
 //! HTTP: routes, and the layers around them. Every answer that is not a success is a problem document, whoever refused
-//! (but for heads that are no HTTP: hyper answers those, with an empty body).
+//! (also of heads that are none: `server/heads.rs`; of HTTP/2 only those that have become requests).
 //!
 //! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, what browsers are
 //! told, one log line a request), then `keyed` on every route that is not open (key, rate, whose sessions are meant), then `shed` on the routes

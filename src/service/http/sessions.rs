@@ -11,7 +11,7 @@ use axum::response::{IntoResponse as _, Response};
 use super::answer::json_text;
 use super::{body, upload};
 use crate::service::App;
-use crate::service::budget::Purpose;
+use crate::service::budget::{Purpose, Reservation};
 use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
@@ -19,11 +19,17 @@ use crate::service::store::{Put, Session};
 use crate::service::wire::{SessionGrid, SessionImage, SessionObject, Wire};
 use crate::warp::Setup;
 
+/// Longest text of a number and its comma, bytes.
+const NUMBER: usize = 25;
+/// Longest text of a session object beside what its client wrote, bytes: names, ids, dates and single numbers.
+const AROUND: usize = 2048;
+
 /// A new session, its picture decoded and its table filled: the first drag finds both.
 pub(super) async fn create(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&app, request).await?;
+    let held = hold_object(&app, client, &upload.warp)?;
     let (session, setup) = app.open(client, upload.image, upload.warp).await?;
-    Ok((StatusCode::CREATED, [(LOCATION, location(session.record.id))], object(&session, &setup)).into_response())
+    Ok((StatusCode::CREATED, [(LOCATION, location(session.record.id))], object(held, &session, &setup)).into_response())
 }
 
 /// The session of a name that the client chose: 201 when it is new, 200 when it was there, made from the same or made anew.
@@ -36,10 +42,11 @@ pub(super) async fn put(
     let id = SessionId::parse(client.owner, &id)
         .map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
     let upload = upload::read(&app, request).await?;
+    let held = hold_object(&app, client, &upload.warp)?;
     let (put, setup) = app.put(client, id, upload.image, upload.warp).await?;
     Ok(match put {
-        Put::Created(session) => (StatusCode::CREATED, [(LOCATION, location(id))], object(&session, &setup)).into_response(),
-        Put::Same(session) | Put::Replaced(session, _) => held_object(&app, client, &session, &setup)?,
+        Put::Created(session) => (StatusCode::CREATED, [(LOCATION, location(id))], object(held, &session, &setup)).into_response(),
+        Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
     })
 }
 
@@ -87,16 +94,29 @@ pub(super) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
     SessionId::parse(client.owner, text).map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
 }
 
-/// The object in its client's share until it is read: it may be asked for on every stream. Of a session that is new it is not: the session is there,
-/// and the store bounds how many.
+/// The object in its client's share until it is read: it may be asked for on every stream.
 fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
     let held = app.reserve_for(&app.share(client), text.len() as u64)?;
     Ok(json_text(held.with(text)))
 }
 
-fn object(session: &Session, setup: &Setup) -> Response {
-    json_text(text(session, setup).into())
+/// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
+fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Problem> {
+    app.reserve_for(&app.share(client), longest_text(warp))
+}
+
+fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
+    let text = text(session, setup);
+    held.shrink_to(text.len() as u64);
+    json_text(held.with(text))
+}
+
+/// Most bytes of the object of a session that is made of this warp object. Words come back as they were or are not in the object at all, and
+/// before every number of a list stands a bracket or a comma.
+fn longest_text(warp: &[u8]) -> u64 {
+    let numbers = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
+    (AROUND + warp.len() + NUMBER * numbers) as u64
 }
 
 fn text(session: &Session, setup: &Setup) -> Vec<u8> {
@@ -157,5 +177,18 @@ mod tests {
             assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)), date);
         }
         assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_millis(86_400_125)), "1970-01-02T00:00:00.125Z");
+    }
+
+    #[test]
+    fn room_for_an_object_is_enough_for_the_longest() {
+        // Numbers that are short as they come, and long as they are written; and one of everything that there is.
+        let many = |what: &str| vec![what; 500].join(",");
+        let longest = f64::MIN_POSITIVE * -1.000_000_000_000_000_2;
+        let (points, lines) = (many("[1,2]"), many("[[1,2],[3,4],[5,6]]"));
+        for (warp, numbers) in [(format!(r#"{{"p":[{points}]}}"#), 1000), (format!(r#"{{"p":[{lines}],"weights":[{}]}}"#, many("1")), 3500)]
+        {
+            let written = warp.len() - numbers + numbers * serde_json::to_string(&longest).unwrap().len();
+            assert!(longest_text(warp.as_bytes()) >= (written + 1024) as u64, "{written}");
+        }
     }
 }

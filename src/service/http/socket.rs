@@ -20,6 +20,7 @@ use crate::codec::Format;
 use crate::service::App;
 use crate::service::client::Client;
 use crate::service::config::Config;
+use crate::service::doors::keys::Pass;
 use crate::service::drag::bucket::Bucket;
 use crate::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
 use crate::service::problem::{Code, Problem};
@@ -48,6 +49,7 @@ pub(super) async fn drag(
         Ok(drag) => drag,
         Err(problem) => return problem.into_response(),
     };
+    let pass = request.extensions().get::<Pass>().copied().unwrap_or(Pass::ANYBODY);
     let most = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
     let upgrade = hyper::upgrade::on(&mut request);
     // What is told of the socket from now on has the handshake's id.
@@ -55,8 +57,8 @@ pub(super) async fn drag(
         // Whoever has left before the answer takes the drag with it.
         let Ok(upgraded) = upgrade.await else { return };
         match upgraded.downcast::<TokioIo<Wire>>() {
-            Ok(parts) => talk(&app, drag, Line::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await,
-            Err(upgraded) => talk(&app, drag, Line::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
+            Ok(parts) => talk(&app, pass, drag, Line::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await,
+            Err(upgraded) => talk(&app, pass, drag, Line::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
         }
     });
     tokio::spawn(talked);
@@ -101,9 +103,9 @@ fn wishes(query: Option<&str>, max_side: u32) -> Result<Wishes, Problem> {
 }
 
 /// Carries messages until either side ends it.
-async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, mut drag: Drag, mut line: Line<S>) {
+async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, mut drag: Drag, mut line: Line<S>) {
     let began = Instant::now();
-    let ending = converse(app, &mut drag, &mut line).await;
+    let ending = converse(app, pass, &mut drag, &mut line).await;
     let (code, reason) = match &ending {
         Ending::Gone => (0, "the client left"),
         Ending::Close(code, reason) => (u16::from(*code), *reason),
@@ -115,12 +117,12 @@ async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, mut drag: Drag, mut 
     line.close(ending).await;
 }
 
-async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag, line: &mut Line<S>) -> Ending {
+async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, drag: &mut Drag, line: &mut Line<S>) -> Ending {
     let now = Instant::now();
     let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, now);
     let mut life = Life { heard: now, pinged: None };
-    let stopping = app.stopping();
-    tokio::pin!(stopping);
+    let (stopping, revoked) = (app.stopping(), app.doors().revoked(pass));
+    tokio::pin!(stopping, revoked);
     loop {
         let due = drag.act(Instant::now());
         while let Some(said) = drag.say() {
@@ -150,6 +152,15 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, drag: &mut Drag,
             }
             () = drag.work() => {}
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
+            () = &mut revoked => {
+                drag.complain(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
+                while let Some(said) = drag.say() {
+                    if let Said::Text(text) = said {
+                        line.last_words(text);
+                    }
+                }
+                return Ending::Close(CloseCode::Policy, "the key was revoked");
+            }
             () = tokio::time::sleep_until(wake.into()) => {
                 let now = Instant::now();
                 // What has left meanwhile is progress.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use opentelemetry::trace::{SpanContext, SpanId, TraceFlags, TraceId, TraceState};
 use opentelemetry::{InstrumentationScope, KeyValue};
-use opentelemetry_otlp::{ExporterBuildError, Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
+use opentelemetry_otlp::{Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanExporter as _};
@@ -41,7 +41,7 @@ const OBEYED: (f64, f64) = (100.0, 200.0);
 #[error("traces cannot be exported to {collector}: {why}")]
 pub struct NotTraced {
     collector: Collector,
-    why: ExporterBuildError,
+    why: String,
 }
 
 /// Begins traces. Cloning shares it.
@@ -86,6 +86,8 @@ impl Tally {
 pub struct Outbox {
     queue: mpsc::Receiver<Collected>,
     exporter: SpanExporter,
+    /// Spans that the collector would not have of batches that it took.
+    rejected: Arc<AtomicU64>,
     collector: Collector,
     tally: Arc<Tally>,
 }
@@ -103,14 +105,18 @@ impl Tracer {
     /// The exporter cannot be made of the address and the variables of OpenTelemetry.
     pub fn new(config: &TelemetryConfig) -> Result<Option<(Self, Outbox)>, NotTraced> {
         let Some(collector) = config.otlp_endpoint.clone() else { return Ok(None) };
-        let built = SpanExporter::builder()
-            .with_http()
-            .with_endpoint(collector.to_string())
-            .with_protocol(Protocol::HttpBinary)
-            .with_http_client(Post::new(&collector))
-            // Trying again would stop the queue; what is lost is counted.
-            .with_retry_policy(RetryPolicy::disabled())
-            .build();
+        let rejected = Arc::<AtomicU64>::default();
+        let built = Post::new(&collector, Arc::clone(&rejected)).and_then(|post| {
+            SpanExporter::builder()
+                .with_http()
+                .with_endpoint(collector.to_string())
+                .with_protocol(Protocol::HttpBinary)
+                .with_http_client(post)
+                // Trying again would stop the queue; what is lost is counted.
+                .with_retry_policy(RetryPolicy::disabled())
+                .build()
+                .map_err(|error| error.to_string())
+        });
         let mut exporter = match built {
             Ok(exporter) => exporter,
             Err(why) => return Err(NotTraced { collector, why }),
@@ -120,7 +126,7 @@ impl Tracer {
         let tally = Arc::<Tally>::default();
         let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
         let shared = Shared { share: config.otlp_sample, obeyed, queue: sender, tally: Arc::clone(&tally) };
-        Ok(Some((Self(Arc::new(shared)), Outbox { queue, exporter, collector, tally })))
+        Ok(Some((Self(Arc::new(shared)), Outbox { queue, exporter, rejected, collector, tally })))
     }
 
     /// What has become of spans so far.
@@ -270,9 +276,15 @@ impl Outbox {
 
     async fn export(&self, spans: Vec<opentelemetry_sdk::trace::SpanData>, is_away: &mut bool) {
         let count = spans.len() as u64;
+        self.rejected.store(0, Ordering::Relaxed);
         let why = match tokio::time::timeout(PATIENCE, self.exporter.export(spans)).await {
             Ok(Ok(())) => {
-                self.tally.exported.fetch_add(count, Ordering::Relaxed);
+                let rejected = self.rejected.swap(0, Ordering::Relaxed).min(count);
+                self.tally.exported.fetch_add(count - rejected, Ordering::Relaxed);
+                self.tally.dropped.fetch_add(rejected, Ordering::Relaxed);
+                if rejected > 0 {
+                    tracing::debug!(rejected, "spans that the collector would not have are lost ({})", self.collector);
+                }
                 if std::mem::take(is_away) {
                     tracing::info!("traces are exported again ({})", self.collector);
                 }

@@ -9,26 +9,56 @@ use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::routing::post;
-use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
+use axum::serve::Listener;
+use mlswarp::service::doors::tls::TlsFiles;
+use opentelemetry_proto::tonic::collector::trace::v1::{ExportTracePartialSuccess, ExportTraceServiceRequest, ExportTraceServiceResponse};
 use opentelemetry_proto::tonic::common::v1::KeyValue;
 use opentelemetry_proto::tonic::common::v1::any_value::Value;
 use opentelemetry_proto::tonic::trace::v1::Span;
 use prost::Message as _;
+use tokio::net::{TcpListener, TcpStream};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::server::TlsStream;
 
 #[derive(Clone)]
 pub(crate) struct Collector {
     address: SocketAddr,
     batches: Arc<Mutex<Vec<Bytes>>>,
     headers: Arc<Mutex<HeaderMap>>,
+    /// What it says to each batch.
+    answer: Arc<Mutex<Bytes>>,
 }
 
 impl Collector {
     pub(crate) async fn start() -> Self {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let collector = Self { address: listener.local_addr().unwrap(), batches: Arc::default(), headers: Arc::default() };
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        Self::on(address, listener)
+    }
+
+    /// Behind TLS, with the certificate of the files.
+    pub(crate) async fn start_tls(files: &TlsFiles, host: &str) -> Self {
+        let listener = TcpListener::bind((host, 0)).await.unwrap();
+        let address = listener.local_addr().unwrap();
+        Self::on(address, Encrypted { listener, acceptor: files.load().unwrap().into() })
+    }
+
+    fn on(address: SocketAddr, listener: impl Listener<Addr = SocketAddr>) -> Self {
+        let collector = Self { address, batches: Arc::default(), headers: Arc::default(), answer: Arc::default() };
         let router = Router::new().route("/v1/traces", post(take)).with_state(collector.clone());
         tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
         collector
+    }
+
+    /// From now on it rejects so many spans of each batch.
+    pub(crate) fn reject(&self, rejected_spans: i64) {
+        let partial = ExportTracePartialSuccess { rejected_spans, error_message: "not these".to_owned() };
+        let answer = ExportTraceServiceResponse { partial_success: Some(partial) };
+        *self.answer.lock().unwrap() = answer.encode_to_vec().into();
+    }
+
+    pub(crate) const fn address(&self) -> SocketAddr {
+        self.address
     }
 
     pub(crate) fn url(&self) -> String {
@@ -66,10 +96,35 @@ impl Collector {
     }
 }
 
-async fn take(State(collector): State<Collector>, headers: HeaderMap, batch: Bytes) {
+/// Connections that have shaken hands; others are nobody's trouble.
+struct Encrypted {
+    listener: TcpListener,
+    acceptor: TlsAcceptor,
+}
+
+impl Listener for Encrypted {
+    type Io = TlsStream<TcpStream>;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Self::Io, SocketAddr) {
+        loop {
+            let (stream, peer) = self.listener.accept().await.unwrap();
+            if let Ok(stream) = self.acceptor.accept(stream).await {
+                return (stream, peer);
+            }
+        }
+    }
+
+    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+async fn take(State(collector): State<Collector>, headers: HeaderMap, batch: Bytes) -> Bytes {
     assert_eq!(headers["content-type"], "application/x-protobuf");
     collector.batches.lock().unwrap().push(batch);
     *collector.headers.lock().unwrap() = headers;
+    collector.answer.lock().unwrap().clone()
 }
 
 /// Attributes by name, as text.

@@ -24,6 +24,7 @@ use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
+use super::heads::{Heads, Turns, counted};
 use super::steady::Steady;
 use super::streams::{Streams, paced};
 use super::wire::Wire;
@@ -31,7 +32,9 @@ use crate::service::App;
 use crate::service::config::DoorsConfig;
 use crate::service::doors::places::{Place, Places};
 use crate::service::doors::tls::H2;
+use crate::service::http::fence::refused;
 use crate::service::http::{router, watched};
+use crate::service::problem::{Code, Problem};
 
 /// Streams that one HTTP/2 connection may have open.
 const STREAMS: u32 = 64;
@@ -39,8 +42,9 @@ const STREAMS: u32 = 64;
 const PENDING_RESETS: usize = 20;
 /// Streams that were reset from here for the client's mistakes: one more ends the connection (CVE-2025-8671).
 const LOCAL_RESETS: usize = 1024;
-/// Largest head, bytes: 431 on HTTP/1.1, a stream's error on HTTP/2.
-const HEAD: usize = 64 << 10;
+/// Largest head: bytes, and on HTTP/1.1 fields. Over it a problem on HTTP/1.1 (`heads.rs`); on HTTP/2 an empty 431, which h2 answers by itself.
+pub(super) const HEAD: usize = 64 << 10;
+pub(super) const FIELDS: usize = 100;
 const HEAD_H2: u32 = 16 << 10;
 /// What an HTTP/2 client may send ahead on a stream, and on all of them: bytes that are kept until they are read.
 const STREAM_WINDOW: u32 = 256 << 10;
@@ -62,6 +66,8 @@ const LOOK_AGAIN: Duration = Duration::from_millis(20);
 enum Version {
     Http1,
     Http2,
+    /// HTTP/1.1, or something like it, where TLS is spoken.
+    Unencrypted,
 }
 
 /// What all connections share.
@@ -105,6 +111,7 @@ impl Connections {
         match opened {
             Ok((wire, Version::Http1)) => self.http1(wire, peer).await,
             Ok((wire, Version::Http2)) => self.http2(wire, peer).await,
+            Ok((wire, Version::Unencrypted)) => self.unencrypted(wire).await,
             Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
         }
     }
@@ -118,20 +125,24 @@ impl Connections {
         };
         let Some(tls) = &self.tls else {
             let version = version(steady.socket()).await?;
-            return Ok((Wire::Plain(steady), version));
+            return Ok((Wire::plain(steady), version));
         };
+        // No record of TLS begins with a letter; every method does.
+        if first[0].is_ascii_uppercase() {
+            return Ok((Wire::plain(steady), Version::Unencrypted));
+        }
         let config = Arc::clone(&tls.borrow());
         let stream = TlsAcceptor::from(config).accept(steady).await?;
         let version = if stream.get_ref().1.alpn_protocol() == Some(H2) { Version::Http2 } else { Version::Http1 };
-        Ok((Wire::Tls(Box::new(stream)), version))
+        Ok((Wire::tls(stream), version))
     }
 
     async fn http1(&self, wire: Wire, peer: SocketAddr) {
-        let mut builder = http1::Builder::new();
-        builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
+        let turns = Arc::<Turns>::default();
+        let wire = wire.with(Heads::new(self.app.clone(), Arc::clone(&turns)));
         let begun = Arc::<AtomicBool>::default();
-        let service = self.service(peer, &begun);
-        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service).with_upgrades());
+        let service = counted(turns, self.service(peer, &begun));
+        let mut connection = std::pin::pin!(self.http1_builder().serve_connection(TokioIo::new(wire), service).with_upgrades());
         // The connection first: one that has not read anything when it is told to end does not read what has come.
         let ended = tokio::select! {
             biased;
@@ -146,6 +157,24 @@ impl Connections {
             }
         };
         log_end(ended);
+    }
+
+    fn http1_builder(&self) -> http1::Builder {
+        let mut builder = http1::Builder::new();
+        builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
+        builder
+    }
+
+    /// Whoever forgot the s of https learns of it.
+    async fn unencrypted(&self, wire: Wire) {
+        let turns = Arc::<Turns>::default();
+        let wire = wire.with(Heads::new(self.app.clone(), Arc::clone(&turns)));
+        let refusing = service_fn(|_| {
+            let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
+            std::future::ready(Ok(refused(&self.app, problem)))
+        });
+        let service = counted(turns, refusing);
+        log_end(self.http1_builder().keep_alive(false).serve_connection(TokioIo::new(wire), service).await);
     }
 
     async fn http2(&self, wire: Wire, peer: SocketAddr) {

@@ -2,6 +2,7 @@
 //! asking for newcomers, then accepting them, let requests finish for the grace period, and end the server; a second one leaves them a moment. Keys and certificate are read again when their files change.
 
 mod connection;
+mod heads;
 mod reread;
 mod steady;
 mod streams;

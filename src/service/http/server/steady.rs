@@ -46,6 +46,10 @@ impl Steady {
         &self.io
     }
 
+    pub(super) const fn socket_mut(&mut self) -> &mut TcpStream {
+        &mut self.io
+    }
+
     /// Whoever takes the connection over has deadlines of its own.
     pub(in crate::service::http) fn without_deadline(&mut self) {
         self.within = None;

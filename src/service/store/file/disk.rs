@@ -104,29 +104,29 @@ struct Open {
 }
 
 /// A database that may be closed by anybody: to close one that is damaged may well fail, and is nobody's failure.
-struct Held(Option<Database>);
+struct Held<T = Database>(Option<T>);
 
-impl Held {
-    fn new(database: Database) -> Arc<Self> {
+impl<T> Held<T> {
+    fn new(database: T) -> Arc<Self> {
         Arc::new(Self(Some(database)))
     }
 }
 
-impl Deref for Held {
-    type Target = Database;
+impl<T> Deref for Held<T> {
+    type Target = T;
 
-    fn deref(&self) -> &Database {
+    fn deref(&self) -> &T {
         self.0.as_ref().expect("it is there until it is dropped")
     }
 }
 
-impl DerefMut for Held {
-    fn deref_mut(&mut self) -> &mut Database {
+impl<T> DerefMut for Held<T> {
+    fn deref_mut(&mut self) -> &mut T {
         self.0.as_mut().expect("it is there until it is dropped")
     }
 }
 
-impl Drop for Held {
+impl<T> Drop for Held<T> {
     fn drop(&mut self) {
         let database = self.0.take();
         if catch_unwind(AssertUnwindSafe(|| drop(database))).is_err() {
@@ -365,4 +365,40 @@ fn make(path: &Path) -> Result<(), String> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The name is in the directory, which is a file of its own.
     File::open(directory).and_then(|directory| directory.sync_all()).map_err(told)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::*;
+
+    /// Closing it fails, as redb's does where what it finds then is damaged.
+    struct Damaged(Arc<AtomicU64>);
+
+    impl Drop for Damaged {
+        fn drop(&mut self) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+            panic!("on purpose");
+        }
+    }
+
+    #[test]
+    fn closing_what_is_damaged_fails_nobody() {
+        let closed = Arc::<AtomicU64>::default();
+        let held = Held::new(Damaged(Arc::clone(&closed)));
+        let another = Arc::clone(&held);
+        drop(held);
+        assert_eq!(closed.load(Ordering::Relaxed), 0);
+        drop(another);
+        assert_eq!(closed.load(Ordering::Relaxed), 1);
+        // Nor somebody who fails at that moment: two panics at once would end the program.
+        let held = Held::new(Damaged(Arc::clone(&closed)));
+        let failed = catch_unwind(AssertUnwindSafe(|| {
+            let _held = held;
+            panic!("of another cause");
+        }));
+        assert_eq!(failed.unwrap_err().downcast_ref(), Some(&"of another cause"));
+        assert_eq!(closed.load(Ordering::Relaxed), 2);
+    }
 }
