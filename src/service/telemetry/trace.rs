@@ -81,6 +81,7 @@ impl Trace {
             ended: None,
             stages: Vec::with_capacity(8),
         };
+        tracer.opened();
         Self { tracer, kept: Mutex::new(kept) }
     }
 

@@ -17,7 +17,7 @@ use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanExporter as _};
 use thiserror::Error;
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use super::post::Post;
@@ -52,6 +52,8 @@ struct Shared {
     share: f64,
     obeyed: Mutex<Bucket>,
     queue: mpsc::Sender<Collected>,
+    /// Traces that have not ended.
+    open: watch::Sender<usize>,
     tally: Arc<Tally>,
 }
 
@@ -85,6 +87,7 @@ impl Tally {
 /// What is to be exported, before somebody does.
 pub struct Outbox {
     queue: mpsc::Receiver<Collected>,
+    open: watch::Receiver<usize>,
     exporter: SpanExporter,
     /// Spans that the collector would not have of batches that it took.
     rejected: Arc<AtomicU64>,
@@ -123,10 +126,11 @@ impl Tracer {
         };
         exporter.set_resource(&resource());
         let (sender, queue) = mpsc::channel(QUEUE);
+        let (open, opened) = watch::channel(0);
         let tally = Arc::<Tally>::default();
         let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
-        let shared = Shared { share: config.otlp_sample, obeyed, queue: sender, tally: Arc::clone(&tally) };
-        Ok(Some((Self(Arc::new(shared)), Outbox { queue, exporter, rejected, collector, tally })))
+        let shared = Shared { share: config.otlp_sample, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
+        Ok(Some((Self(Arc::new(shared)), Outbox { queue, open: opened, exporter, rejected, collector, tally })))
     }
 
     /// What has become of spans so far.
@@ -171,11 +175,17 @@ impl Tracer {
         }
     }
 
+    /// A trace begins; [`Tracer::hand_over`] is its end.
+    pub(super) fn opened(&self) {
+        self.0.open.send_modify(|open| *open += 1);
+    }
+
     pub(super) fn hand_over(&self, collected: Collected) {
         let spans = collected.spans() as u64;
         if self.0.queue.try_send(collected).is_err() {
             self.0.tally.dropped.fetch_add(spans, Ordering::Relaxed);
         }
+        self.0.open.send_modify(|open| *open -= 1);
     }
 }
 
@@ -207,14 +217,17 @@ fn resource() -> Resource {
 #[derive(Debug)]
 pub struct Exporting {
     task: JoinHandle<()>,
+    open: watch::Receiver<usize>,
     stop: oneshot::Sender<()>,
 }
 
 impl Exporting {
-    /// Exports what is left, for as long as `within`.
+    /// Exports what is left, for as long as `within`. A thread may still hold the trace of a request that has been answered: it has a part of that.
     pub async fn finish(mut self, within: Duration) {
+        let end = tokio::time::Instant::now() + within;
+        let _ = tokio::time::timeout(within / 4, self.open.wait_for(|open| *open == 0)).await;
         let _ = self.stop.send(());
-        if tokio::time::timeout(within, &mut self.task).await.is_err() {
+        if tokio::time::timeout_at(end, &mut self.task).await.is_err() {
             self.task.abort();
             tracing::warn!("traces that were not exported within {within:?} are lost");
         }
@@ -226,7 +239,8 @@ impl Outbox {
     #[must_use]
     pub fn open(self) -> Exporting {
         let (stop, stopped) = oneshot::channel();
-        Exporting { task: tokio::spawn(self.run(stopped)), stop }
+        let open = self.open.clone();
+        Exporting { task: tokio::spawn(self.run(stopped)), open, stop }
     }
 
     async fn run(mut self, mut stopped: oneshot::Receiver<()>) {
@@ -304,6 +318,7 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
     fn tracer(share: f64) -> (Tracer, Outbox) {
         let mut config = crate::service::config::Config::default().telemetry;
@@ -324,6 +339,28 @@ mod tests {
 
     fn stranger() -> Asked<'static> {
         Asked { parent: SpanContext::empty_context(), began: Instant::now(), method: Some("GET"), route: Some("/"), scheme: "http" }
+    }
+
+    #[tokio::test]
+    async fn a_trace_that_ends_a_little_after_its_request_is_exported_too() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let mut config = crate::service::config::Config::default().telemetry;
+        config.otlp_endpoint = Some(Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap());
+        let (tracer, outbox) = Tracer::new(&config).unwrap().unwrap();
+        let takes = async {
+            let (mut socket, _) = listener.accept().await.unwrap();
+            assert!(socket.read(&mut [0; 1024]).await.unwrap() > 0);
+            socket.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n").await.unwrap();
+            tokio::io::copy(&mut socket, &mut tokio::io::sink()).await.unwrap();
+        };
+        let (_, trace) = tracer.request("late", &stranger());
+        let late = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            drop(trace.unwrap());
+        };
+        let ends = async { tokio::join!(takes, outbox.open().finish(Duration::from_secs(60)), late) };
+        let _ = tokio::time::timeout(Duration::from_secs(30), ends).await;
+        assert_eq!((tracer.tally().exported(), tracer.tally().dropped()), (1, 0));
     }
 
     #[test]
