@@ -93,6 +93,25 @@ async fn every_head_that_is_refused_has_a_problem_with_a_code() {
     server.is_well().await;
 }
 
+/// However it comes: in pieces, and behind a request with which its first piece came.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_head_is_measured_as_a_whole() {
+    let server = Server::start(&[]).await;
+    for before in ["", SERVED] {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        stream.set_nodelay(true).unwrap();
+        // What is read at first is as much.
+        let first = format!("{:x<8192}", format!("{before}GET / HTTP/1.1\r\nX: "));
+        stream.write_all(first.as_bytes()).await.unwrap();
+        for _ in 0..58 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            stream.write_all(&[b'x'; 1000]).await.unwrap();
+        }
+        let (document, _) = problem(&said(stream).await, 413, "too_large");
+        assert_eq!(document["limit_name"], "head_bytes", "{document}");
+    }
+}
+
 /// Unread bytes would reset the connection, and the answer with it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_sends_a_megabyte_of_head_and_reads_after_sees_the_answer() {
@@ -132,4 +151,9 @@ async fn through_tls_and_where_tls_is_missing() {
     let (document, _) = problem(&ask(server.address, SERVED.as_bytes()).await, 400, "malformed_request");
     assert!(document["detail"].as_str().unwrap().contains("https://"), "{document}");
     problem(&ask(server.address, b"NO HEAD\r\n\r\n").await, 400, "malformed_request");
+    // Also a client that sends all of its picture before it reads.
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    stream.write_all(b"POST /warp HTTP/1.1\r\nHost: x\r\nContent-Length: 20000000\r\n\r\n").await.unwrap();
+    stream.write_all(&vec![b'x'; 20_000_000]).await.unwrap();
+    problem(&said(stream).await, 400, "malformed_request");
 }

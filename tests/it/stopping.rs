@@ -133,8 +133,8 @@ async fn who_has_sent_a_part_of_a_head_is_not_waited_for() {
         options.extend(certified.iter().map(String::as_str).filter(|_| tls));
         let program = Program::start(&options);
         let mut parts = Vec::new();
-        // The beginning of a handshake, or of a request.
-        for part in if tls { &[b"\x16\x03\x01" as &[u8]] } else { &PARTS[..] } {
+        // The beginning of a handshake, or of a request, also where TLS is spoken.
+        for part in if tls { &[b"\x16\x03\x01", PARTS[1]] } else { &PARTS[..] } {
             parts.push(sent(&program, part).await);
         }
         if !tls {
@@ -144,6 +144,8 @@ async fn who_has_sent_a_part_of_a_head_is_not_waited_for() {
             stream.write_all(PARTS[1]).await.unwrap();
             parts.push(stream);
             accepted(&program).await;
+        } else {
+            assert!(answer(sent(&program, b"GET / HTTP/1.0\r\n\r\n").await).await.contains("https://"));
         }
         program.terminate();
         ends(program).await;

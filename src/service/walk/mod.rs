@@ -204,7 +204,6 @@ impl App {
     }
 }
 
-/// A warp of handles needs to know where they go.
 /// Of two parts only one is JSON: which one cannot be read is said where the text has no place to point to.
 fn of_the_part(mut problem: Problem) -> Problem {
     if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
@@ -213,6 +212,7 @@ fn of_the_part(mut problem: Problem) -> Problem {
     problem
 }
 
+/// A warp of handles needs to know where they go.
 pub(super) fn q_is_missing() -> Problem {
     Problem::new(Code::BadValue, "q is missing: where do the handles go?").pointer("/q")
 }

@@ -1,6 +1,7 @@
 //! One connection from its first byte to its end, every step of it within a time: the TLS handshake or the first bytes, which tell the version;
 //! the head; the body (`body.rs`); the answer (`steady.rs`, `streams.rs`); and what lies between two requests.
 
+use std::convert::Infallible;
 use std::io;
 use std::mem::MaybeUninit;
 use std::net::{IpAddr, SocketAddr};
@@ -11,6 +12,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
+use axum::http::header::EXPECT;
 use axum::http::{Request, Response};
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
@@ -32,6 +34,7 @@ use crate::service::App;
 use crate::service::config::DoorsConfig;
 use crate::service::doors::places::{Place, Places};
 use crate::service::doors::tls::H2;
+use crate::service::http::body::Guard;
 use crate::service::http::fence::refused;
 use crate::service::http::{router, watched};
 use crate::service::problem::{Code, Problem};
@@ -109,7 +112,10 @@ impl Connections {
             Err(error) => Err(error),
         };
         match opened {
-            Ok((wire, Version::Http1)) => self.http1(wire, peer).await,
+            Ok((wire, Version::Http1)) => {
+                let begun = Arc::default();
+                self.http1(wire, &self.http1_builder(), &begun, self.service(peer, &begun)).await;
+            }
             Ok((wire, Version::Http2)) => self.http2(wire, peer).await,
             Ok((wire, Version::Unencrypted)) => self.unencrypted(wire).await,
             Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
@@ -137,12 +143,14 @@ impl Connections {
         Ok((Wire::tls(stream), version))
     }
 
-    async fn http1(&self, wire: Wire, peer: SocketAddr) {
+    async fn http1<S>(&self, wire: Wire, builder: &http1::Builder, begun: &AtomicBool, service: S)
+    where
+        S: Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send>,
+    {
         let turns = Arc::<Turns>::default();
         let wire = wire.with(Heads::new(self.app.clone(), Arc::clone(&turns)));
-        let begun = Arc::<AtomicBool>::default();
-        let service = counted(turns, self.service(peer, &begun));
-        let mut connection = std::pin::pin!(self.http1_builder().serve_connection(TokioIo::new(wire), service).with_upgrades());
+        let service = counted(turns, service);
+        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service).with_upgrades());
         // The connection first: one that has not read anything when it is told to end does not read what has come.
         let ended = tokio::select! {
             biased;
@@ -152,7 +160,7 @@ impl Connections {
                 tokio::select! {
                     biased;
                     ended = connection.as_mut() => ended,
-                    () = self.unbegun(&begun) => return log_late(),
+                    () = self.unbegun(begun) => return log_late(),
                 }
             }
         };
@@ -165,16 +173,17 @@ impl Connections {
         builder
     }
 
-    /// Whoever forgot the s of https learns of it.
+    /// Whoever forgot the s of https learns of it, also by sending a whole picture before reading.
     async fn unencrypted(&self, wire: Wire) {
-        let turns = Arc::<Turns>::default();
-        let wire = wire.with(Heads::new(self.app.clone(), Arc::clone(&turns)));
-        let refusing = service_fn(|_| {
+        let begun = AtomicBool::default();
+        let refusing = service_fn(|request: Request<Incoming>| {
+            begun.store(true, Ordering::Relaxed);
+            let waits = request.headers().contains_key(EXPECT);
+            drop(Guard::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits));
             let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
             std::future::ready(Ok(refused(&self.app, problem)))
         });
-        let service = counted(turns, refusing);
-        log_end(self.http1_builder().keep_alive(false).serve_connection(TokioIo::new(wire), service).await);
+        self.http1(wire, self.http1_builder().keep_alive(false), &begun, refusing).await;
     }
 
     async fn http2(&self, wire: Wire, peer: SocketAddr) {
@@ -245,8 +254,7 @@ impl Connections {
         &self,
         peer: SocketAddr,
         begun: &Arc<AtomicBool>,
-    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = std::convert::Infallible, Future: Send> + Clone + Send + use<>
-    {
+    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
         let (router, begun) = (TowerToHyperService::new(self.router.clone()), Arc::clone(begun));
         service_fn(move |mut request: Request<Incoming>| {
             begun.store(true, Ordering::Relaxed);

@@ -119,8 +119,9 @@ pub(super) struct Heads {
     turns: Arc<Turns>,
     /// How many requests had been handed over when everything had left, and nothing was written since.
     left: Option<u64>,
-    /// Bytes that came since.
+    /// Bytes that came of the next head: since then, and at last before it, when its beginning may have come too.
     read: usize,
+    last: usize,
     ours: Option<Ours>,
 }
 
@@ -141,12 +142,14 @@ enum Ours {
 
 impl Heads {
     pub(super) fn new(app: App, turns: Arc<Turns>) -> Self {
-        Self { app, turns, left: Some(0), read: 0, ours: None }
+        Self { app, turns, left: Some(0), read: 0, last: 0, ours: None }
     }
 
-    /// Bytes have come.
-    pub(super) const fn came(&mut self, bytes: usize) {
-        self.read = self.read.saturating_add(bytes);
+    /// Bytes have come: of a head, or of a body, which is no matter here.
+    pub(super) fn came(&mut self, bytes: usize) {
+        if self.turns.are_over() {
+            (self.read, self.last) = (self.read.saturating_add(bytes), bytes);
+        }
     }
 
     /// hyper writes this. Whether it was a head of its own, whose place is taken.
@@ -161,11 +164,11 @@ impl Heads {
         Ok(true)
     }
 
-    /// Everything that was written has been taken by the kernel.
+    /// Everything that was written has been taken by the kernel. Said also where nothing was written.
     pub(super) fn flushed(&mut self) {
-        if self.ours.is_none() && self.turns.are_over() {
+        if self.ours.is_none() && self.left.is_none() && self.turns.are_over() {
             self.left = Some(self.turns.handed());
-            self.read = 0;
+            self.read = self.last;
         }
     }
 

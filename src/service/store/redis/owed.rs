@@ -28,11 +28,12 @@ pub(super) struct Owed {
 }
 
 impl Owed {
-    /// Owes the highest number of a session's present life. `true`: nobody tells yet, so the caller has to.
+    /// Owes the highest number of a session's newest life: one that was told in vain may be of the life before.
+    /// `true`: nobody tells yet, so the caller has to.
     #[must_use]
     pub(super) fn owe(&self, id: SessionId, debt: Debt) -> bool {
         let mut all = self.lock();
-        let owes_more = |before: &Debt| before.given.created == debt.given.created && before.given.seq > debt.given.seq;
+        let owes_more = |before: &Debt| (before.given.created, before.given.seq) > (debt.given.created, debt.given.seq);
         if !all.get(&id).is_some_and(owes_more) && (all.len() < MOST || all.contains_key(&id)) {
             all.insert(id, debt);
         }
@@ -79,6 +80,7 @@ mod tests {
         assert!(!owed.owe(id, debt(5, created)), "what was taken is still being told");
         let anew = created + Duration::from_nanos(1);
         assert!(!owed.owe(id, debt(2, anew)));
+        assert!(!owed.owe(id, debt(9, created)), "of the life before, told in vain");
         assert_eq!(owed.take(9).iter().map(|(_, debt)| debt.given.seq).collect::<Vec<_>>(), [Some(2)]);
         assert!(owed.take(9).is_empty());
         assert!(owed.owe(id, debt(3, anew)), "somebody else tells");
