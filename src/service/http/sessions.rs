@@ -103,7 +103,7 @@ fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> R
 
 /// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
 fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve_for(&app.share(client), longest_text(warp))
+    app.reserve_for(&app.share(client), longest_text(warp, app.config().limits.columns))
 }
 
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
@@ -113,10 +113,11 @@ fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
 }
 
 /// Most bytes of the object of a session that is made of this warp object. Words come back as they were or are not in the object at all, and
-/// before every number of a list stands a bracket or a comma.
-fn longest_text(warp: &[u8]) -> u64 {
-    let numbers = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
-    (AROUND + warp.len() + NUMBER * numbers) as u64
+/// before every number of a list stands a bracket or a comma. Nobody gets a session who names more handles than there may be: 2 coordinates and
+/// a weight for a point, which is a column; less than that for each of a segment's two.
+fn longest_text(warp: &[u8], columns: usize) -> u64 {
+    let marks = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
+    (AROUND + warp.len() + NUMBER * marks.min(columns.saturating_mul(3))) as u64
 }
 
 fn text(session: &Session, setup: &Setup) -> Vec<u8> {
@@ -188,7 +189,9 @@ mod tests {
         for (warp, numbers) in [(format!(r#"{{"p":[{points}]}}"#), 1000), (format!(r#"{{"p":[{lines}],"weights":[{}]}}"#, many("1")), 3500)]
         {
             let written = warp.len() - numbers + numbers * serde_json::to_string(&longest).unwrap().len();
-            assert!(longest_text(warp.as_bytes()) >= (written + 1024) as u64, "{written}");
+            assert!(longest_text(warp.as_bytes(), 2000) >= (written + 1024) as u64, "{written}");
         }
+        // Four megabytes that name no handle at all.
+        assert!(longest_text(&vec![b'['; 4 << 20], 10_000) < 6 << 20);
     }
 }
