@@ -12,12 +12,15 @@ import signal
 import sys
 import threading
 import time
+import uuid
 from contextlib import ExitStack
 
 from commands import CACHE, ROOT, Failure, run, say
 from hands import PATIENCE, RequestHand, Server, SocketHand, multipart
 from names import Names
 from processes import Process, redis, replica
+from retries import DEADLY, Replica, question
+from stack import metric
 from verdict import DRAINED, KILLED, Story
 
 GATEWAY = ROOT / "deploy" / "kubernetes" / "gateway"
@@ -26,8 +29,8 @@ HEADER = "mlswarp-session"
 # Envoy Gateway's own, where no policy says otherwise: what is longer is not asked again.
 OPTIONS = ("--use-dynamic-base-id", "--service-cluster", "mlswarp", "--service-node", "mlswarp", "--concurrency", "2", "--log-level", "warn")
 BUFFER, RETRIES = 32 << 10, 1024
-# Seconds after which health checks have found a replica that is gone.
-NOTICED = 2.5
+# Seconds before something happens. For a second Envoy gathers what it learns of who is well (`update_merge_window`), then it heeds that.
+CALM, HEEDED = 1.0, 1.5
 TRIGGERS = {"connect-failure", "refused-stream", "reset-before-request", "reset"}
 
 
@@ -46,34 +49,49 @@ def environment():
     return program
 
 
+class Noted(dict):
+    """A table that knows which of its fields were looked at."""
+
+    def __init__(self, fields):
+        super().__init__({key: noted(value) for key, value in fields.items()})
+        self.seen = set()
+
+    def __getitem__(self, key):
+        self.seen.add(key)
+        return super().__getitem__(key)
+
+
+def noted(value):
+    return Noted(value) if isinstance(value, dict) else [noted(part) for part in value] if isinstance(value, list) else value
+
+
 class Manifests:
-    """The files of deploy/kubernetes/gateway; every field that is taken is struck off, so that what is left was not looked at."""
+    """The files of deploy/kubernetes/gateway, and what of them was not looked at."""
 
     def __init__(self):
         import yaml
 
-        self.left = {}
+        self.specs = {}
         for file in sorted(GATEWAY.glob("*.yaml")):
             for document in yaml.safe_load_all(file.read_text()):
                 if document["kind"] != "Kustomization":
-                    self.left[document["kind"]] = document["spec"]
+                    self.specs[document["kind"]] = noted(document["spec"])
 
     def take(self, kind, *path):
-        place = self.left[kind]
-        for step in path[:-1]:
-            place = place[step]
-        return place.pop(path[-1])
+        return functools.reduce(lambda place, step: place[step], path, self.specs[kind])
 
-    def forgotten(self, kind):
-        """Paths of what was not taken."""
+    def forgotten(self):
+        """Paths of what was not taken: a table of which nothing was looked at was taken as it stands."""
 
-        def leaves(value, path):
-            parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
-            if parts is None:
-                return [path]
-            return [leaf for key, part in parts for leaf in leaves(part, f"{path}.{key}")]
+        def unseen(value, path):
+            if isinstance(value, list):
+                return [leaf for i, part in enumerate(value) for leaf in unseen(part, f"{path}.{i}")]
+            if not isinstance(value, Noted) or not value.seen:
+                return []
+            parts = ((key, part, f"{path}.{key}") for key, part in value.items())
+            return [leaf for key, part, place in parts for leaf in (unseen(part, place) if key in value.seen else [place])]
 
-        return leaves(self.left[kind], kind)
+        return [leaf for kind, spec in self.specs.items() for leaf in (unseen(spec, kind) if spec.seen else [kind])]
 
 
 def duration(text):
@@ -85,11 +103,11 @@ def typed(name, **fields):
     return {"@type": f"type.googleapis.com/envoy.{name}", **fields}
 
 
-def translated(front, endpoints):
+def translated(front, admin, endpoints):
     """(Envoy's own configuration, paths that were forgotten)."""
     files = Manifests()
     take = files.take
-    files.left.pop("Gateway")
+    files.specs.pop("Gateway")
 
     retry, check = take("BackendTrafficPolicy", "retry"), take("BackendTrafficPolicy", "healthCheck", "active")
     hashing = take("BackendTrafficPolicy", "loadBalancer", "consistentHash")
@@ -139,7 +157,10 @@ def translated(front, endpoints):
         "extensions.http.early_header_mutation.header_mutation.v3.HeaderMutation",
         mutations=[{"remove": name} for name in take("ClientTrafficPolicy", "headers", "earlyRequestHeaders", "remove")],
     )
-    log = typed("extensions.access_loggers.file.v3.FileAccessLog", path="/dev/stdout", log_format={"json_format": sink["format"]["json"]})
+    [place] = sink["sinks"]
+    log = typed(
+        "extensions.access_loggers.file.v3.FileAccessLog", path=place["file"]["path"], log_format={"json_format": sink["format"]["json"]}
+    )
     manager = typed(
         "extensions.filters.network.http_connection_manager.v3.HttpConnectionManager",
         stat_prefix="clients", http_filters=filters, use_remote_address=True,
@@ -180,13 +201,16 @@ def translated(front, endpoints):
     connections = [{"name": "envoy.filters.network.http_connection_manager", "typed_config": manager}]
     listener = {"name": "clients", "per_connection_buffer_limit_bytes": BUFFER, "address": address(front), "filter_chains": [{"filters": connections}]}
     # What says where the others apply, and what was read together with the above.
+    kinds = (lua["type"], sink["format"]["type"], place["type"], check["type"], take("BackendTrafficPolicy", "loadBalancer", "type"))
+    if kinds != ("Inline", "JSON", "File", "HTTP", "ConsistentHash"):
+        raise Failure(f"envoy: the manifests are of other kinds than are translated here: {kinds}")
     for kind, *path in (
-        ("BackendTrafficPolicy", "targetRefs"), ("BackendTrafficPolicy", "loadBalancer", "type"), ("EnvoyExtensionPolicy", "targetRefs"),
+        ("BackendTrafficPolicy", "targetRefs"), ("EnvoyExtensionPolicy", "targetRefs"),
         ("ClientTrafficPolicy", "targetRefs"), ("HTTPRoute", "parentRefs"), ("HTTPRoute", "hostnames"),
     ):  # fmt: skip
         take(kind, *path)
-    forgotten = [leaf for kind in files.left for leaf in files.forgotten(kind)]
-    return {"static_resources": {"listeners": [listener], "clusters": [cluster]}}, forgotten
+    resources = {"listeners": [listener], "clusters": [cluster]}
+    return {"admin": {"address": address(admin)}, "static_resources": resources}, files.forgotten()
 
 
 def address(server):
@@ -202,22 +226,35 @@ def tell(endpoints, servers, leaving=()):
     assignment = typed("config.endpoint.v3.ClusterLoadAssignment", cluster_name="mlswarp", endpoints=[{"lb_endpoints": told}])
     # Taken by its name, and looked at when that is given anew.
     written = endpoints.with_suffix(".written")
-    written.write_text(json.dumps({"version_info": str(len(leaving)), "resources": [assignment]}))
+    written.write_text(json.dumps({"version_info": str(time.monotonic_ns()), "resources": [assignment]}))
     written.rename(endpoints)
 
 
+def heed(proxy, admin, servers):
+    """Waits until Envoy sends to these, and to nobody else."""
+    proxy.wait(lambda: well(admin) == {server.host for server in servers}, "what health checks say")
+    time.sleep(HEEDED)
+
+
+def well(admin):
+    """The addresses of those that are well, as far as Envoy knows."""
+    [cluster] = [c for c in admin.json("GET", "/clusters?format=json", (200,))["cluster_statuses"] if c["name"] == "mlswarp"]
+    states = {host["address"]["socket_address"]["address"]: host["health_status"] for host in cluster.get("host_statuses", ())}
+    return {host for host, state in states.items() if state == {"eds_health_status": "HEALTHY"}}
+
+
 def dragged(hands, front, events):
-    """Hands that drag through it while things happen, each a name and what is done: the chapters of that."""
+    """Hands that drag through it while things happen, each a name, what is done, and what waits until that is noticed: the chapters of it."""
     story, stop = Story(), threading.Event()
     threads = [threading.Thread(target=hand.drag, args=(front, stop), name=hand.name) for hand in hands]
     for thread in threads:
         thread.start()
     try:
-        for name, happen in events:
-            time.sleep(1)
+        for name, happen, noticed in events:
+            time.sleep(CALM)
             story.begin(name)
             happen()
-            time.sleep(NOTICED)
+            noticed()
         story.begin("the end")
     finally:
         stop.set()
@@ -252,6 +289,25 @@ def check_claims(check, proxy, front, endpoints, server):
     check("envoy: what a client says of where it is does not come through", right, told)
 
 
+def check_deadly(check, proxy, front, admin, endpoints, names):
+    """A request over which replicas die."""
+    met = []
+
+    def deadly(address, body):
+        if DEADLY.encode() in body:
+            met.append(address)
+        return DEADLY.encode() in body
+
+    with ExitStack() as running:
+        servers = [Server(names.address(40 + i), 8080) for i in range(4)]
+        for server in servers:
+            running.enter_context(Replica(server.host, deadly))
+        tell(endpoints, servers)
+        heed(proxy, admin, servers)
+        status, _, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question(DEADLY))
+        check("envoy: a request over which replicas die is sent to two of them", status == 503 and len(met) == len(set(met)) == 2, (status, met))
+
+
 def check_envoy(stage):
     check, program = stage.check, environment()
     with ExitStack() as running:
@@ -259,19 +315,22 @@ def check_envoy(stage):
         front, (shared, store) = Server(names.address(3), 8080), redis(stage)
         running.enter_context(shared)
         servers = [Server(names.address(n), 8080) for n in (11, 12, 13)]
-        settings = {"MLSWARP_STORE": store, "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_DRAIN_DELAY": "1s"}
-        replicas = [running.enter_context(replica(f"replica-{s.host}", stage, s.host, **settings)) for s in servers]
+        settings = {"MLSWARP_STORE": store, "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_DRAIN_DELAY": "3s"}
+        replicas = {s.host: running.enter_context(replica(f"replica-{s.host}", stage, s.host, **settings)) for s in servers}
         lone = Server(names.address(21), 8080)
         running.enter_context(replica("lone", stage, lone.host))
-        endpoints = stage.scratch / "endpoints.json"
-        tell(endpoints, servers)
-        configuration, forgotten = translated(front, endpoints)
+        endpoints, admin = stage.scratch / "endpoints.json", Server(names.address(4), 8080)
+        # Whoever is there before Envoy has sent anybody anywhere is looked at only once a minute.
+        tell(endpoints, [lone])
+        configuration, forgotten = translated(front, admin, endpoints)
         check("envoy: all of the gateway's manifests is translated", not forgotten, forgotten or f"for {', '.join(WHEELS[:1])}")
         place = stage.scratch / "envoy.json"
         place.write_text(json.dumps(configuration))
         proxy = Process("envoy", stage.scratch, [program, "--config-path", place, *OPTIONS])
         running.enter_context(proxy)
         proxy.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
+        tell(endpoints, servers)
+        heed(proxy, admin, servers)
 
         hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
         for hand in hands:
@@ -302,9 +361,15 @@ def check_envoy(stage):
 
         def drain():
             tell(endpoints, servers, leaving=servers[1:2])
-            replicas[1].end(signal.SIGTERM)
+            replicas[servers[1].host].end(signal.SIGTERM)
 
-        for chapter in dragged(hands, front, [(KILLED, lambda: replicas[0].end(signal.SIGKILL)), (DRAINED, drain)]):
+        # The one that has most is killed, so that some are concerned.
+        servers.sort(key=lambda server: -metric(server, "mlswarp_plan_builds_total"))
+        events = (
+            (KILLED, lambda: replicas[servers[0].host].end(signal.SIGKILL), lambda: heed(proxy, admin, servers[1:])),
+            (DRAINED, drain, lambda: heed(proxy, admin, servers[2:])),
+        )
+        for chapter in dragged(hands, front, events):
             refused = {name: answers for name, part in chapter.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
             # Envoy takes a replica by the session's hash, five times by other hashes of it when that one was tried in vain: one session
             # in 243 comes to the same one of three each time, and waits until health checks have noticed.
@@ -318,7 +383,15 @@ def check_envoy(stage):
             # While nobody knows that a replica was killed, its sessions come to another one by a second hash; then all by a new table.
             check(f"envoy: {chapter.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(hands)} sessions")
             say(f"envoy: {chapter.name}: longest time without a frame {max(gaps):.0f} ms, {len(chapter.all('cut'))} cut short")
+        # Only health checks know of these that nobody is there. (Who was said to be leaving does not count among those that ought to be well.)
+        tell(endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))])
+        heed(proxy, admin, servers[2:])
+        once = [hand.once(front) for hand in hands]
+        panic = admin.ask("GET", "/stats?filter=cluster.mlswarp.lb_healthy_panic")[2].decode().strip()
+        right = panic.endswith(": 0") and all(status == 200 and right for status, right, _ in once)
+        check("envoy: with three of four gone, nobody asks those", right, (panic, [status for status, *_ in once]))
         check_claims(check, proxy, front, endpoints, Server(names.address(31), 8080))
+        check_deadly(check, proxy, front, admin, endpoints, names)
         proxy.end(signal.SIGTERM)
         # Written when it ends.
         log = proxy.log.read_text(errors="replace")

@@ -1,6 +1,7 @@
 """deploy/nginx/nginx.conf: what nginx itself says of it, and a drag through it while a replica is killed."""
 
 import json
+import re
 import signal
 import time
 from contextlib import ExitStack
@@ -16,13 +17,13 @@ FILE = ROOT / "deploy" / "nginx" / "nginx.conf"
 def derived(stage, listen, replicas):
     """The file with addresses of this test in the place of its own, and places where everybody may write."""
     text = FILE.read_text()
-    for old, new in (
-        ("listen 127.0.0.1:8080", f"listen {listen}"),
-        *((f"server 127.0.0.1:{8081 + i}", f"server {r}") for i, r in enumerate(replicas)),
+    for old, new, times in (
+        (r"listen 127\.0\.0\.1:8080", lambda _: f"listen {listen}", 1),
+        (r"(?:( +)server 127\.0\.0\.1:\d+ (.*)\n)+", lambda line: "".join(f"{line[1]}server {r} {line[2]}\n" for r in replicas), 2),
     ):
-        if old not in text:
-            raise AssertionError(f"nginx.conf has no `{old}` any more")
-        text = text.replace(old, new)
+        text, found = re.subn(old, new, text)
+        if found != times:
+            raise AssertionError(f"nginx.conf has `{old}` {found} times, not {times}")
     place = stage.scratch / "nginx.conf"
     temporary = "".join(f"{kind}_temp_path {stage.scratch}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
     place.write_text(text.replace("pid /tmp/nginx.pid", f"pid {stage.scratch}/nginx.pid").replace("http {\n", "http {\n" + temporary))

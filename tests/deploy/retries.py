@@ -1,4 +1,4 @@
-"""How often deploy/haproxy asks: replicas that are made here, and die over requests, say how many of them one request has reached."""
+"""How often deploy/haproxy and deploy/nginx ask: replicas that are made here, and die over requests, say how many of them one request has reached."""
 
 import contextlib
 import http.client
@@ -10,9 +10,11 @@ import time
 import uuid
 from contextlib import ExitStack
 
+from commands import where
 from hands import PATIENCE, Server
 from names import Names
-from processes import haproxy
+from nginx import derived
+from processes import Process, haproxy
 
 REPLICAS, CLIENTS, QUESTIONS, DEATHS = 4, 4, 10, 8
 # Seconds for which a killed one is away, and for which it is there again.
@@ -104,6 +106,7 @@ def check_retries(stage):
         front = Server(names.address(3), 8080)
         check_deadly(stage.check, front, met)
         check_kills(stage.check, front, replicas)
+        check_nginx(stage, names, met)
 
 
 def check_deadly(check, front, met):
@@ -120,6 +123,20 @@ def check_deadly(check, front, met):
     answers = [pose(front, question("once")) for _ in range(QUESTIONS)]
     refused = [answer[:1] + answer[2:] for answer in answers if answer[0] != 200]
     check("retries: what one replica has not answered is answered by another", not refused, refused[:2] or f"{QUESTIONS} of them")
+
+
+def check_nginx(stage, names, met):
+    front = Server(names.address(4), 8080)
+    place = derived(stage, f"{front.host}:8080", [f"{address}:8080" for address in names.addresses["mlswarp"]])
+    with Process("nginx", stage.scratch, [where("nginx"), "-e", "stderr", "-c", place, "-g", "daemon off;"]) as server:
+        server.wait(lambda: front.ask("GET", "/")[0] == 200, "an answer")
+        # All by one connection, so to one worker, which might keep what it opens for them.
+        for _ in range(8 * REPLICAS):
+            front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question([]))
+        body = question(DEADLY)
+        status, headers, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", body)
+        right = (status, headers["Retry-After"]) == (503, "1") and len(met[body]) == len(set(met[body])) == 2
+        stage.check("retries: nginx sends a request over which replicas die to two of them", right, (status, met[body]))
 
 
 def check_kills(check, front, replicas):
