@@ -371,11 +371,11 @@ def check_envoy(stage):
         )
         for chapter in dragged(hands, front, events):
             refused = {name: answers for name, part in chapter.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
-            # Envoy takes a replica by the session's hash, five times by other hashes of it when that one was tried in vain: one session
-            # in 243 comes to the same one of three each time, and waits until health checks have noticed.
+            # Envoy takes a replica by the session's hash, and five times by others near it when that one was tried in vain. Where all of them come
+            # to the same replica the session waits until health checks have noticed: mostly none, for some addresses every fifth.
             unlucky = 1 if chapter.name == KILLED else 0
             unlike = [answer for answers in refused.values() for answer in answers if answer[0] != 503]
-            check(f"envoy: {chapter.name}, and nobody is refused", len(refused) <= unlucky and not unlike, refused or f"{len(chapter.all('frame'))} frames")
+            check(f"envoy: {chapter.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}", not unlike and (unlucky or not refused), refused or f"{len(chapter.all('frame'))} frames")
             late = [name for name, part in chapter.parts.items() if not part or part[-1].what != "frame"]
             check(f"envoy: {chapter.name}, and every hand goes on", not late, late)
             gaps = [chapter.gap(hand.name) for hand in hands]
