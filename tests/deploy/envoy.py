@@ -16,7 +16,7 @@ import uuid
 from contextlib import ExitStack
 
 from commands import CACHE, ROOT, Failure, run, say
-from hands import PATIENCE, RequestHand, Server, SocketHand, multipart
+from hands import RequestHand, Server, SocketHand, multipart
 from names import Names
 from processes import Process, redis, replica
 from retries import DEADLY, Replica, question
@@ -350,14 +350,8 @@ def check_envoy(stage):
         socket = SocketHand("socket", "coffee.png", 0.05)
         socket.learn(lone)
         socket.put(front)
-        line = socket.open(front)
-        socket.seq = 1
-        line.send(socket.question().encode())
-        frame = None
-        while frame is None or frame[0] != 2:
-            frame = line.receive(time.monotonic() + PATIENCE) or (2, b"")
-        line.close()
-        check("envoy: a drag socket goes through it", frame[1][8:] in socket.looks[1], f"{len(frame[1])} bytes")
+        frame, right = socket.once(front)
+        check("envoy: a drag socket goes through it", right, f"{len(frame)} bytes")
 
         def drain():
             tell(endpoints, servers, leaving=servers[1:2])

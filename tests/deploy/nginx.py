@@ -3,7 +3,6 @@
 import json
 import re
 import signal
-import time
 from contextlib import ExitStack
 
 from commands import AS_ROOT, ROOT, run, where
@@ -70,14 +69,8 @@ def check_nginx(stage):
         socket = SocketHand("socket", "coffee.png", 0.05)
         socket.learn(Server(names.address(21), 8080))
         socket.put(front)
-        line = socket.open(front)
-        socket.seq = 1
-        line.send(socket.question().encode())
-        frame = None
-        while frame is None or frame[0] != 2:
-            frame = line.receive(time.monotonic() + 10) or (2, b"")
-        line.close()
-        check("nginx: a drag socket goes through it", frame[1][8:] in socket.looks[1], f"{len(frame[1])} bytes")
+        frame, right = socket.once(front)
+        check("nginx: a drag socket goes through it", right, f"{len(frame)} bytes")
 
         replicas[addresses[0]].end(signal.SIGKILL)
         twice = [hand.once(front) for hand in hands for _ in range(3)]
