@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytes::Bytes;
 use thiserror::Error;
 
-use super::shares::Share;
+use super::shares::{Quota, Share};
 
 /// What memory is taken for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -46,7 +46,8 @@ impl Purpose {
     }
 
     /// How much of `total` may be taken when this takes a part of it.
-    const fn share(self, total: u64) -> u64 {
+    #[must_use]
+    pub const fn share(self, total: u64) -> u64 {
         match self {
             Self::Frame => total,
             Self::Image | Self::Plan => total / 8 * 7,
@@ -60,13 +61,23 @@ impl Purpose {
 pub enum Short {
     /// All of the memory that the purpose may use.
     Memory,
-    /// What one client may hold by answers that it does not take.
-    Share,
+    /// What one client may hold.
+    Share(Quota),
+}
+
+impl Short {
+    const fn by(self) -> &'static str {
+        match self {
+            Self::Memory => "",
+            Self::Share(Quota::Answers) => " by answers that this client has not read",
+            Self::Share(Quota::Requests) => " by requests of this client, and by files that its sessions keep in memory",
+        }
+    }
 }
 
 /// There is not so much left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes; {} of {limit} are taken{}", .purpose.name(), .taken, if *.short == Short::Share { " by answers that this client has not read" } else { "" })]
+#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .short.by())]
 pub struct NoRoom {
     /// Of what.
     pub short: Short,
@@ -81,10 +92,10 @@ pub struct NoRoom {
 }
 
 impl NoRoom {
-    /// It would not fit if nothing else were there.
+    /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
     #[must_use]
     pub fn is_forever(&self) -> bool {
-        self.short == Short::Memory && self.asked > self.limit
+        self.short != Short::Share(Quota::Answers) && self.asked > self.limit
     }
 }
 
@@ -168,12 +179,12 @@ impl Budget {
         Ok(reservation)
     }
 
-    /// Takes memory for an answer to a client, of which that client holds a share until it has left.
+    /// Takes memory that counts for a client until it is given back.
     ///
     /// # Errors
     /// [`NoRoom`].
-    pub fn take_for(&self, share: &Share, bytes: u64) -> Result<Reservation, NoRoom> {
-        let mut reservation = Reservation { budget: self.clone(), purpose: Purpose::Frame, bytes: 0, share: Some(share.clone()) };
+    pub fn take_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, NoRoom> {
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
         reservation.grow(bytes)?;
         Ok(reservation)
     }
@@ -193,7 +204,7 @@ impl Reservation {
     pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
         if let Some(share) = &self.share {
-            share.take(self.bytes, more).map_err(|taken| NoRoom { short: Short::Share, purpose, asked, limit: share.limit(), taken })?;
+            share.take(self.bytes, more).map_err(|taken| NoRoom { short: Short::Share(share.quota()), purpose, asked, limit: share.limit(), taken })?;
         }
         let account = &self.budget.0;
         let limit = self.purpose.share(account.total);
@@ -304,20 +315,20 @@ mod tests {
     fn a_client_holds_its_share_until_its_answers_have_left() {
         use crate::service::client::Client;
         use crate::service::shares::Shares;
-        let (budget, shares) = (Budget::new(800), Shares::new(800));
+        let (budget, shares) = (Budget::new(800), Shares::new(Quota::Answers, 200));
         let (share, other) = (shares.of(Client::default()), shares.of(Client { address: [10, 0, 0, 1].into(), ..Client::default() }));
-        let mut answer = budget.take_for(&share, 100).unwrap();
+        let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
         answer.grow(50).unwrap();
-        let refused = budget.take_for(&share, 60).unwrap_err();
-        assert_eq!(refused, NoRoom { short: Short::Share, purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 });
-        assert!(!budget.take_for(&share, 700).unwrap_err().is_forever());
+        let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
+        assert_eq!(refused, NoRoom { short: Short::Share(Quota::Answers), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 });
+        assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
         let strip = answer.split(120).with(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
         // What the account refuses is nobody's.
-        assert_eq!(budget.take_for(&other, 750).unwrap_err().short, Short::Memory);
+        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Short::Memory);
         assert_eq!((other.held(), budget.taken()), (0, 120));
-        let whole = budget.take_for(&other, 600).unwrap();
+        let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
         drop((strip, whole));
         assert_eq!((share.held(), other.held(), budget.taken()), (0, 0, 0));
     }

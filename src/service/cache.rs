@@ -1,5 +1,5 @@
 //! Byte-weighted LRU shelves with one build for many waiting requests: decoded pictures by the digest of their file, plans by everything
-//! that their coefficients depend on. What is kept holds its reservation of the account of memory, also when it was taken off the shelf and someone
+//! that their coefficients depend on, both for each owner of keys: what one owner has sent is never found by another. What is kept holds its reservation of the account of memory, also when it was taken off the shelf and someone
 //! still uses it. An entry larger than its shelf is used but not kept.
 //!
 //! A build is a task of its own: a client that leaves does not stop it, so those who wait for the same entry get theirs.
@@ -14,9 +14,25 @@ use lru::LruCache;
 use tokio::sync::watch;
 
 use super::budget::Reservation;
+use super::client::Owner;
 use super::problem::Problem;
 use super::telemetry::Scope;
 use crate::warp::Digest;
+
+/// What a value is found by. Owners share nothing: a hit would tell one of them what another has sent. Without keys there is one owner, and one cache.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Key {
+    owner: Owner,
+    digest: Digest,
+}
+
+impl Key {
+    /// Of everything that the value depends on.
+    #[must_use]
+    pub const fn new(owner: Owner, digest: Digest) -> Self {
+        Self { owner, digest }
+    }
+}
 
 /// A value and the memory that it takes.
 #[derive(Debug)]
@@ -68,10 +84,10 @@ type Outcome<V> = Option<Result<Arc<Kept<V>>, Problem>>;
 
 #[derive(Debug)]
 struct Entries<V> {
-    kept: LruCache<Digest, Arc<Kept<V>>>,
+    kept: LruCache<Key, Arc<Kept<V>>>,
     bytes: u64,
     /// Where those who want the same value wait.
-    building: HashMap<Digest, watch::Receiver<Outcome<V>>>,
+    building: HashMap<Key, watch::Receiver<Outcome<V>>>,
 }
 
 #[derive(Debug)]
@@ -96,7 +112,7 @@ impl<V> Clone for Shelf<V> {
 /// A build under way; whoever waits is told when it is dropped, whatever has become of it.
 struct Building<V> {
     shelf: Shelf<V>,
-    key: Digest,
+    key: Key,
     told: watch::Sender<Outcome<V>>,
 }
 
@@ -107,7 +123,7 @@ impl<V> Drop for Building<V> {
 }
 
 impl<V> Entries<V> {
-    fn remove(&mut self, key: Digest) -> Option<Arc<Kept<V>>> {
+    fn remove(&mut self, key: Key) -> Option<Arc<Kept<V>>> {
         let value = self.kept.pop(&key)?;
         self.bytes -= value.held.bytes();
         Some(value)
@@ -144,25 +160,25 @@ impl<V> Shelf<V> {
 
     /// The value is there. It counts as used: whoever asks wants it soon.
     #[must_use]
-    pub fn has(&self, key: Digest) -> bool {
+    pub fn has(&self, key: Key) -> bool {
         self.lock().kept.get(&key).is_some()
     }
 
     /// The value goes before all others when room is needed, unless it is used again.
-    pub fn demote(&self, key: Digest) {
+    pub fn demote(&self, key: Key) {
         self.lock().kept.demote(&key);
     }
 
     /// The value of `key`, if it is there.
     #[must_use]
-    pub fn peek(&self, key: Digest) -> Option<Arc<Kept<V>>> {
+    pub fn peek(&self, key: Key) -> Option<Arc<Kept<V>>> {
         let value = self.lock().kept.get(&key).cloned();
         self.0.hits.fetch_add(value.is_some().into(), Ordering::Relaxed);
         value
     }
 
     /// Takes the value of `key` off the shelf.
-    pub fn remove(&self, key: Digest) -> Option<Arc<Kept<V>>> {
+    pub fn remove(&self, key: Key) -> Option<Arc<Kept<V>>> {
         self.lock().remove(key)
     }
 
@@ -192,7 +208,7 @@ impl<V> Shelf<V> {
     }
 
     /// Puts a value that was built on the shelf.
-    fn put(&self, key: Digest, value: Arc<Kept<V>>) {
+    fn put(&self, key: Key, value: Arc<Kept<V>>) {
         let bytes = value.held.bytes();
         if bytes > self.0.capacity {
             return;
@@ -217,7 +233,7 @@ impl<V: Send + Sync + 'static> Shelf<V> {
     ///
     /// # Errors
     /// Those of the build; they are told to everyone who waits and then forgotten. `lost` makes the error of a build that was torn down.
-    pub async fn get<B>(&self, key: Digest, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
+    pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<Kept<V>, Problem>> + Send + 'static,
     {
@@ -263,7 +279,11 @@ mod tests {
     use crate::service::problem::Code;
     use tokio::sync::Semaphore;
 
-    const KEY: Digest = Digest([1; 32]);
+    const KEY: Key = key(1);
+
+    const fn key(n: u8) -> Key {
+        Key::new(Owner::ANYBODY, Digest([n; 32]))
+    }
 
     fn budget() -> Budget {
         Budget::new(1 << 30)
@@ -279,7 +299,7 @@ mod tests {
 
     async fn put(shelf: &Shelf<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<Kept<u64>> {
         let built = kept(budget, bytes);
-        shelf.get(Digest([key; 32]), async { built }, lost).await.unwrap().value
+        shelf.get(self::key(key), async { built }, lost).await.unwrap().value
     }
 
     #[tokio::test]
@@ -295,6 +315,21 @@ mod tests {
         assert_eq!(shelf.usage(), Use { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
         assert_eq!(budget.taken(), 7);
         assert!(shelf.lock().building.is_empty());
+    }
+
+    #[tokio::test]
+    async fn owners_share_neither_values_nor_builds() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let owner = |n: u8| Key::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
+        let requests = [owner(1), owner(2), owner(1), KEY].map(|key| {
+            let built = kept(&budget, 7);
+            shelf.get(key, async { built }, lost)
+        });
+        let fetched = futures_util::future::try_join_all(requests).await.unwrap();
+        assert_eq!(fetched.iter().map(|f| f.built).collect::<Vec<_>>(), [true, true, false, true]);
+        assert_eq!((shelf.usage().bytes, budget.taken()), (21, 21), "what two have is there twice, and counted twice");
+        shelf.remove(owner(1));
+        assert!(!shelf.has(owner(1)) && shelf.has(owner(2)) && shelf.has(KEY));
     }
 
     #[tokio::test]
@@ -331,14 +366,14 @@ mod tests {
             put(&shelf, &budget, key, 1024).await;
         }
         for key in 1..4 {
-            assert!(shelf.peek(Digest([key; 32])).is_some());
+            assert!(shelf.peek(self::key(key)).is_some());
         }
         put(&shelf, &budget, 9, 1024).await;
-        assert!(shelf.has(Digest([9; 32])), "the newcomer is kept");
-        assert!(!shelf.has(Digest([0; 32])), "the oldest has gone");
+        assert!(shelf.has(key(9)), "the newcomer is kept");
+        assert!(!shelf.has(key(0)), "the oldest has gone");
         assert_eq!(shelf.usage(), Use { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
         assert_eq!(budget.taken(), 4096);
-        shelf.remove(Digest([9; 32]));
+        shelf.remove(key(9));
         assert_eq!((shelf.usage().bytes, budget.taken()), (3072, 3072));
         shelf.clear();
         assert_eq!((shelf.usage().bytes, budget.taken()), (0, 0));
@@ -350,11 +385,11 @@ mod tests {
         for key in 0..3 {
             put(&shelf, &budget, key, 1024).await;
         }
-        assert!(shelf.has(Digest([0; 32])));
-        shelf.demote(Digest([2; 32]));
+        assert!(shelf.has(key(0)));
+        shelf.demote(key(2));
         put(&shelf, &budget, 8, 1024).await;
         put(&shelf, &budget, 9, 1024).await;
-        let there = [0, 1, 2].map(|key| shelf.lock().kept.contains(&Digest([key; 32])));
+        let there = [0, 1, 2].map(|key| shelf.lock().kept.contains(&self::key(key)));
         assert_eq!(there, [true, false, false]);
     }
 
@@ -364,7 +399,7 @@ mod tests {
         put(&shelf, &budget, 2, 1024).await;
         let large = put(&shelf, &budget, 1, 1 << 20).await;
         assert_eq!(**large, 1 << 20);
-        assert!(!shelf.has(KEY) && shelf.has(Digest([2; 32])));
+        assert!(!shelf.has(KEY) && shelf.has(key(2)));
         assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, on the shelf or not");
         drop(large);
         assert_eq!(budget.taken(), 1024);

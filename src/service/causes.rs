@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use lru::LruCache;
 
-use crate::warp::Digest;
+use super::cache::Key;
 
 /// Tables that are remembered to have been built here, some 100 bytes each.
 const REMEMBERED: usize = 16_384;
@@ -49,7 +49,7 @@ impl Cause {
 #[derive(Debug)]
 pub(super) struct Causes {
     counts: [AtomicU64; Cause::ALL.len()],
-    built: Mutex<LruCache<Digest, ()>>,
+    built: Mutex<LruCache<Key, ()>>,
 }
 
 impl Default for Causes {
@@ -60,7 +60,7 @@ impl Default for Causes {
 
 impl Causes {
     /// A table was built.
-    pub(super) fn built(&self, key: Digest, origin: Origin) -> Cause {
+    pub(super) fn built(&self, key: Key, origin: Origin) -> Cause {
         let mut built = self.built.lock().unwrap_or_else(PoisonError::into_inner);
         let was_here = built.put(key, ()).is_some();
         if built.len() > REMEMBERED {
@@ -77,7 +77,7 @@ impl Causes {
     }
 
     /// Nobody has a session with it any more.
-    pub(super) fn forget(&self, key: Digest) {
+    pub(super) fn forget(&self, key: Key) {
         self.built.lock().unwrap_or_else(PoisonError::into_inner).pop(&key);
     }
 
@@ -90,11 +90,17 @@ impl Causes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::client::Owner;
+    use crate::warp::Digest;
+
+    fn key(digest: Digest) -> Key {
+        Key::new(Owner::ANYBODY, digest)
+    }
 
     #[test]
     fn what_was_built_here_before_was_evicted_and_what_a_session_brings_was_elsewhere() {
         let causes = Causes::default();
-        let (a, b) = (Digest([1; 32]), Digest([2; 32]));
+        let (a, b) = (key(Digest([1; 32])), key(Digest([2; 32])));
         assert_eq!(causes.built(a, Origin::Handles), Cause::New);
         assert_eq!(causes.built(a, Origin::Session), Cause::Evicted);
         assert_eq!(causes.built(b, Origin::Session), Cause::Elsewhere);
@@ -108,9 +114,9 @@ mod tests {
     fn it_remembers_so_many_and_no_more() {
         let causes = Causes::default();
         for n in 0..REMEMBERED + 10 {
-            causes.built(Digest::of(&n.to_le_bytes()), Origin::Handles);
+            causes.built(key(Digest::of(&n.to_le_bytes())), Origin::Handles);
         }
         assert_eq!(causes.built.lock().unwrap().len(), REMEMBERED);
-        assert_eq!(causes.built(Digest::of(&0_usize.to_le_bytes()), Origin::Session), Cause::Elsewhere);
+        assert_eq!(causes.built(key(Digest::of(&0_usize.to_le_bytes())), Origin::Session), Cause::Elsewhere);
     }
 }

@@ -1,7 +1,7 @@
-//! Who asks: whose sessions are meant, and where the request comes from.
+//! Who asks: whose sessions are meant, where the request comes from, and as which client it is counted.
 
 use std::fmt;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 /// Whose sessions are meant. Sessions of one owner do not exist for another, not even their names.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -42,8 +42,55 @@ pub struct Client {
     pub address: IpAddr,
 }
 
+/// Low bits of an IPv6 address that do not count: a customer is given at least a /64, within which addresses cost nothing.
+const V6_HOST_BITS: u32 = 64;
+
+/// The unit among which the service is shared. Every limit and every queue that treats clients equally counts by it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Tenant {
+    /// The name of a key, from whatever address.
+    Key(Owner),
+    /// Where no keys are configured: an IPv4 address, or the /64 of an IPv6 address.
+    Address(IpAddr),
+}
+
+impl Tenant {
+    /// The client at an address, while no key is known or needed.
+    #[must_use]
+    pub fn of_address(address: IpAddr) -> Self {
+        Self::Address(match address.to_canonical() {
+            IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> V6_HOST_BITS << V6_HOST_BITS)),
+            v4 @ IpAddr::V4(_) => v4,
+        })
+    }
+}
+
+impl Client {
+    /// As which client it is counted.
+    #[must_use]
+    pub fn tenant(self) -> Tenant {
+        if self.owner == Owner::ANYBODY { Tenant::of_address(self.address) } else { Tenant::Key(self.owner) }
+    }
+}
+
 impl Default for Client {
     fn default() -> Self {
         Self { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::UNSPECIFIED) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_counts_from_every_address_and_without_keys_the_address_counts() {
+        let tenant = |owner: u8, address: &str| Client { owner: Owner::from_bytes([owner; 16]), address: address.parse().unwrap() }.tenant();
+        assert_eq!(tenant(1, "192.0.2.1"), tenant(1, "2001:db8::1"));
+        assert_ne!(tenant(1, "192.0.2.1"), tenant(2, "192.0.2.1"));
+        assert_ne!(tenant(0, "192.0.2.1"), tenant(0, "192.0.2.2"));
+        assert_eq!(tenant(0, "2001:db8:1:2:3:4:5:6"), Tenant::Address("2001:db8:1:2::".parse().unwrap()));
+        assert_ne!(tenant(0, "2001:db8:1:2::1"), tenant(0, "2001:db8:1:3::1"));
+        assert_eq!(tenant(0, "::ffff:192.0.2.1"), tenant(0, "192.0.2.1"));
     }
 }

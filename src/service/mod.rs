@@ -10,6 +10,7 @@ pub mod doors;
 pub mod drag;
 pub mod formats;
 pub mod health;
+pub mod holdings;
 pub mod http;
 pub mod metrics;
 pub mod offline;
@@ -35,12 +36,13 @@ use client::Client;
 use config::{Config, WorkConfig};
 use doors::Doors;
 use drag::seats::Seats;
+use holdings::Holdings;
 use metrics::Metrics;
 use phase::Phases;
 use pool::{Lane, Pool, PoolError, Shape, Work};
 use problem::{Code, Problem};
 use session::Lanes;
-use shares::{Share, Shares};
+use shares::{Quota, Share, Shares};
 use store::timed::Timed;
 use store::{NotOpened, Store, StoreError};
 use telemetry::tracer::{Exporting, NotTraced, Outbox, Tracer};
@@ -52,6 +54,8 @@ use crate::warp::{Image, Plan, Setup};
 const SETUP_SHARE: u64 = 8;
 /// Memory that a small picture takes: where there is less, a server is not ready for newcomers.
 const LEAST_LEFT: u64 = 1 << 20;
+/// One client may hold this part of the memory by answers that it does not read.
+const UNREAD_PART: u64 = 4;
 /// Seconds after which a request that found the queue full may come again.
 const RETRY_QUEUE: u32 = 1;
 /// Seconds after which a request that found no memory may come again.
@@ -70,7 +74,11 @@ struct Shared {
     config: Config,
     doors: Doors,
     budget: Budget,
-    shares: Shares,
+    /// Of memory for answers.
+    answers: Shares,
+    /// Of memory for requests.
+    requests: Shares,
+    holdings: Holdings,
     pool: Pool,
     images: Shelf<Image>,
     plans: Shelf<Plan>,
@@ -159,12 +167,15 @@ impl App {
         let (tracer, outbox) = Tracer::new(&config.telemetry)?.unzip();
         let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
         let work = config.work;
+        let of_client = |total| config.doors.client_share.of(total);
         let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
         let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(Shared {
             doors: Doors::new(&config.doors),
             budget: Budget::new(work.memory_bytes),
-            shares: Shares::new(work.memory_bytes),
+            answers: Shares::new(Quota::Answers, work.memory_bytes / UNREAD_PART),
+            requests: Shares::new(Quota::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
+            holdings: Holdings::new(config.store.bounds, of_client),
             pool: Pool::new(shape)?,
             images: Shelf::new(work.image_cache_bytes),
             plans: Shelf::new(work.plan_cache_bytes),
@@ -174,8 +185,8 @@ impl App {
             phases: Phases::default(),
             causes: Causes::default(),
             pictures: Pictures::default(),
-            // Half of the places: the others are left to requests.
-            seats: Seats::new(config.max_sockets, workers.max(queue / 2)),
+            // Half of the places for the frames of one client: the others are left to requests.
+            seats: Seats::new(config.max_sockets, of_client(config.max_sockets as u64), workers.max(queue / 2)),
             drags: Drags::default(),
             metrics: Metrics::default(),
             tracer,
@@ -216,18 +227,24 @@ impl App {
         self.giving_way(|| self.0.budget.take(purpose, bytes))
     }
 
-    /// Takes memory for an answer to that client, and makes room for it as [`App::reserve`].
+    /// Takes memory that counts for a client, and makes room for it as [`App::reserve`].
     ///
     /// # Errors
-    /// As [`App::reserve`]; and [`Code::Overloaded`] for a client that does not read its answers.
-    pub fn reserve_for(&self, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
-        self.giving_way(|| self.0.budget.take_for(share, bytes))
+    /// As [`App::reserve`]; [`Code::Overloaded`] for a client that does not read its answers, [`Code::RateLimited`] for one whose requests take too much.
+    pub fn reserve_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
+        self.giving_way(|| self.0.budget.take_for(purpose, share, bytes))
     }
 
     /// What the client holds by answers that it has not read.
     #[must_use]
     pub fn share(&self, client: Client) -> Share {
-        self.0.shares.of(client)
+        self.0.answers.of(client)
+    }
+
+    /// What the client holds by requests that it is sending.
+    #[must_use]
+    pub fn request_share(&self, client: Client) -> Share {
+        self.0.requests.of(client)
     }
 
     /// Takes so much more.
@@ -244,7 +261,7 @@ impl App {
                 Ok(taken) => return Ok(taken),
                 Err(refused) => refused,
             };
-            if refused.is_forever() || refused.short == Short::Share || !self.give_way() {
+            if refused.is_forever() || refused.short != Short::Memory || !self.give_way() {
                 self.0.budget.count_refusal();
                 return Err(refused.into());
             }
@@ -355,12 +372,13 @@ impl App {
 
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
     pub fn spawn_sweeper(&self) {
-        let store = Arc::downgrade(&self.0.store);
+        let (store, holdings) = (Arc::downgrade(&self.0.store), self.0.holdings.clone());
         let pause = (self.0.config.store.bounds.idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;
                 let Some(store) = store.upgrade() else { return };
+                holdings.sweep();
                 match store.sweep().await {
                     Ok(0) => {}
                     Ok(sessions) => tracing::debug!(sessions, "sessions expired"),
@@ -385,11 +403,13 @@ impl From<NoRoom> for Problem {
         let problem = if error.is_forever() {
             Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
         } else {
-            Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_MEMORY)
+            let code = if error.short == Short::Share(Quota::Requests) { Code::RateLimited } else { Code::Overloaded };
+            Self::new(code, error.to_string()).retry_after(RETRY_MEMORY)
         };
         match error.short {
             Short::Memory => problem.limit("memory_bytes", error.limit, error.asked),
-            Short::Share => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
+            Short::Share(Quota::Answers) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
+            Short::Share(Quota::Requests) => problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked)),
         }
     }
 }

@@ -13,7 +13,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::budget::Reservation;
+use super::budget::{Purpose, Reservation};
 use super::cache::Kept;
 use super::pool::{Drawer, Pool, PoolError, Ticket};
 use super::problem::Problem;
@@ -131,6 +131,22 @@ impl Watch for Attended<'_> {
     }
 }
 
+/// A clock beside a thread that helps, and goes when a request waits for a thread.
+struct Helping<'a> {
+    clock: &'a Clock,
+    ticket: &'a Ticket,
+}
+
+impl Watch for Helping<'_> {
+    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
+        self.clock.around(stage, work);
+    }
+
+    fn goes_on(&self) -> bool {
+        !self.ticket.is_thread_wanted()
+    }
+}
+
 impl Clock {
     fn cost(&self) -> Cost {
         let read = |lap: &Lap| Duration::from_nanos(lap.spent.load(Ordering::Relaxed));
@@ -231,8 +247,8 @@ struct Work {
 type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 
 impl Work {
-    fn take_part(&self) {
-        if self.writing.work(&self.clock) {
+    fn take_part(&self, watch: &dyn Watch) {
+        if self.writing.work(watch) {
             self.begun.finish(&self.clock);
             // A client that leaves after the last strip has missed nothing.
             let _ = self.end.send(Piece::End(self.clock.cost()));
@@ -244,12 +260,12 @@ impl Work {
 type Meeting = Arc<OnceLock<Option<Arc<Work>>>>;
 
 /// Waits for the work, a short while, and takes part in it.
-fn help(meeting: &Meeting) {
+fn help(meeting: &Meeting, ticket: &Ticket) {
     let began = Instant::now();
     while began.elapsed() < PATIENCE {
         for _ in 0..LOOKS {
             if let Some(work) = meeting.get() {
-                return work.as_ref().map_or((), |work| work.take_part());
+                return work.as_ref().map_or((), |work| work.take_part(&Helping { clock: &work.clock, ticket }));
             }
             std::hint::spin_loop();
         }
@@ -293,7 +309,8 @@ impl App {
         };
         // Threads that pose together come to help by themselves; only PNG is drawn by several.
         let early = if sitting.setup.is_wide() || sitting.output.format != Format::Png { 0 } else { helpers };
-        self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting));
+        let theirs = ticket.clone();
+        self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting, &theirs));
         // Every way out of the job answers, but a panic.
         result.await.map_err(|_| PoolError::Panicked)?
     }
@@ -312,7 +329,7 @@ impl Easel {
         let limits = self.app.config().limits;
         let gone = || self.answer.is_closed();
         let prepare = || {
-            let mut held = self.app.reserve_for(&sitting.share, sitting.setup.posed_bytes())?;
+            let mut held = self.app.reserve_for(Purpose::Frame, &sitting.share, sitting.setup.posed_bytes())?;
             let pose = || sitting.warp(&limits, &gone);
             let (warp, report) = if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() }?;
             self.app.reserve_more(&mut held, warp.work_bytes())?;
@@ -381,10 +398,10 @@ impl Easel {
         if helpers > 0 && began.elapsed() >= PATIENCE {
             // Those who came early may have gone.
             for _ in 0..helpers {
-                let meeting = Arc::clone(&meeting);
-                pool.start(&ticket, move || help(&meeting));
+                let (meeting, theirs) = (Arc::clone(&meeting), ticket.clone());
+                pool.start(&ticket, move || help(&meeting, &theirs));
             }
         }
-        work.take_part();
+        work.take_part(&work.clock);
     }
 }

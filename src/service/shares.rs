@@ -1,50 +1,45 @@
-//! What clients do not take of their answers: nobody may fill the memory with it, however slowly he reads and however many connections he has.
+//! Memory that one client may hold: answers that it has not read, however slowly it reads, and requests that it is sending, however slowly it
+//! sends. Neither can be taken back, so each has a limit for every client.
 
 use std::collections::HashMap;
-use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::client::{Client, Owner};
-use super::doors::network::site;
+use super::client::{Client, Tenant};
 
-/// One client may hold this part of the memory in answers.
-const PART: u64 = 4;
 /// Clients that are known before those who hold nothing are looked for and forgotten.
 const MANY: usize = 1024;
 
-/// Who shares: the name of a key, or an address where nobody needs one (a /64 of IPv6).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Whose {
-    Owner(Owner),
-    Address(IpAddr),
-}
-
-impl From<Client> for Whose {
-    fn from(client: Client) -> Self {
-        if client.owner == Owner::ANYBODY { Self::Address(site(client.address)) } else { Self::Owner(client.owner) }
-    }
+/// What memory is held by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quota {
+    /// Answers, until they have left.
+    Answers,
+    /// Requests while they are received and read, and the files that sessions in memory keep of them.
+    Requests,
 }
 
 /// What each client holds.
 #[derive(Debug)]
 pub struct Shares {
+    quota: Quota,
     limit: u64,
-    held: Mutex<HashMap<Whose, Arc<AtomicU64>>>,
+    held: Mutex<HashMap<Tenant, Arc<AtomicU64>>>,
 }
 
 /// What one client holds. Cloning shares it.
 #[derive(Clone, Debug)]
 pub struct Share {
+    quota: Quota,
     limit: u64,
     held: Arc<AtomicU64>,
 }
 
 impl Shares {
-    /// Of so much memory.
+    /// At most so many bytes of one client.
     #[must_use]
-    pub fn new(total: u64) -> Self {
-        Self { limit: total / PART, held: Mutex::default() }
+    pub fn new(quota: Quota, limit: u64) -> Self {
+        Self { quota, limit, held: Mutex::default() }
     }
 
     /// This client's.
@@ -55,11 +50,17 @@ impl Shares {
             // Whoever holds something, or is about to, has another reference.
             held.retain(|_, held| Arc::strong_count(held) > 1);
         }
-        Share { limit: self.limit, held: Arc::clone(held.entry(client.into()).or_default()) }
+        Share { quota: self.quota, limit: self.limit, held: Arc::clone(held.entry(client.tenant()).or_default()) }
     }
 }
 
 impl Share {
+    /// What it is held by.
+    #[must_use]
+    pub const fn quota(&self) -> Quota {
+        self.quota
+    }
+
     /// The most that the client may hold.
     #[must_use]
     pub const fn limit(&self) -> u64 {
@@ -72,7 +73,7 @@ impl Share {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// Takes so much more for an answer that has `own` already; one answer alone may be larger than the share. What is held instead when it may not.
+    /// Takes so much more for something that has `own` already; alone it may be larger than the share. What is held instead when it may not.
     pub(super) fn take(&self, own: u64, more: u64) -> Result<(), u64> {
         let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || held <= own);
         self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)
@@ -86,7 +87,10 @@ impl Share {
 
 #[cfg(test)]
 mod tests {
+    use std::net::IpAddr;
+
     use super::*;
+    use crate::service::client::Owner;
 
     fn client(owner: u8, last: u8) -> Client {
         Client { owner: Owner::from_bytes([owner; 16]), address: IpAddr::from([127, 0, 0, last]) }
@@ -94,7 +98,7 @@ mod tests {
 
     #[test]
     fn a_name_has_one_share_and_so_has_an_address_without_one() {
-        let shares = Shares::new(400);
+        let shares = Shares::new(Quota::Answers, 100);
         shares.of(client(1, 1)).take(0, 70).unwrap();
         assert_eq!([client(1, 9), client(2, 1), client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [70, 0, 0, 0]);
         shares.of(client(0, 1)).take(0, 60).unwrap();
@@ -106,7 +110,7 @@ mod tests {
 
     #[test]
     fn an_answer_alone_may_be_larger_and_every_other_waits_for_room() {
-        let share = Shares::new(400).of(client(0, 1));
+        let share = Shares::new(Quota::Answers, 100).of(client(0, 1));
         share.take(0, 300).unwrap();
         share.take(300, 50).unwrap();
         assert_eq!(share.take(0, 1), Err(350));
@@ -117,7 +121,7 @@ mod tests {
 
     #[test]
     fn who_holds_nothing_is_forgotten() {
-        let shares = Shares::new(400);
+        let shares = Shares::new(Quota::Answers, 100);
         let holds = shares.of(client(0, 1));
         holds.take(0, 5).unwrap();
         for n in 0..=u8::MAX {

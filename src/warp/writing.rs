@@ -29,6 +29,11 @@ pub trait Watch: Sync {
     /// Calls `work` exactly once.
     fn around(&self, stage: Stage, work: &mut dyn FnMut());
 
+    /// This thread takes one more strip; asked before each. Where it does not, others do.
+    fn goes_on(&self) -> bool {
+        true
+    }
+
     /// Someone still waits for the picture; asked between bands and before a strip is encoded.
     fn is_wanted(&self) -> bool {
         true
@@ -72,13 +77,13 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
         self.warp.writer.strips()
     }
 
-    /// Takes strips until none is left or nobody listens. True for the one call that handed over the last piece.
+    /// Takes strips until none is left, nobody listens, or the watch says that this thread goes. True for the one call that handed over the last piece.
     pub fn work(&self, watch: &dyn Watch) -> bool {
         let Warp { renderer, writer, .. } = &*self.warp;
         let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
         let mut samples = SAMPLES.take();
         let mut ended = false;
-        while !self.gone.load(Ordering::Relaxed) {
+        while !self.gone.load(Ordering::Relaxed) && watch.goes_on() {
             let index = self.next.fetch_add(1, Ordering::Relaxed);
             if index >= writer.strips() {
                 break;

@@ -183,7 +183,7 @@ async fn objects_of_new_sessions_are_in_the_account() {
     }
     assert_eq!(sessions(), "2");
     let share = app.share(Client::default());
-    let _unread = app.reserve_for(&share, share.limit()).unwrap();
+    let _unread = app.reserve_for(Purpose::Frame, &share, share.limit()).unwrap();
     let other = multipart(&photo(300, 20), r#"{"p": [[1, 2]]}"#);
     for (method, path) in [(Method::POST, "/sessions"), (Method::PUT, named), (Method::PUT, &named.replace("8f", "7f"))] {
         let answer = ask(method, path, &other).await;

@@ -15,7 +15,7 @@ use crate::support::{Server, eventually, photo};
 /// A turn of the gate's only worker.
 async fn busy(server: &Server, work: Work) -> Ticket {
     eventually("nothing runs", || server.app.pool().running() == 0).await;
-    server.app.pool().admit(work, Lane::Client(Client::default())).await.unwrap()
+    server.app.pool().admit(work, Lane::client(Client::default())).await.unwrap()
 }
 
 async fn refused(response: Response) {

@@ -290,7 +290,7 @@ async fn a_full_queue_delays_frames_and_loses_none() {
     let id = server.session(&photo(128, 96), &rest()).await;
     let mut hand = Hand::open(server.address, &id, "").await;
     eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full(Work::Drag)).await;
-    let ticket = server.app.pool().admit(Work::Drag, Lane::Client(Client::default())).await.unwrap();
+    let ticket = server.app.pool().admit(Work::Drag, Lane::client(Client::default())).await.unwrap();
     hand.pose(1, &posed(1)).await;
     assert!(hand.next_within(Duration::from_millis(100)).await.is_none());
     hand.pose(2, &posed(2)).await;

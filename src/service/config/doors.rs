@@ -83,6 +83,10 @@ pub(super) struct DoorsArgs {
     /// Most connections of one address (one /64 of IPv6) that is no trusted proxy.
     #[arg(long, env = "MLSWARP_MAX_CONNECTIONS_PER_ADDRESS", value_name = "N", default_value = "512", global = true)]
     max_connections_per_address: String,
+    /// Most that one client may take of what cannot be taken back, in percent: of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for
+    /// uploads; above it 429. A client is the name of a key, or where there are no keys an address (one /64 of IPv6). 100 = no limit.
+    #[arg(long, env = "MLSWARP_MAX_CLIENT_SHARE", value_name = "PERCENT", default_value = "50", global = true)]
+    max_client_share: String,
     /// Longest time from a request's head to its answer's head.
     #[arg(long, env = "MLSWARP_REQUEST_TIMEOUT", value_name = "TIME", default_value = "60s", global = true)]
     request_timeout: String,
@@ -121,6 +125,22 @@ impl FromStr for Secret {
     }
 }
 
+/// What one client may take of a total, in percent; 100 sets no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClientShare(u64);
+
+impl ClientShare {
+    /// Its part of a total, rounded up: of what there is at all, every client may take one.
+    #[must_use]
+    pub const fn of(self, total: u64) -> u64 {
+        if self.0 >= 100 { u64::MAX } else { total / 100 * self.0 + (total % 100 * self.0).div_ceil(100) }
+    }
+}
+
+fn client_share(text: &str) -> Result<ClientShare, String> {
+    whole(text.trim_end_matches('%'), 1, 100).map(ClientShare)
+}
+
 /// Who is let in, how many and how often, and how long clients may take.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DoorsConfig {
@@ -144,6 +164,8 @@ pub struct DoorsConfig {
     pub max_connections: usize,
     /// Most connections of one address.
     pub max_connections_per_address: usize,
+    /// What one client may take of what cannot be taken back.
+    pub client_share: ClientShare,
     /// Longest time from a request's head to its answer's head.
     pub request_timeout: Duration,
     /// Longest time for a connection's first byte, a TLS handshake, a request's head, and between two requests.
@@ -209,6 +231,7 @@ impl DoorsArgs {
             max_connections: m.read("max-connections", &self.max_connections, |t| whole(t, 1, 1_000_000)),
             max_connections_per_address: m
                 .read("max-connections-per-address", &self.max_connections_per_address, |t| whole(t, 1, 1_000_000)),
+            client_share: m.read("max-client-share", &self.max_client_share, client_share),
             request_timeout: m.read("request-timeout", &self.request_timeout, units::span),
             header_timeout: m.read("header-timeout", &self.header_timeout, units::span),
             body_timeout: m.read("body-timeout", &self.body_timeout, units::span),
@@ -305,6 +328,17 @@ mod tests {
         assert!(!refused.contains("0123456789"), "{refused}");
         let cli = Cli::try_parse_from(["mlswarp", "--keys", "ann 0123456789abcdef"]).unwrap();
         assert!(!format!("{cli:?} {:?}", cli.options.resolve()).contains("0123456789"));
+    }
+
+    #[test]
+    fn a_client_has_its_percentage_of_a_total() {
+        let share = |percent: &str| serve(&["--max-client-share", percent]).map(|config| config.doors.client_share);
+        assert_eq!(Config::default().doors.client_share, share("50%").unwrap());
+        assert_eq!([0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)), [0, 1, 1, 2, 5001, 1 << 39]);
+        assert_eq!((share("1").unwrap().of(7), share("99").unwrap().of(u64::MAX) < u64::MAX, share("100").unwrap().of(7)), (1, true, u64::MAX));
+        for wrong in ["0", "101", "half", ""] {
+            assert!(share(wrong).unwrap_err().contains("--max-client-share (MLSWARP_MAX_CLIENT_SHARE)"));
+        }
     }
 
     #[test]

@@ -7,7 +7,6 @@ pub mod places;
 pub mod rates;
 pub mod tls;
 
-use std::hash::Hash;
 use std::io::Read as _;
 use std::net::IpAddr;
 use std::path::Path;
@@ -15,12 +14,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use keys::{Keys, Pass};
-use network::site;
 use places::Places;
 use rates::Rates;
 use tokio::sync::watch;
 
-use super::client::Owner;
+use super::client::{Owner, Tenant};
 use super::config::DoorsConfig;
 use super::problem::{Code, Problem};
 
@@ -29,8 +27,8 @@ use super::problem::{Code, Problem};
 pub struct Doors {
     /// None where no keys are configured.
     keys: Option<watch::Sender<Arc<Keys>>>,
-    by_address: Option<Rates<IpAddr>>,
-    by_owner: Option<Rates<Owner>>,
+    by_address: Option<Rates<Tenant>>,
+    by_owner: Option<Rates<Tenant>>,
     places: Places,
 }
 
@@ -75,20 +73,20 @@ impl Doors {
     pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<(Owner, Pass), Problem> {
         let now = Instant::now();
         // The address first: guesses count too.
-        count(self.by_address.as_ref(), site(address), now)?;
+        count(self.by_address.as_ref(), Tenant::of_address(address), now)?;
         let Some(keys) = &self.keys else { return Ok((Owner::ANYBODY, Pass::ANYBODY)) };
         let keys = Arc::clone(&keys.borrow());
         let Some(key) = key else {
             return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
         };
         let (owner, pass) = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
-        count(self.by_owner.as_ref(), owner, now)?;
+        count(self.by_owner.as_ref(), Tenant::Key(owner), now)?;
         Ok((owner, pass))
     }
 }
 
 /// Takes one of whoever asks.
-fn count<K: Copy + Eq + Hash>(rates: Option<&Rates<K>>, who: K, now: Instant) -> Result<(), Problem> {
+fn count(rates: Option<&Rates<Tenant>>, who: Tenant, now: Instant) -> Result<(), Problem> {
     let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
     Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
 }

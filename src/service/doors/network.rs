@@ -2,9 +2,6 @@
 
 use std::net::{IpAddr, Ipv6Addr};
 
-/// An IPv6 customer is given at least this much of an address: within it addresses cost nothing.
-const V6_SITE: u8 = 64;
-
 /// Addresses with the same first bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Network {
@@ -47,15 +44,6 @@ fn number(address: IpAddr) -> (u128, bool) {
 const fn mask(bits: u8, width: u8) -> u128 {
     let all = if width == 128 { u128::MAX } else { (1 << width) - 1 };
     if bits == 0 { 0 } else { all & (u128::MAX << (width - bits)) }
-}
-
-/// What an address counts for: an IPv4 address for itself, an IPv6 address for its /64.
-#[must_use]
-pub fn site(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() & mask(V6_SITE, 128))),
-        v4 @ IpAddr::V4(_) => v4,
-    }
 }
 
 /// Where a request comes from: the peer, or, where the peer is a trusted proxy, the last address of `forwarded` (a whole `X-Forwarded-For`, first
@@ -112,13 +100,6 @@ mod tests {
         for wrong in ["", "10.0.0.0/33", "::/129", "10.0.0", "10.0.0.0/", "10.0.0.0/-1", "here", "10.0.0.0/8/8"] {
             assert!(Network::parse(wrong).is_err(), "{wrong}");
         }
-    }
-
-    #[test]
-    fn addresses_of_one_site_count_as_one() {
-        assert_eq!(site(ip("2001:db8:1:2:3:4:5:6")), ip("2001:db8:1:2::"));
-        assert_eq!(site(ip("::ffff:192.0.2.1")), ip("192.0.2.1"));
-        assert_ne!(site(ip("192.0.2.1")), site(ip("192.0.2.2")));
     }
 
     #[test]

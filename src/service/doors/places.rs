@@ -6,7 +6,7 @@ use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::network::site;
+use crate::service::client::Tenant;
 
 /// Places for connections.
 #[derive(Clone, Debug)]
@@ -23,14 +23,14 @@ struct Shared {
 #[derive(Debug, Default)]
 struct Taken {
     all: usize,
-    by_site: HashMap<IpAddr, usize>,
+    by_client: HashMap<Tenant, usize>,
 }
 
 /// The place of one connection; given back when dropped.
 #[derive(Debug)]
 pub struct Place {
     places: Places,
-    site: IpAddr,
+    client: Tenant,
 }
 
 impl Places {
@@ -43,16 +43,16 @@ impl Places {
     /// A place, if there is one. A proxy that is trusted to count by itself may have all.
     #[must_use]
     pub fn take(&self, peer: IpAddr, is_proxy: bool) -> Option<Place> {
-        let site = site(peer);
+        let client = Tenant::of_address(peer);
         let mut taken = self.taken();
-        let of_one = taken.by_site.get(&site).copied().unwrap_or(0);
+        let of_one = taken.by_client.get(&client).copied().unwrap_or(0);
         if taken.all >= self.0.most || (!is_proxy && of_one >= self.0.most_of_one) {
             self.0.refused.fetch_add(1, Ordering::Relaxed);
             return None;
         }
         taken.all += 1;
-        taken.by_site.insert(site, of_one + 1);
-        Some(Place { places: self.clone(), site })
+        taken.by_client.insert(client, of_one + 1);
+        Some(Place { places: self.clone(), client })
     }
 
     /// Connections that there are.
@@ -76,10 +76,10 @@ impl Drop for Place {
     fn drop(&mut self) {
         let mut taken = self.places.taken();
         taken.all = taken.all.saturating_sub(1);
-        match taken.by_site.get_mut(&self.site) {
+        match taken.by_client.get_mut(&self.client) {
             Some(of_one @ 2..) => *of_one -= 1,
             _ => {
-                taken.by_site.remove(&self.site);
+                taken.by_client.remove(&self.client);
             }
         }
     }
@@ -105,6 +105,6 @@ mod tests {
         assert_eq!((places.open(), places.refused()), (4, 2));
         drop((first, second, proxy, v6));
         assert_eq!(places.open(), 0);
-        assert!(places.taken().by_site.is_empty(), "an address that has left is forgotten");
+        assert!(places.taken().by_client.is_empty(), "an address that has left is forgotten");
     }
 }

@@ -4,16 +4,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use tokio::sync::Semaphore;
 
 use super::desk::Order;
 use crate::codec::{Compression, Format};
 use crate::deform::Handle;
 use crate::service::App;
+use crate::service::client::Client;
 use crate::service::picture::{Cost, Drawn, Picture, Piece};
 use crate::service::pool::{PoolError, Ticket};
 use crate::service::problem::Problem;
 use crate::service::session::SessionId;
-use crate::service::shares::Share;
 use crate::service::store::Record;
 use crate::service::telemetry::Scope;
 use crate::service::walk::{MeshForm, PosedMesh, Timing};
@@ -61,22 +62,30 @@ fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> Output
 }
 
 /// Makes a frame. Dropping the future ends the work at the next strip.
-pub(super) async fn make(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
-    let made = walk(app, id, share, form, order).await;
+pub(super) async fn make(
+    app: App,
+    client: Client,
+    id: SessionId,
+    frames: Arc<Semaphore>,
+    form: Form,
+    order: Order,
+) -> Result<Frame, Problem> {
+    let made = walk(app, client, id, frames, form, order).await;
     if let Err(problem) = &made {
         Scope::current().fail(problem.code);
     }
     made
 }
 
-async fn walk(app: App, id: SessionId, share: Share, form: Form, order: Order) -> Result<Frame, Problem> {
-    let turn = app.0.seats.turn().await;
+async fn walk(app: App, client: Client, id: SessionId, frames: Arc<Semaphore>, form: Form, order: Order) -> Result<Frame, Problem> {
+    let turn = frames.acquire_owned().await.expect("the semaphore is never closed");
+    let share = app.share(client);
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.
-    let record = app.0.store.touch(id, None).await?.record;
+    let record = app.touch(id, None).await?.record;
     let seq = order.pose.seq;
     let frame = match form {
         Form::Picture(format) => {
-            let (record, warm) = app.warm_newest(record).await?;
+            let (record, warm) = app.warm_newest(client, record).await?;
             drop(turn);
             let q = read(&app, warm.ticket(), order.pose.q).await?;
             let shape = warm.shape(record.extent);
@@ -88,7 +97,7 @@ async fn walk(app: App, id: SessionId, share: Share, form: Form, order: Order) -
             Frame { seq, record, shape, pieces, report }
         }
         Form::Mesh => {
-            let (ticket, walked) = app.walk(&record, MeshForm::Numbers).await?;
+            let (ticket, walked) = app.walk(client, &record, MeshForm::Numbers).await?;
             drop(turn);
             let q = read(&app, &ticket, order.pose.q).await?;
             let shape = walked.shape(record.extent);

@@ -22,7 +22,6 @@ use super::budget::{Purpose, Reservation};
 use super::client::Client;
 use super::problem::{Code, Problem};
 use super::session::SessionId;
-use super::shares::Share;
 use super::store::Record;
 use super::telemetry::Scope;
 use super::walk::columns;
@@ -72,7 +71,7 @@ type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 pub struct Drag {
     app: App,
     id: SessionId,
-    share: Share,
+    client: Client,
     wishes: Wishes,
     desk: Desk<Frame>,
     making: Option<Making>,
@@ -82,7 +81,7 @@ pub struct Drag {
     told: Arc<Record>,
     says: VecDeque<Said>,
     is_over: bool,
-    _seat: Seat,
+    seat: Seat,
     _held: Reservation,
 }
 
@@ -100,14 +99,14 @@ impl App {
     pub async fn open_drag(&self, client: Client, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.opens_sockets()?;
-        let seat = self.0.seats.take(id)?;
+        let seat = self.0.seats.take(client.tenant(), id)?;
         let held = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
-        let setup = self.session_setup(&record).await?;
+        let setup = self.session_setup(client, &record).await?;
         let hello = hello(&MeshShape::new(&setup, record.extent));
         Ok(Drag {
             app: self.clone(),
             id,
-            share: self.share(client),
+            client,
             desk: Desk::new(pace(wishes, &record), full(wishes, &record)),
             wishes,
             making: None,
@@ -116,7 +115,7 @@ impl App {
             told: record,
             says: VecDeque::from([hello]),
             is_over: false,
-            _seat: seat,
+            seat,
             _held: held,
         })
     }
@@ -181,7 +180,7 @@ impl Drag {
             match self.desk.next(now) {
                 Step::Make(order) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let making = frame::make(self.app.clone(), self.id, self.share.clone(), self.wishes.form, order);
+                    let making = frame::make(self.app.clone(), self.client, self.id, self.seat.frames(), self.wishes.form, order);
                     self.making = Some(Box::pin(scope.wrap(making)));
                 }
                 Step::GiveUp => self.making = None,

@@ -1,10 +1,11 @@
-//! Who sits at the drag: how many sockets there are, of each session and in all, and whose frame may go to the pool next.
+//! Who sits at the drag: how many sockets there are, of each session, of each client and in all, and whose frame may go to the pool next.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::sync::{Semaphore, SemaphorePermit, watch};
+use tokio::sync::{Semaphore, watch};
 
+use crate::service::client::Tenant;
 use crate::service::problem::{Code, Problem};
 use crate::service::session::SessionId;
 
@@ -20,9 +21,16 @@ pub struct Seats(Arc<Hall>);
 #[derive(Debug)]
 struct Hall {
     most: usize,
-    taken: Mutex<HashMap<SessionId, usize>>,
+    of_client: usize,
+    frames: usize,
+    taken: Mutex<Taken>,
     open: watch::Sender<usize>,
-    turns: Semaphore,
+}
+
+#[derive(Debug, Default)]
+struct Taken {
+    sessions: HashMap<SessionId, usize>,
+    clients: HashMap<Tenant, (usize, Arc<Semaphore>)>,
 }
 
 /// A socket's seat, free again when it is dropped.
@@ -30,37 +38,49 @@ struct Hall {
 pub struct Seat {
     hall: Arc<Hall>,
     id: SessionId,
+    tenant: Tenant,
+    frames: Arc<Semaphore>,
 }
 
 impl Seats {
-    /// `most` sockets in all; so many of their frames stand before the pool at one time, the others wait their turn here and leave the
-    /// pool's other places to everyone else.
+    /// `most` sockets in all, `of_client` of one client. So many `frames` of one client stand before the pool at one time: its others wait here, in order
+    /// of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
     #[must_use]
-    pub fn new(most: usize, frames: usize) -> Self {
+    pub fn new(most: usize, of_client: u64, frames: usize) -> Self {
         Self(Arc::new(Hall {
             most,
+            of_client: usize::try_from(of_client).unwrap_or(usize::MAX),
+            frames: frames.clamp(1, Semaphore::MAX_PERMITS),
             taken: Mutex::default(),
             open: watch::Sender::new(0),
-            turns: Semaphore::new(frames.clamp(1, Semaphore::MAX_PERMITS)),
         }))
     }
 
     /// Takes a seat, at once or not at all.
     ///
     /// # Errors
-    /// [`Code::Overloaded`].
-    pub fn take(&self, id: SessionId) -> Result<Seat, Problem> {
-        let mut taken = self.0.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        let (all, of_session) = (*self.0.open.borrow(), taken.get(&id).copied().unwrap_or_default());
-        for (what, open, most) in [("sockets", all, self.0.most), ("session_sockets", of_session, OF_A_SESSION)] {
+    /// [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
+    pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<Seat, Problem> {
+        let hall = &self.0;
+        let mut taken = hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        let (all, of_session) = (*hall.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
+        let of_client = taken.clients.get(&tenant).map_or(0, |(sockets, _)| *sockets);
+        for (what, code, open, most) in [
+            ("sockets", Code::Overloaded, all, hall.most),
+            ("session_sockets", Code::Overloaded, of_session, OF_A_SESSION),
+            ("client_sockets", Code::RateLimited, of_client, hall.of_client),
+        ] {
             if open >= most {
                 let detail = format!("all drag sockets are taken: {what} would be {}; at most {most}", open + 1);
-                return Err(Problem::new(Code::Overloaded, detail).limit(what, most, open + 1).retry_after(RETRY));
+                return Err(Problem::new(code, detail).limit(what, most, open + 1).retry_after(RETRY));
             }
         }
-        taken.insert(id, of_session + 1);
-        self.0.open.send_modify(|open| *open += 1);
-        Ok(Seat { hall: Arc::clone(&self.0), id })
+        *taken.sessions.entry(id).or_default() += 1;
+        let (sockets, frames) = taken.clients.entry(tenant).or_insert_with(|| (0, Arc::new(Semaphore::new(hall.frames))));
+        *sockets += 1;
+        let frames = Arc::clone(frames);
+        hall.open.send_modify(|open| *open += 1);
+        Ok(Seat { hall: Arc::clone(hall), id, tenant, frames })
     }
 
     /// Seats that are taken now.
@@ -74,20 +94,29 @@ impl Seats {
         // The sender lives as long as `self`, so waiting cannot fail.
         let _ = self.0.open.subscribe().wait_for(|open| *open == 0).await;
     }
+}
 
-    /// Waits for a frame's turn, in order of arrival.
-    pub async fn turn(&self) -> SemaphorePermit<'_> {
-        self.0.turns.acquire().await.expect("the semaphore is never closed")
+impl Seat {
+    /// Where the client's frames wait for their turn.
+    #[must_use]
+    pub fn frames(&self) -> Arc<Semaphore> {
+        Arc::clone(&self.frames)
     }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
         let mut taken = self.hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(of_session) = taken.get_mut(&self.id) {
+        if let Some(of_session) = taken.sessions.get_mut(&self.id) {
             *of_session -= 1;
             if *of_session == 0 {
-                taken.remove(&self.id);
+                taken.sessions.remove(&self.id);
+            }
+        }
+        if let Some((of_client, _)) = taken.clients.get_mut(&self.tenant) {
+            *of_client -= 1;
+            if *of_client == 0 {
+                taken.clients.remove(&self.tenant);
             }
         }
         self.hall.open.send_modify(|open| *open -= 1);
@@ -97,22 +126,37 @@ impl Drop for Seat {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::client::Owner;
+    use crate::service::client::{Client, Owner};
 
     #[tokio::test]
-    async fn seats_are_bounded_in_all_and_for_a_session_and_given_back() {
-        let seats = Seats::new(OF_A_SESSION + 1, 4);
-        let (one, other) = (SessionId::random(Owner::ANYBODY), SessionId::random(Owner::ANYBODY));
-        let mut held: Vec<Seat> = (0..OF_A_SESSION).map(|_| seats.take(one).unwrap()).collect();
-        let refused = seats.take(one).unwrap_err();
+    async fn seats_are_bounded_in_all_for_a_client_and_for_a_session_and_given_back() {
+        let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
+        let session = || SessionId::random(Owner::ANYBODY);
+        let seats = Seats::new(OF_A_SESSION + 3, OF_A_SESSION as u64 + 1, 4);
+        let one = session();
+        let mut held: Vec<Seat> = (0..OF_A_SESSION).map(|_| seats.take(tenant(1), one).unwrap()).collect();
+        let refused = seats.take(tenant(1), one).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::Overloaded, Some("session_sockets"), Some(RETRY)));
-        held.push(seats.take(other).unwrap());
-        assert_eq!(seats.take(SessionId::random(Owner::ANYBODY)).unwrap_err().what, Some("sockets"));
+        held.push(seats.take(tenant(1), session()).unwrap());
+        let refused = seats.take(tenant(1), session()).unwrap_err();
+        assert_eq!((refused.code, refused.what, refused.retry_after), (Code::RateLimited, Some("client_sockets"), Some(RETRY)));
+        held.extend([2, 3].map(|n| seats.take(tenant(n), session()).unwrap()));
+        assert_eq!(seats.take(tenant(4), session()).unwrap_err().what, Some("sockets"));
         held.remove(0);
-        held.push(seats.take(one).unwrap());
-        assert_eq!(seats.taken(), OF_A_SESSION + 1);
+        held.push(seats.take(tenant(1), one).unwrap());
+        assert_eq!(seats.taken(), OF_A_SESSION + 3);
         drop(held);
         seats.empty().await;
-        assert!(seats.0.taken.lock().unwrap().is_empty());
+        let taken = seats.0.taken.lock().unwrap();
+        assert!(taken.sessions.is_empty() && taken.clients.is_empty());
+    }
+
+    #[test]
+    fn frames_of_one_client_wait_for_its_own_alone() {
+        let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
+        let seats = Seats::new(9, 9, 2);
+        let [a, b, other] = [1, 1, 2].map(|n| seats.take(tenant(n), SessionId::random(Owner::ANYBODY)).unwrap());
+        let _turns = [a.frames().try_acquire_owned().unwrap(), b.frames().try_acquire_owned().unwrap()];
+        assert!(a.frames().try_acquire_owned().is_err() && other.frames().try_acquire_owned().is_ok());
     }
 }

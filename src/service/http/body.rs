@@ -16,6 +16,7 @@ use tokio::time::{Sleep, sleep};
 
 use crate::service::App;
 use crate::service::budget::{Purpose, Reservation};
+use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 
 /// Why a body ended early.
@@ -193,8 +194,8 @@ pub(super) struct Received<'a> {
 }
 
 impl<'a> Received<'a> {
-    pub(super) fn new(app: &'a App, purpose: Purpose) -> Result<Self, Problem> {
-        Ok(Self { app, bytes: Vec::new(), held: app.reserve(purpose, BESIDE)? })
+    pub(super) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
+        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_share(client), BESIDE)? })
     }
 
     pub(super) fn len(&self) -> u64 {
@@ -228,7 +229,14 @@ impl<'a> Received<'a> {
 }
 
 /// A JSON body of at most `limit` bytes. A drag's is read for its frame: it is not kept out by uploads.
-pub(super) async fn json(app: &App, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+pub(super) async fn json(
+    app: &App,
+    client: Client,
+    request: Request,
+    purpose: Purpose,
+    what: &'static str,
+    limit: u64,
+) -> Result<Bytes, Problem> {
     if media_type(&request).as_deref() != Some("application/json") {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
     }
@@ -237,7 +245,7 @@ pub(super) async fn json(app: &App, request: Request, purpose: Purpose, what: &'
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut read = Received::new(app, purpose)?;
+    let mut read = Received::new(app, client, purpose)?;
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
         if let Ok(data) = frame.into_data() {

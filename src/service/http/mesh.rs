@@ -27,8 +27,8 @@ pub(super) async fn mesh(
     let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
-    let _parsed = parsed(&app, &body)?;
+    let body = json(&app, client, request, Purpose::Frame, "drag_json_bytes", limit).await?;
+    let _parsed = parsed(&app, client, &body)?;
     let drag = DragObject::parse_posed(&body)?;
     let mesh = app.mesh(client, id, drag, form).await?;
     Ok(answer::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))

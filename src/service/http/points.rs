@@ -13,7 +13,7 @@ use crate::service::client::Client;
 use crate::service::problem::Problem;
 
 pub(super) async fn once(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
-    let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = json(&app, client, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
     Ok(answer::json_text(app.map_once(client, body).await?))
 }
 
@@ -25,6 +25,6 @@ pub(super) async fn of_session(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = json(&app, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
+    let body = json(&app, client, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
     Ok(answer::json_text(app.map_session(client, id, body).await?))
 }

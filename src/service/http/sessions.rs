@@ -26,7 +26,7 @@ const AROUND: usize = 2048;
 
 /// A new session, its picture decoded and its table filled: the first drag finds both.
 pub(super) async fn create(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
-    let upload = upload::read(&app, request).await?;
+    let upload = upload::read(&app, client, request).await?;
     let held = hold_object(&app, client, &upload.warp)?;
     let (session, setup) = app.open(client, upload.image, upload.warp).await?;
     Ok((StatusCode::CREATED, [(LOCATION, location(session.record.id))], object(held, &session, &setup)).into_response())
@@ -41,7 +41,7 @@ pub(super) async fn put(
 ) -> Result<Response, Problem> {
     let id = SessionId::parse(client.owner, &id)
         .map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
-    let upload = upload::read(&app, request).await?;
+    let upload = upload::read(&app, client, request).await?;
     let held = hold_object(&app, client, &upload.warp)?;
     let (put, setup) = app.put(client, id, upload.image, upload.warp).await?;
     Ok(match put {
@@ -59,8 +59,8 @@ pub(super) async fn handles(
 ) -> Result<Response, Problem> {
     let id = session_id(client, &id)?;
     app.session(id).await?;
-    let body = body::json(&app, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
-    let (session, setup) = app.revise(id, body).await?;
+    let body = body::json(&app, client, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
+    let (session, setup) = app.revise(client, id, body).await?;
     held_object(&app, client, &session, &setup)
 }
 
@@ -71,7 +71,7 @@ pub(super) async fn read(
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
     let session = app.session(session_id(client, &id)?).await?;
-    let setup = app.session_setup(&session.record).await?;
+    let setup = app.session_setup(client, &session.record).await?;
     held_object(&app, client, &session, &setup)
 }
 
@@ -97,13 +97,13 @@ pub(super) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
 /// The object in its client's share until it is read: it may be asked for on every stream.
 fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
-    let held = app.reserve_for(&app.share(client), text.len() as u64)?;
+    let held = app.reserve_for(Purpose::Frame, &app.share(client), text.len() as u64)?;
     Ok(json_text(held.with(text)))
 }
 
 /// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
 fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve_for(&app.share(client), longest_text(warp, app.config().limits.columns))
+    app.reserve_for(Purpose::Frame, &app.share(client), longest_text(warp, app.config().limits.columns))
 }
 
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {

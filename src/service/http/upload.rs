@@ -15,6 +15,7 @@ use http_body::Frame;
 use super::body::{ReadError, Received, media_type, read_problem, too_large};
 use crate::service::App;
 use crate::service::budget::Purpose;
+use crate::service::client::Client;
 use crate::service::problem::{Code, Problem};
 
 /// What the parser may keep of which nothing has come: the head of a part, and what lies before the first.
@@ -37,13 +38,13 @@ pub(super) fn is_multipart(request: &Request) -> bool {
 }
 
 /// Reads both parts. The whole body is limited before this; `warp` has a limit of its own.
-pub(super) async fn read(app: &App, mut request: Request) -> Result<Upload, Problem> {
+pub(super) async fn read(app: &App, client: Client, mut request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes multipart/form-data with the parts `image` and `warp`"));
     }
     // The guard around every body has the limit; axum's own default is below it.
     DefaultBodyLimit::disable().apply(&mut request);
-    let _parser = app.reserve(Purpose::Upload, PARSER)?;
+    let _parser = app.reserve_for(Purpose::Upload, &app.request_share(client), PARSER)?;
     let unread = Unread::default();
     let request = request.map(|body| Body::new(Fed { body, unread: unread.clone(), fed: false }));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|e| malformed(e.body_text()))?;
@@ -62,7 +63,7 @@ pub(super) async fn read(app: &App, mut request: Request) -> Result<Upload, Prob
         if slot.is_some() {
             return Err(malformed(format!("the part `{name}` comes twice")));
         }
-        *slot = Some(part_bytes(app, part, limit, &unread).await?);
+        *slot = Some(part_bytes(app, client, part, limit, &unread).await?);
     }
     match (image, warp) {
         (Some(image), Some(warp)) => Ok(Upload { image, warp }),
@@ -76,8 +77,8 @@ fn malformed(detail: impl Into<String>) -> Problem {
     Problem::new(Code::MalformedRequest, detail)
 }
 
-async fn part_bytes(app: &App, mut part: Field<'_>, limit: u64, unread: &Unread) -> Result<Bytes, Problem> {
-    let mut read = Received::new(app, Purpose::Upload)?;
+async fn part_bytes(app: &App, client: Client, mut part: Field<'_>, limit: u64, unread: &Unread) -> Result<Bytes, Problem> {
+    let mut read = Received::new(app, client, Purpose::Upload)?;
     while let Some(chunk) = part.chunk().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
         unread.begin();
         let length = read.len() + chunk.len() as u64;

@@ -31,7 +31,7 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
         app.admits(client)?;
-        let upload = upload::read(&app, request).await?;
+        let upload = upload::read(&app, client, request).await?;
         let (drawn, material) = app.warp_once(client, upload.image, upload.warp, formats).await?;
         let session = if keeps { Some(app.keep(client, material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
@@ -47,8 +47,8 @@ pub(super) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     if keeps {
         return Err(Problem::new(Code::BadValue, "session=true makes a session of an upload; this body names one"));
     }
-    let body = json(&app, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
-    let _parsed = parsed(&app, &body)?;
+    let body = json(&app, client, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
+    let _parsed = parsed(&app, client, &body)?;
     let drag = DragObject::parse(&body, true)?;
     let id = session_id(client, drag.session.as_deref().unwrap_or_default())?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
@@ -69,8 +69,8 @@ pub(super) async fn drag(
     let trailers = takes_trailers(request.headers());
     let id = session_id(client, &id)?;
     let limit = drag_limit(columns(&app.session(id).await?.record));
-    let body = json(&app, request, Purpose::Frame, "drag_json_bytes", limit).await?;
-    let _parsed = parsed(&app, &body)?;
+    let body = json(&app, client, request, Purpose::Frame, "drag_json_bytes", limit).await?;
+    let _parsed = parsed(&app, client, &body)?;
     let drag = DragObject::parse(&body, false)?;
     Ok(picture(app.drag(client, id, drag, formats).await?, trailers))
 }
@@ -88,8 +88,8 @@ pub(super) const fn drag_limit(columns: u64) -> u64 {
 }
 
 /// The memory of a drag's handles, which wait in the queue with it.
-pub(super) fn parsed(app: &App, json: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve(Purpose::Frame, PARSED * json.len() as u64)
+pub(super) fn parsed(app: &App, client: Client, json: &[u8]) -> Result<Reservation, Problem> {
+    app.reserve_for(Purpose::Frame, &app.request_share(client), PARSED * json.len() as u64)
 }
 
 /// `?session=true`. What is not known is refused, as in the body.

@@ -57,6 +57,11 @@ impl Crew {
         Ok(crew)
     }
 
+    /// A job waits for a thread.
+    pub(super) fn is_thread_wanted(&self) -> bool {
+        self.0.waiting.load(Ordering::Relaxed) > 0
+    }
+
     /// Hands over jobs at once, to as many threads. A job that panics ends its thread: jobs catch.
     pub(super) fn hand_over(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();

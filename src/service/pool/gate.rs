@@ -2,13 +2,14 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
 use super::PoolError;
 use super::crew::Crew;
 use super::queue::{Arrival, Lane, Queue};
+use crate::service::client::Tenant;
 
 /// Who is told when its turn has come; dropped when it is sent away.
 type Waiter = oneshot::Sender<Turn>;
@@ -37,9 +38,9 @@ pub struct Load {
     pub late: u64,
 }
 
-/// The right to run, passed on when it is dropped.
+/// A client's right to run, passed on when it is dropped.
 #[derive(Debug)]
-pub(super) struct Turn(Option<Arc<Gate>>);
+pub(super) struct Turn(Option<(Arc<Gate>, Tenant)>);
 
 /// Someone who waits; leaves the queue when dropped.
 struct Place<'a> {
@@ -82,13 +83,13 @@ impl Gate {
     /// Waits for a turn. Dropping the future leaves the queue.
     pub(super) async fn enter(self: &Arc<Self>, lane: Lane) -> Result<Turn, PoolError> {
         let mut called = None;
-        let arrival = self.lock().arrive(lane, || {
+        let arrival = self.lock().arrive(lane, Instant::now(), || {
             let (waiter, turn) = oneshot::channel();
             called = Some(turn);
             waiter
         });
         let id = match arrival {
-            Arrival::Runs => return Ok(Turn(Some(Arc::clone(self)))),
+            Arrival::Runs => return Ok(Turn(Some((Arc::clone(self), lane.tenant())))),
             Arrival::Refused => {
                 self.full.fetch_add(1, Ordering::Relaxed);
                 return Err(PoolError::Full);
@@ -116,14 +117,21 @@ impl Gate {
 
 impl Drop for Turn {
     fn drop(&mut self) {
-        let Some(gate) = self.0.take() else { return };
+        let Some((gate, tenant)) = self.0.take() else { return };
+        let mut ended = Some(tenant);
         loop {
-            let next = gate.lock().pass_on();
-            let Some(waiter) = next else { return };
-            match waiter.send(Self(Some(Arc::clone(&gate)))) {
-                Ok(()) => return,
-                // It has left this moment; the turn that comes back is this one, not another.
-                Err(mut unheard) => unheard.0 = None,
+            let called = {
+                let (mut queue, now) = (gate.lock(), Instant::now());
+                if let Some(tenant) = ended.take() {
+                    queue.end(tenant, now);
+                }
+                queue.call(now)
+            };
+            let Some((tenant, waiter)) = called else { return };
+            if let Err(mut unheard) = waiter.send(Self(Some((Arc::clone(&gate), tenant)))) {
+                // It has left this moment: its turn ends here, and not by being dropped.
+                unheard.0 = None;
+                ended = Some(tenant);
             }
         }
     }

@@ -1,10 +1,12 @@
 //! Admission and the compute threads. A request goes through one of two gates: work on a session that is warm (a drag), and everything that
 //! decodes or fills tables first (an upload). Each has as many turns and threads as there are workers, so that milliseconds never wait behind
-//! seconds, and either may use the whole machine while the other is idle. A request runs at once, waits its turn for as long as the gate's patience
-//! lasts, or is refused (`queue`). No async thread ever computes, no compute thread ever waits for a client.
+//! seconds, and either may use the whole machine while the other is idle; and one turn and thread more, for a client that would otherwise wait for
+//! the long requests of others. A request runs at once, waits its turn for as long as the gate's patience
+//! lasts, or is refused; which request is next is decided by `queue`, fairly between clients. No async thread ever computes, no compute thread ever
+//! waits for a client.
 //!
 //! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
-//! a picture are taken by helpers, as many as no other picture wants (`crowd`).
+//! a picture are taken by helpers, as many as no other picture wants (`crowd`). A helper leaves after its strip when a request waits for a thread.
 //!
 //! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
 //! request's future was dropped before.
@@ -69,7 +71,7 @@ pub enum Work {
 /// What a pool is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Threads and turns of each gate.
+    /// Threads and turns of each gate; each has one of both in reserve, for a client that has no turn.
     pub workers: usize,
     /// Requests that may wait before each gate.
     pub queue: usize,
@@ -101,6 +103,12 @@ pub struct Ticket {
 }
 
 impl Ticket {
+    /// A job waits for a thread of the same gate.
+    #[must_use]
+    pub fn is_thread_wanted(&self) -> bool {
+        self.gate.crew.is_thread_wanted()
+    }
+
     /// Time spent in the queue.
     #[must_use]
     pub const fn waited(&self) -> Duration {
@@ -160,7 +168,7 @@ impl Pool {
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
         let gate = |name: &str, patience: Duration, nice: i32| {
-            let crew = Crew::start(name, workers, nice).map_err(|e| NoThreads(e.to_string()))?;
+            let crew = Crew::start(name, workers + queue::SPARE, nice).map_err(|e| NoThreads(e.to_string()))?;
             Ok(Gate::new(crew, workers, queue, patience))
         };
         Ok(Self {
@@ -294,6 +302,7 @@ pub(super) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::client::Client;
     use crate::service::session::SessionId;
     use std::sync::mpsc;
 
@@ -303,8 +312,9 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(600);
 
+    /// A session of one client.
     fn lane(n: u8) -> Lane {
-        Lane::Session(SessionId::from_bytes(&[n; 32]))
+        Lane::session(Client::default(), SessionId::from_bytes(&[n; 32]))
     }
 
     async fn drag(pool: &Pool, n: u8) -> Result<Ticket, PoolError> {
@@ -319,7 +329,7 @@ mod tests {
             let pool = pool.clone();
             async move { drag(&pool, 2).await }
         });
-        while !pool.is_full(Work::Drag) {
+        while !pool.refuses(Work::Drag, lane(3)) {
             tokio::task::yield_now().await;
         }
         assert_eq!(drag(&pool, 3).await.unwrap_err(), PoolError::Full);
@@ -327,7 +337,7 @@ mod tests {
         pool.admit(Work::Upload, lane(3)).await.unwrap();
         waiting.abort();
         let _ = waiting.await;
-        assert!(!pool.is_full(Work::Drag), "a waiter that left gives its place back");
+        assert!(!pool.refuses(Work::Drag, lane(3)), "a waiter that left gives its place back");
         drop(first);
         drag(&pool, 4).await.unwrap();
         assert_eq!(pool.load(Work::Drag), Load { running: 0, waiting: 0, full: 1, late: 0 });
@@ -366,6 +376,30 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn another_client_does_not_wait_for_the_end_of_a_long_request() {
+        let pool = pool(0, LONG);
+        let (go, wait) = mpsc::channel::<()>();
+        let long = drag(&pool, 1).await.unwrap();
+        let (wait, began) = (Arc::new(Mutex::new(wait)), Arc::new(AtomicUsize::new(0)));
+        let hold = {
+            let began = Arc::clone(&began);
+            move || {
+                began.fetch_add(1, Ordering::Relaxed);
+                let _ = wait.lock().map(|wait| wait.recv());
+            }
+        };
+        pool.start(&long, hold);
+        while began.load(Ordering::Relaxed) == 0 {
+            tokio::task::yield_now().await;
+        }
+        let other = Client { address: [192, 0, 2, 1].into(), ..Client::default() };
+        let ticket = pool.admit(Work::Drag, Lane::client(other)).await.unwrap();
+        assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7), "it has a turn and a thread");
+        assert!(pool.refuses(Work::Drag, lane(2)) && pool.is_full(Work::Drag));
+        drop((go, long, ticket));
+    }
+
+    #[tokio::test]
     async fn a_panic_ends_its_own_work_alone() {
         let pool = pool(0, LONG);
         let ticket = drag(&pool, 1).await.unwrap();
@@ -397,11 +431,11 @@ mod tests {
         let sees = sees.await.unwrap();
         task.abort();
         assert!(task.await.unwrap_err().is_cancelled());
-        assert!(pool.is_full(Work::Drag), "the work holds the only place");
+        assert!(pool.refuses(Work::Drag, lane(1)), "the work holds the client's only place");
         go.send(()).unwrap();
         let seen = tokio::task::spawn_blocking(move || sees.recv().unwrap());
         assert_eq!(seen.await.unwrap(), "cancelled");
-        while pool.is_full(Work::Drag) {
+        while pool.refuses(Work::Drag, lane(1)) {
             tokio::task::yield_now().await;
         }
     }

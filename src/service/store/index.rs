@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use super::{Bounds, Put, Record, Session, StoreError};
+use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 
@@ -119,7 +120,8 @@ impl Index {
         if sessions > self.bounds.sessions {
             return Err(StoreError::Full { what: "sessions", limit: self.bounds.sessions as u64, actual: sessions as u64 });
         }
-        let file = if self.files.contains_key(&record.image) { 0 } else { file };
+        // Whether another owner has the same file must not be seen from the answer of a store that is almost full.
+        let file = if self.names(record.id.owner(), record.image) { 0 } else { file };
         // A replaced session's file is held until the new one is there.
         self.room(self.bytes - there.map_or(0, |there| there.bytes) + record_bytes(record) + file)?;
         Ok(if old.is_some() { Will::Replace } else { Will::Create })
@@ -238,6 +240,12 @@ impl Index {
         }
     }
 
+    /// A session of that owner names the file.
+    pub(super) fn names(&self, owner: Owner, digest: Digest) -> bool {
+        let is_named = |entry: &Entry| entry.record.image == digest && entry.record.id.owner() == owner;
+        self.files.contains_key(&digest) && self.sessions.values().any(is_named)
+    }
+
     /// Sessions whose picture's file it is.
     pub(super) fn named_by(&self, digest: Digest) -> Vec<SessionId> {
         self.sessions.iter().filter(|(_, entry)| entry.record.image == digest).map(|(id, _)| *id).collect()
@@ -266,7 +274,8 @@ impl Index {
 }
 
 /// What a record costs beside its picture's file.
-pub(super) fn record_bytes(record: &Record) -> u64 {
+#[must_use]
+pub fn record_bytes(record: &Record) -> u64 {
     let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
     512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64
 }

@@ -7,6 +7,7 @@ use bytes::Bytes;
 
 use super::index::Index;
 use super::{Answer, Bounds, Figures, Put, Record, Session, Store, StoreError};
+use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::warp::Digest;
 
@@ -101,8 +102,8 @@ impl Store for MemoryStore {
         ready(self.lock().files.get(&digest).cloned().ok_or(StoreError::NoSuchSession))
     }
 
-    fn names(&self, digest: Digest) -> bool {
-        self.lock().files.contains_key(&digest)
+    fn names(&self, owner: Owner, digest: Digest) -> bool {
+        self.lock().index.names(owner, digest)
     }
 
     fn sweep(&self) -> Answer<'_, usize> {

@@ -31,8 +31,10 @@ use std::time::{Duration, SystemTime};
 use bytes::Bytes;
 use thiserror::Error;
 
+pub use index::record_bytes;
 pub use place::{Address, Place};
 
+use super::client::Owner;
 use super::session::{Revision, SessionId};
 use crate::pixmap::Extent;
 use crate::warp::{Digest, Folds, OutputSpec, RestSpec};
@@ -167,8 +169,8 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// The file of that session's picture, if it is still the one of that digest.
     fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
 
-    /// Some living session is known here whose picture has that file.
-    fn names(&self, digest: Digest) -> bool;
+    /// Some living session of that owner is known here whose picture has that file.
+    fn names(&self, owner: Owner, digest: Digest) -> bool;
 
     /// Drops what has expired; says how many.
     fn sweep(&self) -> Answer<'_, usize>;

@@ -78,7 +78,7 @@ async fn what_was_put_is_there_to_the_bit(store: &impl Store) {
     assert_eq!(store.peek(a.id).await.unwrap().record, a);
     assert_eq!(store.touch(a.id, None).await.unwrap().record, a);
     assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
-    assert!(store.names(a.image) && !store.names(Digest::of(&file(99))));
+    assert!(store.names(a.id.owner(), a.image) && !store.names(a.id.owner(), Digest::of(&file(99))));
 }
 
 async fn a_file_goes_with_its_last_session(store: &impl Store) {
@@ -88,7 +88,7 @@ async fn a_file_goes_with_its_last_session(store: &impl Store) {
     store.delete(a.id).await.unwrap();
     assert_eq!(store.image(b.id, b.image).await.unwrap(), file(2));
     store.delete(b.id).await.unwrap();
-    assert!(!store.names(b.image));
+    assert!(!store.names(b.id.owner(), b.image));
     assert_eq!(store.image(b.id, b.image).await, Err(StoreError::NoSuchSession));
     assert_eq!(store.delete(b.id).await, Err(StoreError::NoSuchSession));
     assert_eq!(store.peek(b.id).await.unwrap_err(), StoreError::NoSuchSession);

@@ -6,6 +6,7 @@ use std::time::Instant;
 use bytes::Bytes;
 
 use super::{Answer, Figures, Put, Record, Revision, Session, SessionId, Store};
+use crate::service::client::Owner;
 use crate::service::telemetry::scope::stage;
 use crate::warp::Digest;
 
@@ -47,8 +48,8 @@ impl Store for Timed {
         timed(self.0.image(id, digest))
     }
 
-    fn names(&self, digest: Digest) -> bool {
-        self.0.names(digest)
+    fn names(&self, owner: Owner, digest: Digest) -> bool {
+        self.0.names(owner, digest)
     }
 
     fn sweep(&self) -> Answer<'_, usize> {

@@ -6,13 +6,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::Timing;
+use super::{Timing, image_key};
 use bytes::Bytes;
 
 use crate::deform::Handle;
 use crate::pixmap::Extent;
 use crate::service::App;
-use crate::service::cache::Kept;
+use crate::service::budget::Purpose;
+use crate::service::cache::{Kept, Key};
 use crate::service::causes::Origin;
 use crate::service::client::Client;
 use crate::service::formats::Formats;
@@ -117,7 +118,7 @@ impl App {
     /// Unknown session, superseded, whatever is wrong with q, or no room.
     pub async fn drag(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let turn = self.turn(id, drag.seq).await?;
-        let (record, warm) = self.unless_superseded(&turn, self.warm_newest(Arc::clone(&turn.record))).await?;
+        let (record, warm) = self.unless_superseded(&turn, self.warm_newest(client, Arc::clone(&turn.record))).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.over(&record.output) };
         self.draw_warm(warm, drag.q, record.folds, output, self.share(client)).await
@@ -130,15 +131,15 @@ impl App {
     pub async fn mesh(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let turn = self.turn(id, drag.seq).await?;
         let record = Arc::clone(&turn.record);
-        let (ticket, walked) = self.unless_superseded(&turn, self.walk(&record, form)).await?;
+        let (ticket, walked) = self.unless_superseded(&turn, self.walk(client, &record, form)).await?;
         self.pose_walked(ticket, walked, drag.q, &record, form, self.share(client)).await
     }
 
     /// All that a picture of the session is made of, under a ticket. Where the session was made anew while this waited, its old file is gone: then of
     /// the session as it is now.
-    pub(in crate::service) async fn warm_newest(&self, mut record: Arc<Record>) -> Result<(Arc<Record>, Warm), Problem> {
+    pub(in crate::service) async fn warm_newest(&self, client: Client, mut record: Arc<Record>) -> Result<(Arc<Record>, Warm), Problem> {
         loop {
-            match self.warm(&record).await {
+            match self.warm(client, &record).await {
                 Ok(warm) => return Ok((record, warm)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
                     let newest = self.0.store.peek(record.id).await?.record;
@@ -152,16 +153,16 @@ impl App {
         }
     }
 
-    async fn warm(&self, record: &Arc<Record>) -> Result<Warm, Problem> {
-        let setup = self.session_setup(record).await?;
-        let is_warm = self.0.images.has(record.image) && self.0.plans.has(setup.plan_key()) && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::Session(record.id)).await?;
+    async fn warm(&self, client: Client, record: &Arc<Record>) -> Result<Warm, Problem> {
+        let setup = self.session_setup(client, record).await?;
+        let is_warm = self.0.images.has(image_key(record)) && self.0.plans.has(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
+        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let image = self.session_image(&ticket, record).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (plan, plan_built) = self.plan(&ticket, &setup, Origin::Session, &mut timing).await?;
+        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;
         Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
     }
 
@@ -179,13 +180,13 @@ impl App {
     }
 
     /// All that a mesh of the session is made of, under a ticket.
-    pub(in crate::service) async fn walk(&self, record: &Arc<Record>, form: MeshForm) -> Result<(Ticket, Walked), Problem> {
-        let setup = self.session_setup(record).await?;
+    pub(in crate::service) async fn walk(&self, client: Client, record: &Arc<Record>, form: MeshForm) -> Result<(Ticket, Walked), Problem> {
+        let setup = self.session_setup(client, record).await?;
         form.bounded(setup.grid())?;
-        let is_warm = self.0.plans.has(setup.plan_key()) && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::Session(record.id)).await?;
+        let is_warm = self.0.plans.has(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
+        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let (plan, plan_built) = self.plan(&ticket, &setup, Origin::Session, &mut timing).await?;
+        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;
         Ok((ticket, Walked { setup, plan, timing, plan_built }))
     }
 
@@ -205,7 +206,7 @@ impl App {
             let Walked { setup, plan, mut timing, plan_built } = walked;
             let began = Instant::now();
             let gone = || cancel.is_cancelled();
-            let mut held = app.reserve_for(&share, setup.posed_bytes())?;
+            let mut held = app.reserve_for(Purpose::Frame, &share, setup.posed_bytes())?;
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
             let posed = if setup.is_wide() { app.0.pool.spread(pose) } else { pose() }?;
             timing.deform = began.elapsed();
@@ -221,7 +222,7 @@ impl App {
 
     /// Uses the session, and takes the request's place among those that are numbered.
     async fn turn(&self, id: SessionId, seq: Option<u64>) -> Result<Turn, Problem> {
-        let Session { record, seq: newest, .. } = self.0.store.touch(id, seq).await?;
+        let Session { record, seq: newest, .. } = self.touch(id, seq).await?;
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
             Some(seq) => {

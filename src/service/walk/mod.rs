@@ -14,9 +14,9 @@ pub use drag::{MeshForm, PosedMesh};
 
 use super::App;
 use super::budget::Purpose;
-use super::cache::{Fetched, Kept};
+use super::cache::{Fetched, Kept, Key};
 use super::causes::Origin;
-use super::client::Client;
+use super::client::{Client, Owner};
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
 use super::pool::{Lane, PoolError, Ticket, Work};
@@ -82,7 +82,7 @@ impl App {
     /// Whatever is wrong with either, or no room.
     pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, Material), Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
-        let (material, plan, timing, plan_built) = self.prepare(&ticket, file, json, Some(formats)).await?;
+        let (material, plan, timing, plan_built) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
         let q = material.object.q.clone().unwrap_or_default();
         let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
         let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
@@ -95,10 +95,10 @@ impl App {
     ///
     /// # Errors
     /// No room.
-    pub async fn session_setup(&self, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
+    pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let build = async move {
-            let ticket = app.0.pool.admit(Work::Upload, Lane::Session(theirs.id)).await?;
+            let ticket = app.0.pool.admit(Work::Upload, Lane::session(client, theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
             let limits = app.0.config.limits;
             let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
@@ -112,6 +112,7 @@ impl App {
     /// needed for it.
     async fn prepare(
         &self,
+        owner: Owner,
         ticket: &Ticket,
         file: Bytes,
         json: Bytes,
@@ -133,20 +134,20 @@ impl App {
         if draws.is_some() && object.q.is_none() && !object.rest.p.is_empty() {
             return Err(q_is_missing());
         }
-        let Fetched { value: image, built } = self.image(ticket, digest, file.clone()).await?;
+        let Fetched { value: image, built } = self.image(owner, ticket, digest, file.clone()).await?;
         if draws.is_some() && built {
             // Pictures that are bent once must not drive those of sessions out.
-            self.0.images.demote(digest);
+            self.0.images.demote(Key::new(owner, digest));
         }
         timing.decode = began.elapsed();
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
-        let (plan, plan_built) = self.plan(ticket, &setup, Origin::Handles, &mut timing).await?;
+        let (plan, plan_built) = self.plan(owner, ticket, &setup, Origin::Handles, &mut timing).await?;
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
-    async fn image(&self, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Fetched<Image>, Problem> {
+    async fn image(&self, owner: Owner, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Fetched<Image>, Problem> {
         let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
         let decode = async move {
             let theirs = app.clone();
@@ -165,22 +166,23 @@ impl App {
                 Ok(decoded) => decoded,
             }
         };
-        self.0.images.get(digest, decode, lost).await
+        self.0.images.get(Key::new(owner, digest), decode, lost).await
     }
 
     /// The session's picture; decoded again from the stored file when the cache has dropped it.
     async fn session_image(&self, ticket: &Ticket, record: &Record) -> Result<Arc<Kept<Image>>, Problem> {
-        match self.0.images.peek(record.image) {
+        match self.0.images.peek(image_key(record)) {
             Some(image) => Ok(image),
             None => {
                 let file = self.0.store.image(record.id, record.image).await?;
-                Ok(self.image(ticket, record.image, file).await?.value)
+                Ok(self.image(record.id.owner(), ticket, record.image, file).await?.value)
             }
         }
     }
 
     async fn plan(
         &self,
+        owner: Owner,
         ticket: &Ticket,
         setup: &Arc<Setup>,
         origin: Origin,
@@ -188,16 +190,16 @@ impl App {
     ) -> Result<(Arc<Kept<Plan>>, bool), Problem> {
         let began = Instant::now();
         let (app, ticket, theirs) = (self.clone(), ticket.clone(), Arc::clone(setup));
+        let key = Key::new(owner, setup.plan_key());
         let build = async move {
             let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
             let threads = app.0.pool.clone();
-            let key = theirs.plan_key();
             let plan = app.0.pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await?;
             let cause = app.0.causes.built(key, origin);
             tracing::debug!(cause = cause.name(), "a plan was built");
             Ok(Kept::new(plan, held))
         };
-        let fetched = self.0.plans.get(setup.plan_key(), build, lost).await?;
+        let fetched = self.0.plans.get(key, build, lost).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
         Ok((fetched.value, fetched.built))
@@ -230,8 +232,13 @@ fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpO
 }
 
 /// Records never change, so name and revision stand for the setup.
-fn shelf_key(record: &Record) -> Digest {
-    Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat())
+fn shelf_key(record: &Record) -> Key {
+    Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
+}
+
+/// The session's picture.
+fn image_key(record: &Record) -> Key {
+    Key::new(record.id.owner(), record.image)
 }
 
 /// Columns of a session's plan: what its drags may send follows from it.

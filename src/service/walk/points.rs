@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::geometry::Point;
 use crate::service::App;
+use crate::service::budget::Purpose;
 use crate::service::client::Client;
 use crate::service::pool::{Lane, Ticket, Work};
 use crate::service::problem::{Code, Problem};
@@ -56,9 +57,9 @@ impl App {
     /// # Errors
     /// Unknown session, whatever is wrong with the handles, or no room.
     pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
-        let session = self.0.store.touch(id, None).await?;
-        let setup = self.session_setup(&session.record).await?;
-        let ticket = self.0.pool.admit(Work::Upload, Lane::Session(id)).await?;
+        let session = self.touch(id, None).await?;
+        let setup = self.session_setup(client, &session.record).await?;
+        let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
         let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
         self.map(&ticket, self.share(client), setup, object).await
     }
@@ -69,7 +70,7 @@ impl App {
             let began = Instant::now();
             let PointsObject { q, points: places, .. } = object;
             let text = AROUND + PLACE_TEXT * places.len();
-            let mut held = app.reserve_for(&share, (text + size_of_val(places.as_slice())) as u64)?;
+            let mut held = app.reserve_for(Purpose::Frame, &share, (text + size_of_val(places.as_slice())) as u64)?;
             let pose = setup.pose(&q)?;
             let mut mapped = Vec::with_capacity(places.len());
             for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {

@@ -4,16 +4,16 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 
-use super::{Material, Timing, lost, resolve, shelf_key, weight};
+use super::{Material, Timing, image_key, lost, resolve, shelf_key, weight};
 use crate::service::App;
 use crate::service::budget::Purpose;
-use crate::service::cache::Kept;
+use crate::service::cache::{Kept, Key};
 use crate::service::causes::Origin;
 use crate::service::client::Client;
 use crate::service::pool::{Lane, Work};
 use crate::service::problem::Problem;
 use crate::service::session::{Revision, SessionId};
-use crate::service::store::{Put, Record, Session};
+use crate::service::store::{Put, Record, Session, StoreError};
 use crate::service::wire::{WarpObject, WarpPatch};
 use crate::warp::Setup;
 
@@ -24,7 +24,7 @@ impl App {
     /// Whatever is wrong with either, or no room.
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
-        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
         self.keep(client, material).await
@@ -36,9 +36,9 @@ impl App {
     /// No room.
     pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
         // Its picture was bent once so far; now it will be again.
-        let _ = self.0.images.has(material.digest);
+        let _ = self.0.images.has(Key::new(client.owner, material.digest));
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
-        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.0.store.put(record, file).await?;
+        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.store_counted(client, record, file).await?;
         self.know(&session.record, &setup).await;
         Ok((session, setup))
     }
@@ -49,11 +49,11 @@ impl App {
     /// Whatever is wrong with either, or no room.
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
         let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
-        let (material, ..) = self.prepare(&ticket, file, json, None).await?;
+        let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
         let (record, file, setup) = material.recorded(id);
-        let put = self.0.store.put(record, file).await?;
+        let put = self.store_counted(client, record, file).await?;
         match &put {
             Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await,
             Put::Replaced(session, old) => {
@@ -68,25 +68,54 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, whatever is wrong with the handles, or no room.
-    pub async fn revise(&self, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::Session(id)).await?;
+    pub async fn revise(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
         let patch = self.0.pool.run(&ticket, move |_| WarpPatch::parse(&json)).await??;
         loop {
-            let old = self.0.store.touch(id, None).await?.record;
+            let old = self.touch(id, None).await?.record;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
             let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
             let resolve = move |_: &_| resolve(patch.over(base), extent, &limits);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
-            self.plan(&ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
+            self.plan(id.owner(), &ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
+            let claim = self.0.holdings.claim_revision(&new)?;
+            let revised = self.0.store.revise(old.revision, Arc::new(new)).await;
+            if !matches!(revised, Ok(Some(_))) {
+                self.0.holdings.undo(claim);
+            }
             // Whoever was faster has changed fields that this request may not have named: they are kept.
-            if let Some(session) = self.0.store.revise(old.revision, Arc::new(new)).await? {
+            if let Some(session) = revised? {
                 self.know(&session.record, &setup).await;
                 self.0.setups.remove(shelf_key(&old));
                 return Ok((session, setup));
             }
         }
+    }
+
+    /// Puts a session into the store and counts it for its client.
+    async fn store_counted(&self, client: Client, record: Arc<Record>, file: Bytes) -> Result<Put, Problem> {
+        let claim = self.0.holdings.claim(client.tenant(), &record, file.len() as u64)?;
+        // If this request ends while the store works, the session may come to be: it stays counted.
+        let put = self.0.store.put(record, file).await;
+        if put.is_err() {
+            self.0.holdings.undo(claim);
+        }
+        Ok(put?)
+    }
+
+    /// Uses the session; see [`Store::touch`].
+    ///
+    /// [`Store::touch`]: crate::service::store::Store::touch
+    pub(in crate::service) async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+        let touched = self.0.store.touch(id, seq).await;
+        match &touched {
+            Ok(_) => self.0.holdings.used(id),
+            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.holdings.ended(id),
+            Err(_) => {}
+        }
+        touched
     }
 
     /// The setup of a record is at hand, where there is room for it: the session has been made whether there is or not.
@@ -100,13 +129,15 @@ impl App {
     /// Drops what was made for a record that is no session's any more.
     async fn forget(&self, record: &Record) {
         let setup = self.0.setups.remove(shelf_key(record));
-        // The picture goes with the last session that names it, and the coefficients with it; another picture's session of the same size
+        // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the same size
         // and handles, if there is one, builds them again.
-        if !self.0.store.names(record.image) {
-            self.0.images.remove(record.image);
+        let owner = record.id.owner();
+        if !self.0.store.names(owner, record.image) {
+            self.0.images.remove(image_key(record));
             if let Some(setup) = setup {
-                self.0.plans.remove(setup.plan_key());
-                self.0.causes.forget(setup.plan_key());
+                let key = Key::new(owner, setup.plan_key());
+                self.0.plans.remove(key);
+                self.0.causes.forget(key);
             }
         }
     }
@@ -126,6 +157,7 @@ impl App {
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
         let record = self.0.store.peek(id).await?.record;
         self.0.store.delete(id).await?;
+        self.0.holdings.ended(id);
         self.forget(&record).await;
         Ok(())
     }
@@ -151,7 +183,7 @@ mod tests {
         let open = || app.open(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
         let (session, setup) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
-        let _used = (app.0.images.peek(session.record.image).unwrap(), app.0.plans.peek(setup.plan_key()).unwrap());
+        let _used = (app.0.images.peek(image_key(&session.record)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap());
         let budget = app.budget();
         let mut rest = vec![budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap()];
         // The first session's setup gives way.

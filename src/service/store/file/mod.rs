@@ -23,6 +23,7 @@ use redb::ReadableTable as _;
 
 use super::index::{Index, Will};
 use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
+use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::service::telemetry::Scope;
 use crate::warp::Digest;
@@ -161,7 +162,9 @@ impl Shared {
         }
         let (will, has, freed) = {
             let index = self.index();
-            (index.weigh(&record, len)?, index.file(record.image).is_some(), index.freed(&[record.id], Some(record.image)))
+            // What another owner has is written again: a faster answer would tell of it.
+            let has = index.names(record.id.owner(), record.image);
+            (index.weigh(&record, len)?, has, index.freed(&[record.id], Some(record.image)))
         };
         if will != Will::Stay {
             let (name, bytes) = (record.id.to_bytes(), record::write(&record));
@@ -320,8 +323,8 @@ impl Store for FileStore {
         self.blocking(move |shared| shared.file(digest))
     }
 
-    fn names(&self, digest: Digest) -> bool {
-        self.0.index().file(digest).is_some()
+    fn names(&self, owner: Owner, digest: Digest) -> bool {
+        self.0.index().names(owner, digest)
     }
 
     fn sweep(&self) -> Answer<'_, usize> {

@@ -23,6 +23,7 @@ use redis::{Cmd, FromRedisValue};
 use tokio::task::JoinSet;
 
 use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
+use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::service::telemetry::Scope;
 use crate::warp::Digest;
@@ -349,8 +350,8 @@ impl Store for RedisStore {
         Box::pin(self.0.image(id, digest))
     }
 
-    fn names(&self, digest: Digest) -> bool {
-        self.0.memory.names(digest)
+    fn names(&self, owner: Owner, digest: Digest) -> bool {
+        self.0.memory.names(owner, digest)
     }
 
     /// The server drops what has expired; here it is what is remembered of it.

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::script::Given;
+use crate::service::client::Owner;
 use crate::service::session::SessionId;
 use crate::service::store::Record;
 use crate::service::store::index::record_bytes;
@@ -113,9 +114,9 @@ impl Memory {
         over.len()
     }
 
-    /// Some session that is remembered has that picture.
-    pub(super) fn names(&self, image: Digest) -> bool {
-        self.lock().sessions.values().any(|warm| warm.record.image == image)
+    /// Some session of that owner that is remembered has that picture.
+    pub(super) fn names(&self, owner: Owner, image: Digest) -> bool {
+        self.lock().sessions.values().any(|warm| warm.record.image == image && warm.record.id.owner() == owner)
     }
 
     /// How many, and their bytes.
@@ -142,7 +143,7 @@ mod tests {
         memory.learn(Arc::clone(&records[16]), Some(2));
         assert_eq!((memory.size(), memory.warm(records[16].id).unwrap().known().seq), ((14, 14 * 512), Some(2)));
         memory.forget(records[16].id);
-        assert!(!memory.names(records[16].image) && memory.names(records[15].image));
+        assert!(!memory.names(records[16].id.owner(), records[16].image) && memory.names(records[15].id.owner(), records[15].image));
         let brief = Memory::new(Duration::ZERO, 1 << 20);
         brief.learn(Arc::clone(&records[0]), None);
         assert!(brief.warm(records[0].id).is_none());
