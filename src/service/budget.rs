@@ -204,7 +204,13 @@ impl Reservation {
     pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
         if let Some(share) = &self.share {
-            share.take(self.bytes, more).map_err(|taken| NoRoom { short: Short::Share(share.quota()), purpose, asked, limit: share.limit(), taken })?;
+            share.take(self.bytes, more).map_err(|taken| NoRoom {
+                short: Short::Share(share.quota()),
+                purpose,
+                asked,
+                limit: share.limit(),
+                taken,
+            })?;
         }
         let account = &self.budget.0;
         let limit = self.purpose.share(account.total);

@@ -85,7 +85,8 @@ mod tests {
 
     #[test]
     fn a_key_counts_from_every_address_and_without_keys_the_address_counts() {
-        let tenant = |owner: u8, address: &str| Client { owner: Owner::from_bytes([owner; 16]), address: address.parse().unwrap() }.tenant();
+        let tenant =
+            |owner: u8, address: &str| Client { owner: Owner::from_bytes([owner; 16]), address: address.parse().unwrap() }.tenant();
         assert_eq!(tenant(1, "192.0.2.1"), tenant(1, "2001:db8::1"));
         assert_ne!(tenant(1, "192.0.2.1"), tenant(2, "192.0.2.1"));
         assert_ne!(tenant(0, "192.0.2.1"), tenant(0, "192.0.2.2"));

@@ -150,12 +150,14 @@ impl Holdings {
         let Some(kept) = to(before) else { return Ok(Claim { id, claim, before }) };
         held.add(id, Kept { claim, ..kept });
         let sum = &held.clients[&kept.tenant];
-        let limits = [("client_sessions", "sessions", self.0.sessions, sum.sessions), ("client_store_bytes", "bytes", self.0.bytes, sum.bytes)];
+        let limits =
+            [("client_sessions", "sessions", self.0.sessions, sum.sessions), ("client_store_bytes", "bytes", self.0.bytes, sum.bytes)];
         let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else {
             return Ok(Claim { id, claim, before });
         };
         Self::restore(held, &Claim { id, claim, before });
-        let detail = format!("this client would keep {actual} {unit} in the session store; at most {limit}. Delete sessions, or let them expire");
+        let detail =
+            format!("this client would keep {actual} {unit} in the session store; at most {limit}. Delete sessions, or let them expire");
         Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
     }
 
@@ -262,7 +264,10 @@ mod tests {
             held.claim(tenant(1), &record(n), FILE).unwrap();
         }
         let refused = held.claim(tenant(1), &record(3), FILE).unwrap_err();
-        assert_eq!((refused.what, refused.limit, refused.actual), (Some("client_store_bytes"), Some((FILE + 3 * each).into()), Some((FILE + 4 * each).into())));
+        assert_eq!(
+            (refused.what, refused.limit, refused.actual),
+            (Some("client_store_bytes"), Some((FILE + 3 * each).into()), Some((FILE + 4 * each).into()))
+        );
         let mut larger = record(0);
         larger.rest.weights = Some(vec![1.0; 100]);
         assert_eq!(held.claim_revision(&larger).unwrap_err().what, Some("client_store_bytes"));

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use data_encoding::BASE64URL_NOPAD;
 use futures_util::{SinkExt as _, StreamExt as _};
+use mlswarp::service::budget::Purpose;
 use mlswarp::service::http::{Access, paths};
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
@@ -286,4 +287,72 @@ async fn a_socket_ends_with_its_key() {
     assert!(began.elapsed() < Duration::from_secs(30));
     stays.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
     assert!(matches!(stays.next().await, Some(Ok(Message::Binary(_)))), "a frame");
+}
+
+/// What one owner has sent leaves no trace that another could find: each has a decode and a plan of its own, and their memory is counted.
+#[tokio::test]
+async fn caches_tell_one_owner_nothing_of_another() {
+    let server = server().await;
+    let (file, mut warp) = (photo(320, 240), rest());
+    warp["q"] = json!([[5, 4], [12, 8]]);
+    let ask = async |key: &str| {
+        let answer = server.post("/warp").bearer_auth(key).multipart(form(&file, warp.to_string())).send().await.unwrap();
+        assert_eq!(answer.status(), 200);
+        let told = (header(&answer, "warp-plan").to_owned(), header(&answer, "etag").to_owned());
+        answer.bytes().await.unwrap();
+        told
+    };
+    let seen = || (server.app.counters().images_decoded, server.app.counters().plans_built);
+    let budget = server.app.budget();
+    let memory = || (budget.taken_for(Purpose::Image), budget.taken_for(Purpose::Plan));
+    let (built, etag) = ask(ANN).await;
+    assert_eq!((built.as_str(), seen()), ("built", (1, 1)));
+    let (images, plans) = memory();
+    assert_eq!((ask(ANN).await, seen()), (("hit".to_owned(), etag.clone()), (1, 1)));
+    // An `ETag` says what was asked and not who asked.
+    assert_eq!((ask(BOB).await, seen()), (("built".to_owned(), etag.clone()), (2, 2)));
+    assert_eq!((ask(BOB).await.0.as_str(), ask(ANN).await.0.as_str(), seen()), ("hit", "hit", (2, 2)));
+    assert_eq!(memory(), (2 * images, 2 * plans), "what two have is counted twice");
+
+    // The same by sessions; and the end of one owner's leaves the other's warm.
+    let open = async |key: &str| {
+        let answer = server.post("/sessions").bearer_auth(key).multipart(form(&file, rest().to_string())).send().await.unwrap();
+        answer.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    };
+    let drag = async |key: &str, id: &str| {
+        let answer =
+            server.post(&format!("/sessions/{id}/warp")).bearer_auth(key).json(&json!({"q": [[5, 4], [12, 8]]})).send().await.unwrap();
+        header(&answer, "warp-plan").to_owned()
+    };
+    server.app.forget_caches();
+    let (anns, bobs) = (open(ANN).await, open(BOB).await);
+    assert_eq!(seen(), (4, 4));
+    let deleted = server.client.delete(server.url(&format!("/sessions/{bobs}"))).bearer_auth(BOB).send().await.unwrap();
+    assert_eq!(deleted.status(), 204);
+    assert_eq!((drag(ANN, &anns).await.as_str(), seen()), ("hit", (4, 4)));
+    // Of Bob's nothing is left, although Ann's session has the same file: he finds what he would find without her.
+    assert_eq!((ask(BOB).await.0.as_str(), seen()), ("built", (5, 5)));
+    // Without keys there is one cache for everybody.
+    let open = Server::start(&[]).await;
+    for (built, decoded) in [("built", 1), ("hit", 1)] {
+        let answer = open.upload("/warp", &file, &warp).await;
+        assert_eq!((header(&answer, "warp-plan"), open.app.counters().images_decoded), (built, decoded));
+    }
+}
+
+/// A store that is almost full answers the same whether or not another owner keeps the same file.
+#[tokio::test]
+async fn a_store_that_is_almost_full_tells_nothing_of_the_files_of_others() {
+    let files = [photo(320, 240), photo(321, 240)];
+    let bytes = (files[0].len() + 4096) * 3 / 2;
+    for (keeps, tries) in [(0, 0), (0, 1)] {
+        let keys = format!("ann {ANN},bob {BOB}");
+        let server = Server::start(&["--keys", &keys, "--store-bytes", &bytes.to_string(), "--max-client-share", "100"]).await;
+        let open = async |key: &str, file: &[u8]| {
+            server.post("/sessions").bearer_auth(key).multipart(form(file, rest().to_string())).send().await.unwrap()
+        };
+        assert_eq!(open(ANN, &files[keeps]).await.status(), 201);
+        problem(open(BOB, &files[tries]).await, 503, "overloaded").await;
+        assert_eq!(open(ANN, &files[keeps]).await.status(), 201, "she keeps it once");
+    }
 }

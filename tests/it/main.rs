@@ -11,6 +11,7 @@ mod decoders;
 mod doors;
 mod drag;
 mod environment;
+mod fairness;
 mod formats;
 mod golden;
 mod heads;

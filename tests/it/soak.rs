@@ -32,7 +32,7 @@ const STILL: u32 = 6;
 /// Longest wait for one answer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-const OPTIONS: [&str; 16] = [
+const OPTIONS: [&str; 18] = [
     "--workers",
     "2",
     "--session-idle",
@@ -47,6 +47,9 @@ const OPTIONS: [&str; 16] = [
     "16MiB",
     "--max-sockets",
     "8",
+    // All clients of this test have one address.
+    "--max-client-share",
+    "100",
     "--log",
     "off,mlswarp::service::http::server=info",
 ];

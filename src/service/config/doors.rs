@@ -125,7 +125,7 @@ impl FromStr for Secret {
     }
 }
 
-/// What one client may take of a total, in percent; 100 sets no limit.
+/// What one client may take of a total, in percent. A part that is as large as the total sets no limit: then the total's own limit answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClientShare(u64);
 
@@ -133,7 +133,8 @@ impl ClientShare {
     /// Its part of a total, rounded up: of what there is at all, every client may take one.
     #[must_use]
     pub const fn of(self, total: u64) -> u64 {
-        if self.0 >= 100 { u64::MAX } else { total / 100 * self.0 + (total % 100 * self.0).div_ceil(100) }
+        let part = total / 100 * self.0 + (total % 100 * self.0).div_ceil(100);
+        if part >= total { u64::MAX } else { part }
     }
 }
 
@@ -334,8 +335,11 @@ mod tests {
     fn a_client_has_its_percentage_of_a_total() {
         let share = |percent: &str| serve(&["--max-client-share", percent]).map(|config| config.doors.client_share);
         assert_eq!(Config::default().doors.client_share, share("50%").unwrap());
-        assert_eq!([0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)), [0, 1, 1, 2, 5001, 1 << 39]);
-        assert_eq!((share("1").unwrap().of(7), share("99").unwrap().of(u64::MAX) < u64::MAX, share("100").unwrap().of(7)), (1, true, u64::MAX));
+        assert_eq!([0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)), [u64::MAX, u64::MAX, 1, 2, 5001, 1 << 39]);
+        assert_eq!(
+            (share("1").unwrap().of(7), share("99").unwrap().of(u64::MAX) < u64::MAX, share("100").unwrap().of(7)),
+            (1, true, u64::MAX)
+        );
         for wrong in ["0", "101", "half", ""] {
             assert!(share(wrong).unwrap_err().contains("--max-client-share (MLSWARP_MAX_CLIENT_SHARE)"));
         }

@@ -155,7 +155,9 @@ impl App {
 
     async fn warm(&self, client: Client, record: &Arc<Record>) -> Result<Warm, Problem> {
         let setup = self.session_setup(client, record).await?;
-        let is_warm = self.0.images.has(image_key(record)) && self.0.plans.has(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
+        let is_warm = self.0.images.has(image_key(record))
+            && self.0.plans.has(Key::new(record.id.owner(), setup.plan_key()))
+            && setup.plan_bytes().is_some();
         let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();

@@ -183,7 +183,8 @@ mod tests {
         let open = || app.open(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
         let (session, setup) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
-        let _used = (app.0.images.peek(image_key(&session.record)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap());
+        let _used =
+            (app.0.images.peek(image_key(&session.record)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap());
         let budget = app.budget();
         let mut rest = vec![budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap()];
         // The first session's setup gives way.
