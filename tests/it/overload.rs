@@ -9,13 +9,13 @@ use mlswarp::service::pool::{Lane, Ticket, Work};
 use reqwest::Response;
 use serde_json::json;
 
-use crate::support::server::{form, header, png, problem};
+use crate::support::server::{form, header, png, problem, this_client};
 use crate::support::{Server, eventually, photo};
 
-/// A turn of the gate's only worker.
+/// A turn of the gate's only worker, held by the client that also sends the test's requests: it gets no other.
 async fn busy(server: &Server, work: Work) -> Ticket {
     eventually("nothing runs", || server.app.pool().running() == 0).await;
-    server.app.pool().admit(work, Lane::client(Client::default())).await.unwrap()
+    server.app.pool().admit(work, Lane::client(this_client())).await.unwrap()
 }
 
 async fn refused(response: Response) {
@@ -31,13 +31,17 @@ async fn a_full_queue_refuses_at_once_and_recovers() {
     let path = format!("/sessions/{id}/warp");
     let drags = busy(&server, Work::Drag).await;
     let waiting = tokio::spawn(server.post(&path).json(&json!({"q": [[3, 2]], "seq": 1})).send());
-    eventually("the drags' queue is full", || server.app.pool().is_full(Work::Drag)).await;
+    eventually("the drags' queue is full", || server.app.pool().load(Work::Drag).waiting == 1).await;
     refused(server.post(&format!("/sessions/{other}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     refused(server.post(&format!("/sessions/{other}/mesh")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     // Drags alone are held up.
     server.session(&photo(8, 8), &json!({"p": [[2, 2]]})).await;
 
     let uploads = busy(&server, Work::Upload).await;
+    // Another client would still get the spare turn.
+    assert_eq!(server.get("/readyz").send().await.unwrap().status(), 200);
+    let spare = Lane::client(Client { address: [192, 0, 2, 1].into(), ..Client::default() });
+    let spare = server.app.pool().admit(Work::Drag, spare).await.unwrap();
     let upload =
         |width: u32| server.post("/warp").multipart(form(&photo(width, 12), json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string())).send();
     let uploading = tokio::spawn(upload(20));
@@ -50,7 +54,7 @@ async fn a_full_queue_refuses_at_once_and_recovers() {
     assert_eq!(server.get("/healthz").send().await.unwrap().status(), 200);
     assert_eq!(server.get("/openapi.json").send().await.unwrap().status(), 200);
     assert_eq!(server.get(&format!("/sessions/{id}")).send().await.unwrap().status(), 200);
-    drop((drags, uploads));
+    drop((drags, uploads, spare));
     png(waiting.await.unwrap().unwrap()).await;
     png(uploading.await.unwrap().unwrap()).await;
     server.is_well().await;

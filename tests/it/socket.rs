@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use mlswarp::service::client::Client;
 use mlswarp::service::pool::{Lane, Work};
 use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
 use serde_json::{Value, json};
@@ -10,7 +9,7 @@ use serde_json::{Value, json};
 use crate::support::hand::Said;
 use crate::support::picture::decoded;
 use crate::support::program::Program;
-use crate::support::server::{form, header, png, problem};
+use crate::support::server::{form, header, png, problem, this_client};
 use crate::support::{Hand, Server, eventually, photo};
 
 fn rest() -> Value {
@@ -290,7 +289,7 @@ async fn a_full_queue_delays_frames_and_loses_none() {
     let id = server.session(&photo(128, 96), &rest()).await;
     let mut hand = Hand::open(server.address, &id, "").await;
     eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full(Work::Drag)).await;
-    let ticket = server.app.pool().admit(Work::Drag, Lane::client(Client::default())).await.unwrap();
+    let ticket = server.app.pool().admit(Work::Drag, Lane::client(this_client())).await.unwrap();
     hand.pose(1, &posed(1)).await;
     assert!(hand.next_within(Duration::from_millis(100)).await.is_none());
     hand.pose(2, &posed(2)).await;

@@ -19,6 +19,11 @@ pub(crate) fn config(options: &[&str]) -> Config {
     Cli::try_parse_from([&usual, options].concat()).unwrap().options.resolve().unwrap()
 }
 
+/// As which client the requests of a test are counted.
+pub(crate) fn this_client() -> mlswarp::service::client::Client {
+    mlswarp::service::client::Client { address: std::net::Ipv4Addr::LOCALHOST.into(), ..Default::default() }
+}
+
 /// A running server and a client.
 pub(crate) struct Server {
     pub(crate) app: App,
