@@ -79,7 +79,8 @@ async fn a_query_that_is_not_known_is_refused() {
 async fn a_request_that_takes_too_long_is_told_so() {
     let server = Server::start(&["--request-timeout", "1ms", "--workers", "1"]).await;
     let response = server.upload("/sessions", &photo(900, 900), &json!({"p": [[2, 2]], "grid": "pixel"})).await;
-    problem(response, 408, "timeout").await;
+    assert_eq!(header(&response, "retry-after"), "1");
+    problem(response, 503, "overloaded").await;
 }
 
 const PAGE: &str = include_str!("../../api/problems.md");
@@ -153,6 +154,7 @@ async fn the_page_shows_what_is_said() {
     let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
     png(pose(42).send().await.unwrap()).await;
     same("superseded", pose(41)).await;
+    same("misdirected", server.get("/sessions/x").header("host", "evil.example")).await;
     same("upgrade_required", server.get(&format!("/sessions/{id}/drag"))).await;
 
     let server = Server::start(&["--keys", "ann 0123456789abcdef"]).await;

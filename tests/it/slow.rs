@@ -102,7 +102,7 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
     };
     let heads = (0..20).map(|n| trickle(format!("GET /healthz HTTP/1.1\r\nX-{n}: {}", "x".repeat(1000)).into_bytes()));
     let preface = trickle([&b"PRI * HTTP/2.0\r\n\r\n"[..], &[b'S'; 100]].concat());
-    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
     let bodies = (0..20).map(|_| {
         tokio::spawn(async move {
             let mut stream = TcpStream::connect(address).await.unwrap();
@@ -146,7 +146,7 @@ async fn take(address: SocketAddr, id: &str) -> TcpStream {
     let mut stream = socket.connect(address).await.unwrap();
     let body = json!({"q": [[22, 20]], "output": {"compression": "none"}}).to_string();
     let length = body.len();
-    let head = format!("POST /sessions/{id}/warp HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
+    let head = format!("POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
     stream.write_all(format!("{head}Connection: close\r\n\r\n{body}").as_bytes()).await.unwrap();
     stream
 }
@@ -262,7 +262,7 @@ impl Frames {
     async fn request(&mut self, stream: u32, method: u8, path: &str, is_whole: bool) {
         let literal = |index: &[u8], value: &str| [index, &[value.len() as u8], value.as_bytes()].concat();
         let block =
-            [&[method, 0x86][..], &literal(&[0x04], path), &literal(&[0x01], "x"), &literal(&[0x0f, 0x10], "application/json")].concat();
+            [&[method, 0x86][..], &literal(&[0x04], path), &literal(&[0x01], "localhost"), &literal(&[0x0f, 0x10], "application/json")].concat();
         self.say(HEADERS, 4 | u8::from(is_whole), stream, &block).await;
     }
 
@@ -429,7 +429,7 @@ async fn who_sips_holds_his_share_and_no_more() {
     let (large, small) = (session(ann, photo(2000, 1500)).await, session(bob, photo(128, 96)).await);
     let body = json!({"q": [[21, 20]], "output": {"compression": "none"}}).to_string();
     let head = format!(
-        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: x\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let address = server.address;
@@ -484,7 +484,7 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
     let body = format!(
         r#"{{"extent": [99, 99], "p": [[10, 10], [80, 20], [30, 70]], "q": [[12, 10], [80, 25], [33, 70]], "points": [{places}]}}"#
     );
-    let head = format!("POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
+    let head = format!("POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
     let held = || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
     let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
     for _ in 0..6 {

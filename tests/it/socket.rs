@@ -246,7 +246,7 @@ async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
     problem(full, 503, "overloaded").await;
     drop(same);
     eventually("the seat is free again", || server.app.counters().sockets_open == 0).await;
-    let host = server.get(&path).header(HOST, "x").send().await.unwrap();
+    let host = server.get(&path).header(HOST, "localhost").send().await.unwrap();
     problem(host, 426, "upgrade_required").await;
 }
 

@@ -103,7 +103,7 @@ async fn a_peer_that_answers_no_ping_is_closed_and_one_that_does_is_kept() {
     // The handshake, and then nothing, not even an answer to a ping.
     let mut half_open = TcpStream::connect(server.address).await.unwrap();
     let head = format!(
-        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
          Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     );
     half_open.write_all(head.as_bytes()).await.unwrap();

@@ -10,6 +10,7 @@ use clap::Args;
 
 use super::{Mistakes, units, whole};
 use crate::service::doors::cors::Origins;
+use crate::service::doors::hosts::Hosts;
 use crate::service::doors::keys::Keys;
 use crate::service::doors::network::Network;
 use crate::service::doors::read_bounded;
@@ -68,6 +69,9 @@ pub(super) struct DoorsArgs {
     /// Origins of other sites whose pages may use the service, between commas; `*` is every site.
     #[arg(long, env = "MLSWARP_CORS_ORIGIN", value_name = "ORIGINS", default_value = "", hide_default_value = true, global = true)]
     cors_origin: String,
+    /// Host names that requests may name beside localhost and IP addresses, between commas; any other is answered 421. Without a list, hosts are checked only by a server without keys on a loopback address.
+    #[arg(long, env = "MLSWARP_ALLOWED_HOSTS", value_name = "HOSTS", default_value = "", hide_default_value = true, global = true)]
+    allowed_hosts: String,
     /// Proxies in front, addresses or networks between commas: behind them X-Forwarded-For says who asks.
     #[arg(long, env = "MLSWARP_TRUSTED_PROXIES", value_name = "NETWORKS", default_value = "", hide_default_value = true, global = true)]
     trusted_proxies: String,
@@ -134,6 +138,8 @@ pub struct DoorsConfig {
     pub tls: Option<TlsFiles>,
     /// Origins of other sites whose pages may ask.
     pub cors_origin: Origins,
+    /// Names of hosts that requests may name beside `localhost` and IP literals.
+    pub allowed_hosts: Hosts,
     /// Whose `X-Forwarded-For` is believed.
     pub trusted_proxies: Vec<Network>,
     /// Requests a second of one key's name.
@@ -195,6 +201,22 @@ impl KeysConfig {
     }
 }
 
+impl DoorsConfig {
+    /// The hosts that a listener without keys serves; none: all. On a loopback address, no other program of this machine or page of another
+    /// site may reach it under a name of its own (DNS rebinding).
+    #[must_use]
+    pub fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
+        Some(&self.allowed_hosts).filter(|_| listen.ip().to_canonical().is_loopback())
+    }
+
+    /// The hosts that the service itself serves; none: all.
+    #[must_use]
+    pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
+        let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
+        listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
+    }
+}
+
 impl DoorsArgs {
     pub(super) fn resolve(&self, m: &mut Mistakes) -> DoorsConfig {
         DoorsConfig {
@@ -203,6 +225,7 @@ impl DoorsArgs {
             open_metrics: m.read("open-metrics", &self.open_metrics, boolean),
             tls: self.tls(m),
             cors_origin: m.read("cors-origin", &self.cors_origin, Origins::parse),
+            allowed_hosts: m.read("allowed-hosts", &self.allowed_hosts, Hosts::parse),
             trusted_proxies: m.read("trusted-proxies", &self.trusted_proxies, networks),
             rate_per_key: m.read("rate-per-key", &self.rate_per_key, rate),
             rate_per_address: m.read("rate-per-address", &self.rate_per_address, rate),
