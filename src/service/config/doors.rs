@@ -209,6 +209,12 @@ impl DoorsConfig {
         Some(&self.allowed_hosts).filter(|_| listen.ip().to_canonical().is_loopback())
     }
 
+    /// Whether keys travel unencrypted to a listener that other machines reach.
+    #[must_use]
+    pub fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
+        self.keys.is_some() && self.tls.is_none() && !listen.ip().to_canonical().is_loopback()
+    }
+
     /// The hosts that the service itself serves; none: all.
     #[must_use]
     pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
@@ -328,6 +334,39 @@ mod tests {
         assert!(!refused.contains("0123456789"), "{refused}");
         let cli = Cli::try_parse_from(["mlswarp", "--keys", "ann 0123456789abcdef"]).unwrap();
         assert!(!format!("{cli:?} {:?}", cli.options.resolve()).contains("0123456789"));
+    }
+
+    #[test]
+    fn hosts_are_checked_on_the_loopback_without_keys_and_where_they_are_listed() {
+        const LIST: [&str; 2] = ["--allowed-hosts", "bend.example"];
+        const KEYS: [&str; 2] = ["--keys", "ann 0123456789abcdef"];
+        let are_checked = |args: &[&[&str]]| {
+            let config = serve(&args.concat()).unwrap();
+            config.doors.hosts(config.listen).is_some()
+        };
+        for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80"] {
+            let listen = ["--listen", loopback];
+            assert!(
+                are_checked(&[&listen]) && are_checked(&[&listen, &["--allow-anonymous"]]) && are_checked(&[&listen, &LIST]),
+                "{loopback}"
+            );
+            assert!(!are_checked(&[&listen, &KEYS]) && are_checked(&[&listen, &KEYS, &LIST]), "{loopback}");
+        }
+        let open = ["--listen", "0.0.0.0:80", "--allow-anonymous"];
+        assert!(!are_checked(&[&open]) && are_checked(&[&open, &LIST]));
+        assert!(!are_checked(&[&open, &KEYS]) && are_checked(&[&open, &KEYS, &LIST]));
+        assert!(serve(&["--allowed-hosts", "a b"]).unwrap_err().contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS)"));
+    }
+
+    #[test]
+    fn keys_in_plain_are_those_of_a_listener_that_others_reach_without_tls() {
+        let in_plain = |listen: &str, keys: bool| {
+            let keys = ["--keys", "ann 0123456789abcdef"];
+            let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if keys { &keys[..] } else { &[] }].concat()).unwrap();
+            config.doors.has_keys_in_plain(config.listen)
+        };
+        assert!(in_plain("0.0.0.0:80", true) && in_plain("192.0.2.1:80", true) && in_plain("[::]:80", true));
+        assert!(!in_plain("0.0.0.0:80", false) && !in_plain("127.0.0.1:80", true) && !in_plain("[::1]:80", true));
     }
 
     #[test]

@@ -97,13 +97,17 @@ mod tests {
     fn hosts_are_compared_without_case_port_and_root_dot() {
         let hosts = Hosts::parse("Bend.example., other.example").unwrap();
         let allowed = |text: &str| hosts.allow(&Authority::parse(text).unwrap_or_else(|| panic!("{text} is well-formed")).host);
-        for host in ["localhost", "LOCALHOST:8080", "localhost.", "127.0.0.1", "192.0.2.7:80", "127.0.0.1.", "[::1]", "[::1]:8080", "[::1]:"] {
+        for host in
+            ["localhost", "LOCALHOST:8080", "localhost.", "127.0.0.1", "192.0.2.7:80", "127.0.0.1.", "[::1]", "[::1]:8080", "[::1]:"]
+        {
             assert!(allowed(host), "{host}");
         }
         for host in ["bend.example", "BEND.example:443", "bend.example.", "bend.example.:8080", "other.example:1"] {
             assert!(allowed(host), "{host}");
         }
-        for host in ["evil.example", "localhost.evil.example", "a.localhost", "x", "127.0.0.1.evil.example", "2130706433", "127.1", "0x7f.0.0.1"] {
+        for host in
+            ["evil.example", "localhost.evil.example", "a.localhost", "x", "127.0.0.1.evil.example", "2130706433", "127.1", "0x7f.0.0.1"]
+        {
             assert!(!allowed(host), "{host}");
         }
     }
@@ -111,8 +115,29 @@ mod tests {
     #[test]
     fn malformed_hosts_are_refused() {
         for text in [
-            "", ".", ":80", "a b", "a/b", "user@localhost", "localhost:http", "localhost:65536", "localhost:80:80", "localhost:-1", "::1", "[::1",
-            "[::1]80", "[127.0.0.1]", "[localhost]", "[fe80::1%25eth0]", "a%2", "a%zz", "http://localhost", "ex\u{e4}mple", "a\\b", "a?b", "a#b",
+            "",
+            ".",
+            ":80",
+            "a b",
+            "a/b",
+            "user@localhost",
+            "localhost:http",
+            "localhost:65536",
+            "localhost:80:80",
+            "localhost:-1",
+            "::1",
+            "[::1",
+            "[::1]80",
+            "[127.0.0.1]",
+            "[localhost]",
+            "[fe80::1%25eth0]",
+            "a%2",
+            "a%zz",
+            "http://localhost",
+            "ex\u{e4}mple",
+            "a\\b",
+            "a?b",
+            "a#b",
         ] {
             assert_eq!(Authority::parse(text), None, "{text}");
         }

@@ -214,7 +214,8 @@ mod tests {
             .route("/boom", axum::routing::get(boom))
             .route("/well", axum::routing::get(|| async { "well" }))
             .layer(axum::middleware::from_fn_with_state(Fence::of_service(&app), fence));
-        let get = |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
+        let get =
+            |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
         let response = get("/boom").await.unwrap();
         assert_eq!(response.status(), 500);
         let id = response.headers()[REQUEST_ID].to_str().unwrap().to_owned();

@@ -26,7 +26,8 @@ pub(super) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
         Some(Host::Name(name)) => name.chars().take(REPEATED).collect(),
         _ => "no host".to_owned(),
     };
-    let detail = "this server does not serve the host that the request names (--allowed-hosts lists names beside localhost and IP addresses)";
+    let detail =
+        "this server does not serve the host that the request names (--allowed-hosts lists names beside localhost and IP addresses)";
     Err(Problem::new(Code::Misdirected, format!("{detail}: {host}")))
 }
 

@@ -111,7 +111,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         keys = reread.keys(),
         "listening on {scheme}://{address}"
     );
-    if doors.keys.is_some() && doors.tls.is_none() && !address.ip().to_canonical().is_loopback() {
+    if doors.has_keys_in_plain(address) {
         tracing::warn!(
             "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert and --tls-key, or \
              put a proxy that speaks TLS in front and let only that reach this address"
