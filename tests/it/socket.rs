@@ -5,7 +5,7 @@ use std::time::Duration;
 use mlswarp::service::client::Client;
 use mlswarp::service::pool::{Lane, Work};
 use reqwest::Method;
-use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
+use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, TRANSFER_ENCODING, UPGRADE};
 use serde_json::{Value, json};
 
 use crate::support::hand::Said;
@@ -258,7 +258,8 @@ async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
     problem(usual().header(SEC_WEBSOCKET_KEY, "dGhlIHNhbXBsZSBub25jZQ==").send().await.unwrap(), 400, "malformed_request").await;
     problem(usual().body("body").send().await.unwrap(), 400, "malformed_request").await;
     let chunks = futures_util::stream::iter([Ok::<_, std::io::Error>("body")]);
-    problem(usual().body(reqwest::Body::wrap_stream(chunks)).send().await.unwrap(), 400, "malformed_request").await;
+    let chunked = usual().header(TRANSFER_ENCODING, "chunked").body(reqwest::Body::wrap_stream(chunks));
+    problem(chunked.send().await.unwrap(), 400, "malformed_request").await;
     problem(ask(&format!("{path}?frames=gif"), None).await.unwrap(), 422, "bad_value").await;
     problem(ask(&format!("{path}?frame=png"), None).await.unwrap(), 422, "unknown_field").await;
     problem(ask(&path, Some("https://elsewhere.example")).await.unwrap(), 403, "forbidden").await;

@@ -86,25 +86,25 @@ async fn empty_fragments_close_their_socket_alone() {
     let fragment = |opcode: u8, is_last: bool| [opcode | if is_last { 0x80 } else { 0 }, 0x80, 1, 2, 3, 4];
     for ping_each in [usize::MAX, 100] {
         let (mut read, mut write) = upgraded(server.address, &id).await.into_split();
-        // Handed on until the server closes.
-        let sending = tokio::spawn(async move {
-            let mut sent = 0;
-            let mut next = fragment(1, false);
-            while sent < MOST && write.write_all(&next).await.is_ok() {
-                sent += 1;
-                next = if sent % ping_each == 0 { fragment(9, true) } else { fragment(0, false) };
-                if sent % 1000 == 0 {
-                    tokio::time::sleep(Duration::from_millis(1)).await;
-                }
-            }
-            sent
+        let reading = tokio::spawn(async move {
+            let mut said = Vec::new();
+            let _ = tokio::time::timeout(Duration::from_secs(60), read.read_to_end(&mut said)).await.expect("the server does not close");
+            said
         });
-        let mut said = Vec::new();
-        let _ = tokio::time::timeout(Duration::from_secs(60), read.read_to_end(&mut said)).await.expect("the server does not close");
-        let sent = sending.await.unwrap();
-        assert!(said.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()), "closed as too large");
+        let mut sent = 0;
+        let mut next = fragment(1, false);
+        while sent < MOST && !reading.is_finished() && write.write_all(&next).await.is_ok() {
+            sent += 1;
+            next = if sent % ping_each == 0 { fragment(9, true) } else { fragment(0, false) };
+            // Time to read them, and to close.
+            if sent % 1000 == 0 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        }
         println!("one ping in {ping_each} frames: closed after at most {sent} frames of 6 bytes");
         assert!(sent < MOST, "all of {sent} fragments were taken");
+        let said = reading.await.unwrap();
+        assert!(said.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()), "closed as too large");
     }
     // A message of some hundred fragments is one, and so is the next.
     let mut hand = Hand::open(server.address, &id, "").await;

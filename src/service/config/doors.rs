@@ -360,9 +360,9 @@ mod tests {
 
     #[test]
     fn keys_in_plain_are_those_of_a_listener_that_others_reach_without_tls() {
-        let in_plain = |listen: &str, keys: bool| {
-            let keys = ["--keys", "ann 0123456789abcdef"];
-            let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if keys { &keys[..] } else { &[] }].concat()).unwrap();
+        const KEYS: &[&str] = &["--keys", "ann 0123456789abcdef"];
+        let in_plain = |listen: &str, has_keys: bool| {
+            let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if has_keys { KEYS } else { &[] }].concat()).unwrap();
             config.doors.has_keys_in_plain(config.listen)
         };
         assert!(in_plain("0.0.0.0:80", true) && in_plain("192.0.2.1:80", true) && in_plain("[::]:80", true));

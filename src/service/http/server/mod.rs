@@ -111,6 +111,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         keys = reread.keys(),
         "listening on {scheme}://{address}"
     );
+    reread.warn_of_readable_secrets();
     if doors.has_keys_in_plain(address) {
         tracing::warn!(
             "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert and --tls-key, or \

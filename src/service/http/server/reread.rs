@@ -32,7 +32,6 @@ impl Reread {
         let doors = &app.config().doors;
         let mut reread = Self { app: app.clone(), keys: doors.keys.clone(), tls: doors.tls.clone().zip(tls), seen: Vec::new() };
         reread.seen = looks(&reread.files());
-        reread.warn_of_readable_secrets();
         reread
     }
 
@@ -72,7 +71,7 @@ impl Reread {
     }
 
     /// Says which files of secrets other users of the machine can read or write. (A group may: Kubernetes mounts secrets for one.)
-    fn warn_of_readable_secrets(&self) {
+    pub(super) fn warn_of_readable_secrets(&self) {
         let keys = self.keys.iter().filter_map(|keys| keys.file.as_deref());
         for path in keys.chain(self.tls.iter().map(|(files, _)| files.key.as_path())) {
             if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
