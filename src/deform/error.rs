@@ -125,6 +125,8 @@ pub enum Warning {
     NearDuplicateHandles,
     /// Lines with alpha below 1: infinite slope across the line.
     LineAlphaBelowOne,
+    /// No posed cell intersects the canvas.
+    NothingVisible,
 }
 
 impl Warning {
@@ -137,6 +139,7 @@ impl Warning {
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
+            Self::NothingVisible => "nothing_visible",
         }
     }
 }

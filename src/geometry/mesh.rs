@@ -108,6 +108,20 @@ impl Mesh {
         folded
     }
 
+    /// Whether a posed cell has a part of the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the
+    /// convex hull of its corners, which a cell without folds that is convex fills exactly. Costs one vertex as a rule, at most a look at every cell.
+    #[must_use]
+    pub fn intersects_picture(&self) -> bool {
+        let (columns, rows) = (self.grid.columns(), self.grid.rows());
+        let picture = Point::new(self.grid.width(), self.grid.height());
+        let middle = self.posed(columns / 2, rows / 2);
+        if middle.x > 0.0 && middle.x < picture.x && middle.y > 0.0 && middle.y < picture.y {
+            return true;
+        }
+        let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
+        (0..rows - 1).any(|j| (0..columns - 1).any(|i| overlaps(corners(i, j), picture)))
+    }
+
     fn is_folded(&self, i: u32, j: u32) -> bool {
         let (a, b) = (self.posed(i, j), self.posed(i + 1, j));
         let (d, c) = (self.posed(i, j + 1), self.posed(i + 1, j + 1));
@@ -116,9 +130,61 @@ impl Mesh {
     }
 }
 
+/// Whether the convex hull of four points and the rectangle from the origin to `far` have more than a border in common: no line along an edge of
+/// either separates them.
+fn overlaps(corners: [Point; 4], far: Point) -> bool {
+    let range = |values: [f64; 4]| values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    let apart = |(a, b): (f64, f64), (c, d): (f64, f64)| b <= c || d <= a;
+    if apart(range(corners.map(|p| p.x)), (0.0, far.x)) || apart(range(corners.map(|p| p.y)), (0.0, far.y)) {
+        return false;
+    }
+    let rectangle = [Point::new(0.0, 0.0), Point::new(far.x, 0.0), Point::new(0.0, far.y), far];
+    // The edges of the hull are among the lines through two corners.
+    let lines = (0..4).flat_map(|i| (0..i).map(move |k| (corners[i], corners[k])));
+    let separates = |(a, b): (Point, Point)| {
+        let across = |p: Point| (b - a).cross(p - a);
+        a != b && apart(range(corners.map(across)), range(rectangle.map(across)))
+    };
+    !lines.into_iter().any(separates)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mesh_intersects_the_picture_by_more_than_a_border() {
+        let moved = |columns, rows, map: &dyn Fn(Point) -> Point| {
+            let grid = Grid::with_counts(100.0, 80.0, columns, rows);
+            let vertices = (0..rows).flat_map(|j| (0..columns).map(move |i| grid.vertex(i, j)));
+            #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
+            let displacement = vertices.map(|p| map(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
+            Mesh::new(grid, displacement).intersects_picture()
+        };
+        for (columns, rows) in [(2, 2), (5, 4), (40, 30)] {
+            let moved = |map: &dyn Fn(Point) -> Point| moved(columns, rows, map);
+            let shifted = |x: f64, y: f64| moved(&|p| p + Vec2::new(x, y));
+            for (x, y, meets) in [
+                (0.0, 0.0, true),
+                (99.0, 79.0, true),
+                (-99.0, 0.0, true),
+                (100.0, 0.0, false),
+                (-100.0, 0.0, false),
+                (0.0, 80.0, false),
+                (0.0, -80.0, false),
+                (1e6, -1e6, false),
+            ] {
+                assert_eq!(shifted(x, y), meets, "{columns} x {rows} by {x}, {y}");
+            }
+            // The picture lies within a single cell, with no vertex in it.
+            assert!(moved(&|p| Point::new((p.x - 51.0) * 1e4, (p.y - 41.0) * 1e4)));
+            // Turned by 45 degrees beside a corner: its box overlaps the picture's, and it does not.
+            let turned = |far: f64| moved(&|p| Point::new(far + (p.x - p.y) * 0.7, far + (p.x + p.y) * 0.7 - 63.0));
+            assert!(turned(90.0));
+            let beside = |p: Point| Point::new(-40.0 + (p.x - p.y) * 0.5, -75.0 + (p.x + p.y) * 0.5);
+            assert!(!moved(&beside), "{columns} x {rows}");
+        }
+    }
 
     #[test]
     fn folded_cells_are_counted_as_they_are_listed() {

@@ -47,6 +47,10 @@ impl Posed {
             warnings.push(Warning::RotationUndefined);
             warnings.sort_unstable();
         }
+        // The last of the list, so it stays in order.
+        if !mesh.intersects_picture() {
+            warnings.push(Warning::NothingVisible);
+        }
         let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
     }

@@ -27,7 +27,8 @@ async fn a_form_without_parts_is_not_kept() {
     let server = Server::start(&["--body-timeout", "10m"]).await;
     for begins in ["--x\r\nX-Note: ", "no boundary yet "] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        let head = "POST /warp HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=x\r\nContent-Length: 30000000\r\n\r\n";
+        let head =
+            "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\nContent-Length: 30000000\r\n\r\n";
         stream.write_all(format!("{head}{begins}").as_bytes()).await.unwrap();
         // Less than was announced, and then nothing.
         stream.write_all(&vec![b'a'; 4 << 20]).await.unwrap();
@@ -97,7 +98,8 @@ fn multipart(image: &[u8], warp: &str) -> Vec<u8> {
 }
 
 fn send(app: &App, method: Method, path: &str, kind: &str, body: &[u8]) -> impl Future<Output = ()> + use<> {
-    let request = Request::builder().method(method).uri(path).header("content-type", kind).body(pieces(body)).unwrap();
+    let request =
+        Request::builder().method(method).uri(path).header("host", "localhost").header("content-type", kind).body(pieces(body)).unwrap();
     let router = router(app.clone());
     async move {
         let answer = router.oneshot(request).await.unwrap();
@@ -166,7 +168,11 @@ async fn objects_of_new_sessions_are_in_the_account() {
     let p: Vec<_> = (0..200).map(|n| json!([f64::from(n) + 0.123_456_789_012_345_6, 5])).collect();
     let upload = multipart(&photo(300, 20), &json!({"p": p}).to_string());
     let ask = async |method: Method, path: &str, upload: &[u8]| {
-        let request = Request::builder().method(method).uri(path).header("content-type", "multipart/form-data; boundary=x");
+        let request = Request::builder()
+            .method(method)
+            .uri(path)
+            .header("host", "localhost")
+            .header("content-type", "multipart/form-data; boundary=x");
         router(app.clone()).oneshot(request.body(pieces(upload)).unwrap()).await.unwrap()
     };
     let held = || app.budget().taken_for(Purpose::Frame);

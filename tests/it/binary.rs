@@ -97,7 +97,7 @@ async fn a_terminated_server_finishes_what_it_has_begun() {
 #[test]
 fn silent_and_slow_connections_are_closed() {
     let program = Program::start(&["--header-timeout", "300ms"]);
-    for said in ["", "P", "PRI * HTTP/2.0\r\n\r\nSM", "GET /hea", "GET /healthz HTTP/1.1\r\nHost: x\r\n"] {
+    for said in ["", "P", "PRI * HTTP/2.0\r\n\r\nSM", "GET /hea", "GET /healthz HTTP/1.1\r\nHost: localhost\r\n"] {
         let mut stream = TcpStream::connect(program.address).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         stream.write_all(said.as_bytes()).unwrap();

@@ -78,7 +78,7 @@ async fn who_finds_no_place_is_told_at_once_and_places_come_back() {
     }
     eventually("four places are taken", || server.app.doors().places().open() == 4).await;
     let mut fifth = TcpStream::connect(server.address).await.unwrap();
-    let _ = fifth.write_all(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n").await;
+    let _ = fifth.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
     let mut answer = Vec::new();
     let closed = tokio::time::timeout(Duration::from_secs(5), fifth.read_to_end(&mut answer)).await;
     assert!(closed.is_ok() && answer.is_empty(), "it is closed without an answer, not kept waiting");

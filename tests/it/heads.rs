@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 use crate::support::Server;
 use crate::tls::Folder;
 
-const SERVED: &str = "GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n";
+const SERVED: &str = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
 /// Reads to the end.
 async fn said(mut stream: impl AsyncRead + Unpin) -> String {
@@ -153,7 +153,7 @@ async fn through_tls_and_where_tls_is_missing() {
     problem(&ask(server.address, b"NO HEAD\r\n\r\n").await, 400, "malformed_request");
     // Also a client that sends all of its picture before it reads.
     let mut stream = TcpStream::connect(server.address).await.unwrap();
-    stream.write_all(b"POST /warp HTTP/1.1\r\nHost: x\r\nContent-Length: 20000000\r\n\r\n").await.unwrap();
+    stream.write_all(b"POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20000000\r\n\r\n").await.unwrap();
     stream.write_all(&vec![b'x'; 20_000_000]).await.unwrap();
     problem(&said(stream).await, 400, "malformed_request");
 }

@@ -56,6 +56,7 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
             .header("Upgrade", "websocket")
             .header("Sec-WebSocket-Version", "13")
             .header("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
+        ("GET", "/problems/{code}") => server.get("/problems/forbidden"),
         ("GET", _) => request,
         other => panic!("{other:?} is new: say here what asks for it"),
     }

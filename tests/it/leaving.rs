@@ -23,7 +23,8 @@ async fn a_client_that_leaves_during_its_upload_leaves_nothing_behind() {
     let server = Server::start(&[]).await;
     for sent in [0, 1, 200, 100_000] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        let head = "POST /warp HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: 1000000\r\n\r\n";
+        let head =
+            "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: 1000000\r\n\r\n";
         stream.write_all(head.as_bytes()).await.unwrap();
         let mut body = b"--b\r\nContent-Disposition: form-data; name=\"image\"\r\n\r\n".to_vec();
         body.resize(body.len() + sent, 7);
@@ -39,7 +40,7 @@ async fn a_client_that_leaves_during_its_upload_leaves_nothing_behind() {
 async fn a_body_that_trickles_is_cut_at_its_deadline() {
     let server = Server::start(&["--body-timeout", "300ms"]).await;
     let mut stream = TcpStream::connect(server.address).await.unwrap();
-    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{";
     stream.write_all(head.as_bytes()).await.unwrap();
     let mut answer = String::new();
     let _ = stream.read_to_string(&mut answer).await;
@@ -68,8 +69,9 @@ async fn a_client_that_writes_first_reads_its_413() {
     let server = Server::start(&[]).await;
     let limit = 32 << 20;
     let body = vec![b'x'; limit + 1];
-    let head =
-        |length: &str| format!("POST /warp HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=b\r\n{length}\r\n\r\n");
+    let head = |length: &str| {
+        format!("POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\n{length}\r\n\r\n")
+    };
     let answer = write_first(&server, &head(&format!("Content-Length: {}", body.len())), &body).await;
     assert!(answer.starts_with("HTTP/1.1 413"), "{answer}");
     for field in ["\"too_large\"", "\"body_bytes\"", "\"limit\":33554432", "\"actual\":33554433"] {
@@ -91,8 +93,10 @@ async fn trailers_tell_what_drawing_cost_where_the_client_takes_them() {
     let body = json!({"session": id, "q": [[140, 130]]}).to_string();
     for (te, told) in [("Connection: close, te\r\nTE: trailers\r\n", true), ("Connection: close\r\n", false)] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        let head =
-            format!("POST /warp HTTP/1.1\r\nHost: x\r\n{te}Content-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
+        let head = format!(
+            "POST /warp HTTP/1.1\r\nHost: localhost\r\n{te}Content-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+            body.len()
+        );
         stream.write_all((head + &body).as_bytes()).await.unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).await.unwrap();

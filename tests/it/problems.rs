@@ -50,10 +50,12 @@ async fn accept_is_negotiated() {
         let warp = json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string();
         server.post("/warp").header("accept", accept).multipart(form(&photo(16, 12), warp)).send()
     };
-    for accept in ["image/png", "image/*", "*/*", "text/html, image/*;q=0.5"] {
+    for accept in ["image/png", "image/*", "*/*", "text/html, image/*;q=0.5", "", " , ", "image/png;q=3"] {
         png(send(accept).await.unwrap()).await;
     }
-    problem(send("image/avif").await.unwrap(), 406, "not_acceptable").await;
+    for accept in ["image/avif", "image/png;q=-1"] {
+        problem(send(accept).await.unwrap(), 406, "not_acceptable").await;
+    }
     server.is_well().await;
 }
 
@@ -75,11 +77,61 @@ async fn a_query_that_is_not_known_is_refused() {
     problem(server.upload("/warp?sesion=true", &photo(16, 12), &warp).await, 422, "unknown_field").await;
 }
 
+/// The page that the `type` of a problem leads to, in the form that is asked for.
 #[tokio::test]
-async fn a_request_that_takes_too_long_is_told_so() {
-    let server = Server::start(&["--request-timeout", "1ms", "--workers", "1"]).await;
-    let response = server.upload("/sessions", &photo(900, 900), &json!({"p": [[2, 2]], "grid": "pixel"})).await;
-    problem(response, 408, "timeout").await;
+async fn the_type_of_a_problem_is_a_page() {
+    let server = Server::start(&["--keys", "ann 0123456789abcdef"]).await;
+    let ask = async |path: &str, accept: &str| server.get(path).header("accept", accept).send().await.unwrap();
+    let codes = PAGE.lines().filter_map(|line| line.strip_prefix("## "));
+    let mut seen = 0;
+    for code in codes {
+        let document = shown(code);
+        let path = document["type"].as_str().unwrap();
+        for accept in ["*/*", "text/html,application/xhtml+xml,*/*;q=0.8"] {
+            let page = ask(path, accept).await;
+            assert_eq!((page.status().as_u16(), header(&page, "content-type")), (200, "text/html; charset=utf-8"), "{path}");
+            assert!(header(&page, "content-security-policy").starts_with("default-src 'none'"));
+            assert!(page.headers().contains_key("etag") && header(&page, "vary").contains("accept"));
+            let text = page.text().await.unwrap();
+            assert!(text.contains(&format!("<h1>{}</h1>", document["title"].as_str().unwrap())), "{text}");
+        }
+        for accept in ["application/json", "application/problem+json"] {
+            let section = ask(path, accept).await;
+            assert_eq!((section.status().as_u16(), header(&section, "content-type")), (200, accept), "{path}");
+            let section: Value = section.json().await.unwrap();
+            assert_eq!(section["example"], document, "{section}");
+            for field in ["type", "title", "status", "code"] {
+                assert_eq!(section[field], document[field], "{section}");
+            }
+        }
+        seen += 1;
+    }
+    assert!(seen > 20, "{seen}");
+    problem(ask("/problems/no_such_code", "*/*").await, 404, "not_found").await;
+    problem(ask("/problems/timeout", "image/png").await, 406, "not_acceptable").await;
+}
+
+/// 408 is for a client that is slow; a server that is slow says so, and when to come again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_request_that_takes_too_long_says_whose_fault_it_is() {
+    let server = Server::start(&["--request-timeout", "1s", "--body-timeout", "20s"]).await;
+    // Hundreds of thousands of places, each weighed against thousands of handles.
+    let p: Vec<[u32; 2]> = (0..9000).map(|n| [n % 450, n / 450 * 15]).collect();
+    let q: Vec<[u32; 2]> = p.iter().map(|[x, y]| [x + y % 7, y + x % 5]).collect();
+    let response = server.upload("/warp", &photo(450, 300), &json!({"p": p, "q": q, "grid": "pixel"})).await;
+    assert_eq!(header(&response, "retry-after"), "1");
+    let document = problem(response, 503, "overloaded").await;
+    assert!(document["detail"].as_str().unwrap().contains("the server did not answer within the 1 s"), "{document}");
+    // The same time, while the client still sends.
+    let slowly = futures_util::stream::unfold(0, |n| async move {
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        (n < 500).then_some((Ok::<_, std::io::Error>(" "), n + 1))
+    });
+    let request = server.post("/points").header("content-type", "application/json");
+    let response = request.body(reqwest::Body::wrap_stream(slowly)).send().await.unwrap();
+    assert!(response.headers().get("retry-after").is_none());
+    let document = problem(response, 408, "timeout").await;
+    assert!(document["detail"].as_str().unwrap().contains("the body was not whole within the 1 s"), "{document}");
 }
 
 const PAGE: &str = include_str!("../../api/problems.md");
@@ -153,6 +205,7 @@ async fn the_page_shows_what_is_said() {
     let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
     png(pose(42).send().await.unwrap()).await;
     same("superseded", pose(41)).await;
+    same("misdirected", server.get("/sessions/x").header("host", "evil.example")).await;
     same("upgrade_required", server.get(&format!("/sessions/{id}/drag"))).await;
 
     let server = Server::start(&["--keys", "ann 0123456789abcdef"]).await;

@@ -3,14 +3,14 @@
 
 use std::net::SocketAddr;
 use std::process::Command;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpSocket, TcpStream};
 
+use crate::support::healthy::{Healthy, ms};
+use crate::support::http2::{DATA, Frames, GET, GOAWAY, HEADERS, POST, RST_STREAM, WINDOW_UPDATE};
 use crate::support::program::Program;
 use crate::support::server::form;
 use crate::support::{Server, eventually, photo};
@@ -19,49 +19,6 @@ const HEADER: Duration = Duration::from_millis(600);
 const BODY: Duration = Duration::from_millis(900);
 const WRITE: Duration = Duration::from_millis(800);
 const DEADLINES: [&str; 6] = ["--header-timeout", "600ms", "--body-timeout", "900ms", "--write-timeout", "800ms"];
-
-/// A client that drags from one connection and must get every answer, until it is told to stop.
-struct Healthy {
-    stop: Arc<AtomicBool>,
-    client: tokio::task::JoinHandle<Vec<Duration>>,
-}
-
-impl Healthy {
-    async fn begin(address: SocketAddr) -> Self {
-        let client = reqwest::Client::new();
-        let opened = client.post(format!("http://{address}/sessions")).multipart(form(&photo(128, 96), r#"{"p": [[20, 20], [100, 24]]}"#));
-        let id = opened.send().await.unwrap().json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = Arc::clone(&stop);
-        let client = tokio::spawn(async move {
-            let mut waits = Vec::new();
-            while !stopped.load(Ordering::Relaxed) {
-                let began = Instant::now();
-                let body = json!({"q": [[20 + waits.len() % 9, 20], [100, 24]]});
-                let answer = client.post(format!("http://{address}/sessions/{id}/warp")).json(&body).send().await.unwrap();
-                assert_eq!(answer.status(), 200);
-                assert!(answer.bytes().await.unwrap().starts_with(b"\x89PNG"));
-                waits.push(began.elapsed());
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-            waits
-        });
-        Self { stop, client }
-    }
-
-    async fn end(self, meanwhile: &str) {
-        self.stop.store(true, Ordering::Relaxed);
-        let mut waits = self.client.await.unwrap();
-        waits.sort_unstable();
-        assert!(waits.len() >= 10, "{}", waits.len());
-        let p99 = waits[(waits.len() * 99).div_ceil(100) - 1];
-        eprintln!("{meanwhile}: {} answers, p99 {:.1} ms, longest {:.1} ms", waits.len(), ms(p99), ms(waits[waits.len() - 1]));
-    }
-}
-
-fn ms(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
-}
 
 /// Reads until the server closes; how long that took, and what it had said.
 async fn closed(mut stream: impl tokio::io::AsyncRead + Unpin, began: Instant) -> (Duration, Vec<u8>) {
@@ -102,7 +59,7 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
     };
     let heads = (0..20).map(|n| trickle(format!("GET /healthz HTTP/1.1\r\nX-{n}: {}", "x".repeat(1000)).into_bytes()));
     let preface = trickle([&b"PRI * HTTP/2.0\r\n\r\n"[..], &[b'S'; 100]].concat());
-    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
     let bodies = (0..20).map(|_| {
         tokio::spawn(async move {
             let mut stream = TcpStream::connect(address).await.unwrap();
@@ -146,7 +103,8 @@ async fn take(address: SocketAddr, id: &str) -> TcpStream {
     let mut stream = socket.connect(address).await.unwrap();
     let body = json!({"q": [[22, 20]], "output": {"compression": "none"}}).to_string();
     let length = body.len();
-    let head = format!("POST /sessions/{id}/warp HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
+    let head =
+        format!("POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
     stream.write_all(format!("{head}Connection: close\r\n\r\n{body}").as_bytes()).await.unwrap();
     stream
 }
@@ -219,84 +177,6 @@ async fn two_thousand_idle_connections_are_closed_at_their_deadline() {
     assert!(took < opened + Duration::from_secs(30), "{took:?}");
     well.end("2,000 idle connections").await;
 }
-
-/// A client of HTTP/2 that says what it wants, frame by frame, and answers every ping.
-struct Frames {
-    stream: TcpStream,
-    read: Vec<u8>,
-}
-
-#[derive(Debug)]
-struct Frame {
-    kind: u8,
-    flags: u8,
-    stream: u32,
-    payload: Vec<u8>,
-}
-
-const DATA: u8 = 0;
-const HEADERS: u8 = 1;
-const RST_STREAM: u8 = 3;
-const SETTINGS: u8 = 4;
-const PING: u8 = 6;
-const GOAWAY: u8 = 7;
-const WINDOW_UPDATE: u8 = 8;
-
-impl Frames {
-    /// `window`: what each of its streams may be sent.
-    async fn open(address: SocketAddr, window: u32) -> Self {
-        let mut frames = Self { stream: TcpStream::connect(address).await.unwrap(), read: Vec::new() };
-        frames.stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await.unwrap();
-        frames.say(SETTINGS, 0, 0, &[&[0, 4][..], &window.to_be_bytes()].concat()).await;
-        frames
-    }
-
-    async fn say(&mut self, kind: u8, flags: u8, stream: u32, payload: &[u8]) {
-        let length = (payload.len() as u32).to_be_bytes();
-        let head = [&length[1..], &[kind, flags], &stream.to_be_bytes()].concat();
-        // The server may have closed: whoever reads sees that.
-        let _ = self.stream.write_all(&[&head, payload].concat()).await;
-    }
-
-    /// HPACK without a table: indexed where the static table has it, else a literal.
-    async fn request(&mut self, stream: u32, method: u8, path: &str, is_whole: bool) {
-        let literal = |index: &[u8], value: &str| [index, &[value.len() as u8], value.as_bytes()].concat();
-        let block =
-            [&[method, 0x86][..], &literal(&[0x04], path), &literal(&[0x01], "x"), &literal(&[0x0f, 0x10], "application/json")].concat();
-        self.say(HEADERS, 4 | u8::from(is_whole), stream, &block).await;
-    }
-
-    /// The next frame that is neither a ping nor settings; none at the end of the connection.
-    async fn next(&mut self) -> Option<Frame> {
-        loop {
-            let mut piece = [0; 16 << 10];
-            while self.read.len() < 9 || self.read.len() < 9 + length(&self.read) {
-                match tokio::time::timeout(Duration::from_secs(60), self.stream.read(&mut piece)).await.expect("the server says something")
-                {
-                    Ok(0) | Err(_) => return None,
-                    Ok(read) => self.read.extend_from_slice(&piece[..read]),
-                }
-            }
-            let rest = self.read.split_off(9 + length(&self.read));
-            let whole = std::mem::replace(&mut self.read, rest);
-            let stream = u32::from_be_bytes(whole[5..9].try_into().unwrap());
-            let frame = Frame { kind: whole[3], flags: whole[4], stream, payload: whole[9..].to_vec() };
-            match (frame.kind, frame.flags & 1) {
-                (PING, 0) => self.say(PING, 1, 0, &frame.payload).await,
-                (SETTINGS, 0) => self.say(SETTINGS, 1, 0, &[]).await,
-                (PING | SETTINGS, _) => {}
-                _ => return Some(frame),
-            }
-        }
-    }
-}
-
-fn length(read: &[u8]) -> usize {
-    u32::from_be_bytes([0, read[0], read[1], read[2]]) as usize
-}
-
-const GET: u8 = 0x82;
-const POST: u8 = 0x83;
 
 /// It answers pings, asks for pictures, and grants no window: every stream is reset, the connection is ended, and one beside it goes on.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -372,25 +252,6 @@ async fn http_2_streams_without_bodies_fall_to_the_body_deadline() {
     well.end("HTTP/2 with 64 silent streams").await;
 }
 
-/// Streams that are opened and reset at once, over and over: the connection is ended, and nobody else notices (CVE-2023-44487).
-#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn http_2_resets_end_the_connection() {
-    let server = Server::start(&DEADLINES).await;
-    let well = Healthy::begin(server.address).await;
-    let mut frames = Frames::open(server.address, 65535).await;
-    for n in 0..20_000 {
-        frames.request(1 + 2 * n, POST, "/points", false).await;
-        frames.say(RST_STREAM, 0, 1 + 2 * n, &8_u32.to_be_bytes()).await;
-    }
-    let mut goaway = false;
-    while let Some(frame) = frames.next().await {
-        goaway |= frame.kind == GOAWAY;
-    }
-    assert!(goaway, "the connection is ended with its reason");
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    well.end("HTTP/2 resets").await;
-}
-
 /// A TLS handshake that begins and does not end.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_tls_handshake_without_end_is_cut() {
@@ -429,7 +290,7 @@ async fn who_sips_holds_his_share_and_no_more() {
     let (large, small) = (session(ann, photo(2000, 1500)).await, session(bob, photo(128, 96)).await);
     let body = json!({"q": [[21, 20]], "output": {"compression": "none"}}).to_string();
     let head = format!(
-        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: x\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let address = server.address;
@@ -484,7 +345,8 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
     let body = format!(
         r#"{{"extent": [99, 99], "p": [[10, 10], [80, 20], [30, 70]], "q": [[12, 10], [80, 25], [33, 70]], "points": [{places}]}}"#
     );
-    let head = format!("POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
+    let head =
+        format!("POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
     let held = || server.app.budget().taken_for(mlswarp::service::budget::Purpose::Frame);
     let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
     for _ in 0..6 {

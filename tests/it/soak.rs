@@ -230,7 +230,7 @@ async fn half_upload(day: &Day, dice: &mut Dice, picture: &[u8]) {
     .concat();
     let path = *dice.pick(&["/warp", "/sessions"]);
     let head = format!(
-        "POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: {}\r\n\r\n",
+        "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let whole = [head.as_bytes(), &body].concat();
@@ -323,7 +323,7 @@ async fn rest(day: &Day) -> u64 {
     }
     // The caches may hold what they held; a request shows that the server goes on.
     let mut stream = TcpStream::connect(day.program.address).await.unwrap();
-    stream.write_all(b"GET /readyz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").await.unwrap();
+    stream.write_all(b"GET /readyz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await.unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).await.unwrap();
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use mlswarp::service::pool::{Lane, Work};
-use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, UPGRADE};
+use reqwest::Method;
+use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, TRANSFER_ENCODING, UPGRADE};
 use serde_json::{Value, json};
 
 use crate::support::hand::Said;
@@ -233,6 +234,31 @@ async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
     problem(old.send().await.unwrap(), 426, "upgrade_required").await;
     let keyless = server.get(&path).header(CONNECTION, "upgrade").header(UPGRADE, "websocket").header(SEC_WEBSOCKET_VERSION, "13");
     problem(keyless.send().await.unwrap(), 400, "malformed_request").await;
+    let upgrade = |method: Method, key: &str| {
+        let request = server.client.request(method, server.url(&path)).header(CONNECTION, "upgrade").header(UPGRADE, "websocket");
+        request.header(SEC_WEBSOCKET_VERSION, "13").header(SEC_WEBSOCKET_KEY, key)
+    };
+    for method in [Method::HEAD, Method::POST, Method::PUT] {
+        let other = upgrade(method.clone(), "dGhlIHNhbXBsZSBub25jZQ==").send().await.unwrap();
+        assert_eq!((other.status().as_u16(), header(&other, "allow")), (405, "GET"), "{method}");
+    }
+    // Not base64; base64 of 18 and of 17 bytes; without its end; with bits beyond the 16 bytes.
+    for key in [
+        "!!!!!!!!!!!!!!!!!!!!!!!!",
+        "AAAAAAAAAAAAAAAAAAAAAAAA",
+        "AAAAAAAAAAAAAAAAAAAAAAA=",
+        "dGhlIHNhbXBsZSBub25jZQ",
+        "dGhlIHNhbXBsZSBub25jZR==",
+        "",
+    ] {
+        problem(upgrade(Method::GET, key).send().await.unwrap(), 400, "malformed_request").await;
+    }
+    let usual = || upgrade(Method::GET, "dGhlIHNhbXBsZSBub25jZQ==");
+    problem(usual().header(SEC_WEBSOCKET_KEY, "dGhlIHNhbXBsZSBub25jZQ==").send().await.unwrap(), 400, "malformed_request").await;
+    problem(usual().body("body").send().await.unwrap(), 400, "malformed_request").await;
+    let chunks = futures_util::stream::iter([Ok::<_, std::io::Error>("body")]);
+    let chunked = usual().header(TRANSFER_ENCODING, "chunked").body(reqwest::Body::wrap_stream(chunks));
+    problem(chunked.send().await.unwrap(), 400, "malformed_request").await;
     problem(ask(&format!("{path}?frames=gif"), None).await.unwrap(), 422, "bad_value").await;
     problem(ask(&format!("{path}?frame=png"), None).await.unwrap(), 422, "unknown_field").await;
     problem(ask(&path, Some("https://elsewhere.example")).await.unwrap(), 403, "forbidden").await;
@@ -245,7 +271,7 @@ async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
     problem(full, 503, "overloaded").await;
     drop(same);
     eventually("the seat is free again", || server.app.counters().sockets_open == 0).await;
-    let host = server.get(&path).header(HOST, "x").send().await.unwrap();
+    let host = server.get(&path).header(HOST, "localhost").send().await.unwrap();
     problem(host, 426, "upgrade_required").await;
 }
 

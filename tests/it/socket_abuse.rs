@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::protocol::frame::Frame;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
 use crate::support::hand::Said;
 use crate::support::program::Program;
@@ -74,6 +76,70 @@ async fn a_flood_closes_its_socket_alone() {
     eventually("no seat is taken", || server.app.counters().sockets_open == 0).await;
 }
 
+/// Empty fragments count towards the limit of their message, wherever control frames stand between them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn empty_fragments_close_their_socket_alone() {
+    const MOST: usize = 100_000;
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let well = tokio::spawn(healthy(server.address, id.clone(), 100));
+    let fragment = |opcode: u8, is_last: bool| [opcode | if is_last { 0x80 } else { 0 }, 0x80, 1, 2, 3, 4];
+    for ping_each in [usize::MAX, 100] {
+        let (mut read, mut write) = upgraded(server.address, &id).await.into_split();
+        let reading = tokio::spawn(async move {
+            let mut said = Vec::new();
+            let _ = tokio::time::timeout(Duration::from_secs(60), read.read_to_end(&mut said)).await.expect("the server does not close");
+            said
+        });
+        let mut sent = 0;
+        let mut next = fragment(1, false);
+        while sent < MOST && !reading.is_finished() && write.write_all(&next).await.is_ok() {
+            sent += 1;
+            next = if sent % ping_each == 0 { fragment(9, true) } else { fragment(0, false) };
+            // Time to read them, and to close.
+            if sent % 1000 == 0 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        }
+        println!("one ping in {ping_each} frames: closed after at most {sent} frames of 6 bytes");
+        assert!(sent < MOST, "all of {sent} fragments were taken");
+        let said = reading.await.unwrap();
+        assert!(said.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()), "closed as too large");
+    }
+    // A message of some hundred fragments is one, and so is the next.
+    let mut hand = Hand::open(server.address, &id, "").await;
+    for seq in 0..3 {
+        let text = json!({"seq": seq, "q": posed(seq)}).to_string();
+        let pieces: Vec<&[u8]> = text.as_bytes().chunks(1).collect();
+        for (n, piece) in pieces.iter().enumerate() {
+            let opcode = if n == 0 { Data::Text } else { Data::Continue };
+            let fragment = Frame::message(piece.to_vec(), OpCode::Data(opcode), n + 1 == pieces.len());
+            hand.socket.feed(Message::Frame(fragment)).await.unwrap();
+            hand.socket.feed(Message::Ping(vec![].into())).await.unwrap();
+        }
+        hand.socket.flush().await.unwrap();
+        hand.ack_of_next_frame(seq).await;
+    }
+    well.await.unwrap();
+}
+
+/// Pings and empty messages are messages too: more of them a second than a hand sends close the socket.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn floods_of_pings_and_of_empty_messages_close_their_socket() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    for message in [Message::Ping(vec![7; 125].into()), Message::Pong(vec![].into()), Message::text("")] {
+        let mut hand = Hand::open(server.address, &id, "").await;
+        for _ in 0..10_000 {
+            if hand.socket.feed(message.clone()).await.is_err() {
+                break;
+            }
+        }
+        let _ = hand.socket.flush().await;
+        assert_eq!(hand.closed().await, 1008, "{message:?}");
+    }
+}
+
 #[tokio::test]
 async fn a_hand_at_five_hundred_hertz_is_no_flood() {
     let server = Server::start(&[]).await;
@@ -95,18 +161,24 @@ async fn a_hand_at_five_hundred_hertz_is_no_flood() {
     }
 }
 
+/// A connection on which the handshake was sent.
+async fn upgraded(address: SocketAddr, id: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    let head = format!(
+        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    );
+    stream.write_all(head.as_bytes()).await.unwrap();
+    stream
+}
+
 #[tokio::test]
 async fn a_peer_that_answers_no_ping_is_closed_and_one_that_does_is_kept() {
     let server = Server::start(&["--socket-idle", "400ms"]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
     let mut alive = Hand::open(server.address, &id, "").await;
     // The handshake, and then nothing, not even an answer to a ping.
-    let mut half_open = TcpStream::connect(server.address).await.unwrap();
-    let head = format!(
-        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
-         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-    );
-    half_open.write_all(head.as_bytes()).await.unwrap();
+    let mut half_open = upgraded(server.address, &id).await;
     eventually("both sit", || server.app.counters().sockets_open == 2).await;
     let listening = tokio::spawn(async move {
         // Reading answers pings.
@@ -190,13 +262,6 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
     well.await.unwrap();
 }
 
-/// Resident memory, MiB.
-fn resident(program: &Program) -> u64 {
-    let status = std::fs::read_to_string(format!("/proc/{}/status", program.id())).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap() >> 10
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     // Nobody is closed for taking nothing and saying nothing while the others come.
@@ -213,7 +278,7 @@ async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     }
     let small = session(photo(128, 96)).await;
     healthy(program.address, small.clone(), 20).await;
-    let before = resident(&program);
+    let before = program.resident();
     let mut hands = Vec::new();
     for n in 0..200 {
         let mut hand = Hand::open(program.address, &ids[n % ids.len()], "?width=512").await;
@@ -228,7 +293,7 @@ async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
         largest = largest.max(hand.frame().await.1.len());
     }
     healthy(program.address, small, 100).await;
-    let during = resident(&program);
+    let during = program.resident();
     println!("200 sockets, each with a frame ahead of {} KiB: {before} MiB before, {during} MiB during", largest >> 10);
     let frames = (2 * 200 * largest as u64) >> 20;
     assert!(during <= before + frames + 200 / 4 + 64, "{before} MiB before, {during} MiB during; frames are {frames} MiB");

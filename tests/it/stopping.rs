@@ -17,12 +17,12 @@ use crate::tls::Folder;
 /// head on HTTP/2.
 const PARTS: [&[u8]; 4] = [
     b"G",
-    b"GET /healthz HTTP/1.1\r\nHost: x\r\n",
+    b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n",
     b"PRI * HTTP/2.0\r\n",
     b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0\0\0\x01\x01\0\0\0\0\x01\x82",
 ];
 const HALF: &[u8] =
-    b"POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 66\r\n\r\n{\"extent\": [451, 300], ";
+    b"POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 66\r\n\r\n{\"extent\": [451, 300], ";
 const OTHER_HALF: &[u8] = b"\"p\": [[9, 9]], \"q\": [[9, 9]], \"points\": []}";
 
 /// A connection on which so much was sent.
@@ -139,7 +139,7 @@ async fn who_has_sent_a_part_of_a_head_is_not_waited_for() {
         }
         if !tls {
             // One that had a request before.
-            let mut stream = sent(&program, b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n").await;
+            let mut stream = sent(&program, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
             assert!(stream.read(&mut [0; 4096]).await.unwrap() > 0);
             stream.write_all(PARTS[1]).await.unwrap();
             parts.push(stream);

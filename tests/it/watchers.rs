@@ -61,7 +61,8 @@ async fn they_are_answered_while_the_service_stops() {
     // An upload that does not come to its end holds the service up for the grace.
     let program = Program::start(&["--metrics-listen", &watched.to_string(), "--shutdown-grace", "3s"]);
     let mut slow = TcpStream::connect(program.address).unwrap();
-    let head = "POST /points HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 100\r\nExpect: 100-continue\r\n\r\n";
+    let head =
+        "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\nExpect: 100-continue\r\n\r\n";
     slow.write_all(head.as_bytes()).unwrap();
     let mut begun = [0; 12];
     slow.read_exact(&mut begun).unwrap();

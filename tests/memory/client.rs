@@ -27,8 +27,12 @@ impl Client {
     /// Sends a request and reads its whole answer.
     pub(crate) fn post(&mut self, path: &str, media_type: &str, body: &[u8]) -> Answer<'_> {
         self.head.clear();
-        write!(self.head, "POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {media_type}\r\nContent-Length: {}\r\n\r\n", body.len())
-            .unwrap();
+        write!(
+            self.head,
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nContent-Length: {}\r\n\r\n",
+            body.len()
+        )
+        .unwrap();
         self.stream.write_all(self.head.as_bytes()).unwrap();
         self.stream.write_all(body).unwrap();
         self.answer.clear();

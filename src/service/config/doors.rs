@@ -10,6 +10,7 @@ use clap::Args;
 
 use super::{Mistakes, units, whole};
 use crate::service::doors::cors::Origins;
+use crate::service::doors::hosts::Hosts;
 use crate::service::doors::keys::Keys;
 use crate::service::doors::network::Network;
 use crate::service::doors::read_bounded;
@@ -68,6 +69,9 @@ pub(super) struct DoorsArgs {
     /// Origins of other sites whose pages may use the service, between commas; `*` is every site.
     #[arg(long, env = "MLSWARP_CORS_ORIGIN", value_name = "ORIGINS", default_value = "", hide_default_value = true, global = true)]
     cors_origin: String,
+    /// Host names that requests may name beside localhost and IP addresses, between commas; any other is answered 421. Without a list, hosts are checked only by a server without keys on a loopback address.
+    #[arg(long, env = "MLSWARP_ALLOWED_HOSTS", value_name = "HOSTS", default_value = "", hide_default_value = true, global = true)]
+    allowed_hosts: String,
     /// Proxies in front, addresses or networks between commas: behind them X-Forwarded-For says who asks.
     #[arg(long, env = "MLSWARP_TRUSTED_PROXIES", value_name = "NETWORKS", default_value = "", hide_default_value = true, global = true)]
     trusted_proxies: String,
@@ -155,6 +159,8 @@ pub struct DoorsConfig {
     pub tls: Option<TlsFiles>,
     /// Origins of other sites whose pages may ask.
     pub cors_origin: Origins,
+    /// Names of hosts that requests may name beside `localhost` and IP literals.
+    pub allowed_hosts: Hosts,
     /// Whose `X-Forwarded-For` is believed.
     pub trusted_proxies: Vec<Network>,
     /// Requests a second of one key's name.
@@ -218,6 +224,28 @@ impl KeysConfig {
     }
 }
 
+impl DoorsConfig {
+    /// The hosts that a listener without keys serves; none: all. On a loopback address, no other program of this machine or page of another
+    /// site may reach it under a name of its own (DNS rebinding).
+    #[must_use]
+    pub fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
+        Some(&self.allowed_hosts).filter(|_| listen.ip().to_canonical().is_loopback())
+    }
+
+    /// Whether keys travel unencrypted to a listener that other machines reach.
+    #[must_use]
+    pub fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
+        self.keys.is_some() && self.tls.is_none() && !listen.ip().to_canonical().is_loopback()
+    }
+
+    /// The hosts that the service itself serves; none: all.
+    #[must_use]
+    pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
+        let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
+        listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
+    }
+}
+
 impl DoorsArgs {
     pub(super) fn resolve(&self, m: &mut Mistakes) -> DoorsConfig {
         DoorsConfig {
@@ -226,6 +254,7 @@ impl DoorsArgs {
             open_metrics: m.read("open-metrics", &self.open_metrics, boolean),
             tls: self.tls(m),
             cors_origin: m.read("cors-origin", &self.cors_origin, Origins::parse),
+            allowed_hosts: m.read("allowed-hosts", &self.allowed_hosts, Hosts::parse),
             trusted_proxies: m.read("trusted-proxies", &self.trusted_proxies, networks),
             rate_per_key: m.read("rate-per-key", &self.rate_per_key, rate),
             rate_per_address: m.read("rate-per-address", &self.rate_per_address, rate),
@@ -343,6 +372,39 @@ mod tests {
         for wrong in ["0", "101", "half", ""] {
             assert!(share(wrong).unwrap_err().contains("--max-client-share (MLSWARP_MAX_CLIENT_SHARE)"));
         }
+    }
+
+    #[test]
+    fn hosts_are_checked_on_the_loopback_without_keys_and_where_they_are_listed() {
+        const LIST: [&str; 2] = ["--allowed-hosts", "bend.example"];
+        const KEYS: [&str; 2] = ["--keys", "ann 0123456789abcdef"];
+        let are_checked = |args: &[&[&str]]| {
+            let config = serve(&args.concat()).unwrap();
+            config.doors.hosts(config.listen).is_some()
+        };
+        for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80"] {
+            let listen = ["--listen", loopback];
+            assert!(
+                are_checked(&[&listen]) && are_checked(&[&listen, &["--allow-anonymous"]]) && are_checked(&[&listen, &LIST]),
+                "{loopback}"
+            );
+            assert!(!are_checked(&[&listen, &KEYS]) && are_checked(&[&listen, &KEYS, &LIST]), "{loopback}");
+        }
+        let open = ["--listen", "0.0.0.0:80", "--allow-anonymous"];
+        assert!(!are_checked(&[&open]) && are_checked(&[&open, &LIST]));
+        assert!(!are_checked(&[&open, &KEYS]) && are_checked(&[&open, &KEYS, &LIST]));
+        assert!(serve(&["--allowed-hosts", "a b"]).unwrap_err().contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS)"));
+    }
+
+    #[test]
+    fn keys_in_plain_are_those_of_a_listener_that_others_reach_without_tls() {
+        const KEYS: &[&str] = &["--keys", "ann 0123456789abcdef"];
+        let in_plain = |listen: &str, has_keys: bool| {
+            let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if has_keys { KEYS } else { &[] }].concat()).unwrap();
+            config.doors.has_keys_in_plain(config.listen)
+        };
+        assert!(in_plain("0.0.0.0:80", true) && in_plain("192.0.2.1:80", true) && in_plain("[::]:80", true));
+        assert!(!in_plain("0.0.0.0:80", false) && !in_plain("127.0.0.1:80", true) && !in_plain("[::1]:80", true));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The doors: who is let in, how many, how often. No HTTP here but the name of what a request says; the layers around routes and connections ask.
 
 pub mod cors;
+pub mod hosts;
 pub mod keys;
 pub mod network;
 pub mod places;

@@ -28,7 +28,9 @@ pub(super) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
 
 /// How much each of the media types is wanted.
 fn wanted<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
-    let ranges: Vec<&str> = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).collect();
+    let ranges = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).map(str::trim);
+    // A list may hold empty elements (RFC 9110, section 5.6.1); a header without any other is one that is absent.
+    let ranges: Vec<&str> = ranges.filter(|range| !range.is_empty()).collect();
     if ranges.is_empty() {
         return [1.0; N];
     }
@@ -48,7 +50,7 @@ fn quality(range: &str, offer: &str) -> Option<(u8, f32)> {
         _ => return None,
     };
     let q = pieces.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q="))).map_or(Some(1.0), |q| q.trim().parse().ok());
-    Some((specific, q.unwrap_or(1.0)))
+    Some((specific, q.filter(|q: &f32| !q.is_nan()).map_or(1.0, |q| q.clamp(0.0, 1.0))))
 }
 
 #[cfg(test)]
@@ -83,6 +85,13 @@ mod tests {
             ("image/png;q=0, image/*", Some(1)),
             ("image/webp;q=0.9, image/jpeg;q=0.8, */*;q=0.1", Some(2)),
             ("text/html", None),
+            ("", Some(0)),
+            (" , ", Some(0)),
+            (",image/jpeg,", Some(1)),
+            ("image/png;q=1, image/jpeg;q=7", Some(0)),
+            ("image/png;q=0.5, image/jpeg;q=inf, image/webp;q=2", Some(1)),
+            ("image/png;q=-3", None),
+            ("image/png;q=nan, image/jpeg;q=0.5", Some(0)),
         ] {
             assert_eq!(chosen(accept, offers), index, "{accept}");
         }

@@ -3,6 +3,8 @@
 
 use std::future::Future as _;
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -74,6 +76,20 @@ pub(super) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &st
     Problem::new(Code::MalformedRequest, format!("{doing}: {error}"))
 }
 
+/// Whether a request waits for bytes of its body, that is, for its client.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Waiting(Arc<AtomicBool>);
+
+impl Waiting {
+    pub(super) fn is_for_client(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self, is_for_client: bool) {
+        self.0.store(is_for_client, Ordering::Relaxed);
+    }
+}
+
 /// A body with a limit and a deadline.
 #[derive(Debug)]
 pub(super) struct Guard {
@@ -82,15 +98,16 @@ pub(super) struct Guard {
     limit: u64,
     within: Duration,
     deadline: Pin<Box<Sleep>>,
+    waiting: Waiting,
 }
 
 impl Guard {
     /// `waits`: the client asked for permission first (`Expect: 100-continue`); there is nothing to drain.
-    pub(super) fn wrap(body: Body, limit: u64, within: Duration, waits: bool) -> Body {
+    pub(super) fn wrap(body: Body, limit: u64, within: Duration, waits: bool, waiting: Waiting) -> Body {
         if body.is_end_stream() {
             return body;
         }
-        let guard = Self { body: Some(body), left: limit, limit, within, deadline: Box::pin(sleep(within)) };
+        let guard = Self { body: Some(body), left: limit, limit, within, deadline: Box::pin(sleep(within)), waiting };
         if waits { Body::new(Patient(guard)) } else { Body::new(guard) }
     }
 }
@@ -106,7 +123,9 @@ impl HttpBody for Guard {
             this.body = None;
             return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { within: this.within }))));
         }
-        let frame = ready!(Pin::new(body).poll_frame(cx));
+        let polled = Pin::new(body).poll_frame(cx);
+        this.waiting.set(polled.is_pending());
+        let frame = ready!(polled);
         match &frame {
             None | Some(Err(_)) => this.body = None,
             Some(Ok(frame)) => {
@@ -133,6 +152,7 @@ impl HttpBody for Guard {
 
 impl Drop for Guard {
     fn drop(&mut self) {
+        self.waiting.set(false);
         if let Some(body) = self.body.take().filter(|body| !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {

@@ -1,5 +1,5 @@
 //! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane) and
-//! with it the scope of all that is told of the request, the body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
+//! with it the scope of all that is told of the request, the host, the body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
 
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
@@ -17,11 +17,13 @@ use opentelemetry_http::HeaderExtractor;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use uuid::Uuid;
 
-use super::body::{Guard, too_large};
+use super::body::{Guard, Waiting, too_large};
 use super::doors::client;
+use super::host;
 use super::refuse::finish;
 use super::site::Site;
 use crate::service::App;
+use crate::service::doors::hosts::Hosts;
 use crate::service::metrics::known_method;
 use crate::service::pool::panic_text;
 use crate::service::problem::{Code, Problem};
@@ -30,10 +32,35 @@ use crate::service::telemetry::{Answer, Asked, Scope};
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const LONGEST_REQUEST_ID: usize = 64;
 
+/// Seconds after which a request that the server did not finish in time may be sent again.
+const RETRY_LATE: u32 = 1;
+
 /// Not traced: they are asked all the time, by machines.
 const WATCHED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
-pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) -> Response {
+/// What the layer knows of its listener.
+#[derive(Clone, Debug)]
+pub(super) struct Fence {
+    app: App,
+    /// The hosts that it serves; none: all.
+    hosts: Option<Hosts>,
+}
+
+impl Fence {
+    /// Of the service.
+    pub(super) fn of_service(app: &App) -> Self {
+        Self { app: app.clone(), hosts: app.config().doors.hosts(app.config().listen).cloned() }
+    }
+
+    /// Of the listener for metrics and health.
+    pub(super) fn of_watchers(app: &App) -> Self {
+        let config = app.config();
+        let hosts = config.telemetry.metrics_listen.and_then(|listen| config.doors.hosts_without_keys(listen));
+        Self { app: app.clone(), hosts: hosts.cloned() }
+    }
+}
+
+pub(super) async fn fence(State(Fence { app, hosts }): State<Fence>, request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     // The pattern, never the path: neither a log nor a trace may hold session ids.
@@ -47,7 +74,8 @@ pub(super) async fn fence(State(app): State<App>, request: Request, next: Next) 
         scheme: if app.config().doors.tls.is_some() { "https" } else { "http" },
     });
     let scope = Scope::request(&id, tracer.zip(asked.as_ref()));
-    let fenced = fenced(app.clone(), request, next, Head { began, id, route });
+    let host = host::check(&request, hosts.as_ref());
+    let fenced = fenced(app.clone(), request, next, host, Head { began, id, route });
     scope.wrap(fenced).await
 }
 
@@ -64,17 +92,18 @@ struct Head {
     route: Option<MatchedPath>,
 }
 
-async fn fenced(app: App, mut request: Request, next: Next, head: Head) -> Response {
+async fn fenced(app: App, mut request: Request, next: Next, host: Result<(), Problem>, head: Head) -> Response {
     let Head { began, id, route } = head;
     let (method, version) = (request.method().clone(), request.version());
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
     let site = Site::new(&app.config().doors, &request);
     let mut code = None;
-    let mut response = match site.preflight(&request) {
+    let preflight = host.is_ok().then(|| site.preflight(&request)).flatten();
+    let mut response = match preflight {
         Some(response) => response,
         None => {
-            let response = match site.check(&request) {
+            let response = match host.and_then(|()| site.check(&request)) {
                 Ok(()) => answer(&app, request, next).await,
                 Err(problem) => problem.into_response(),
             };
@@ -135,12 +164,15 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     let config = app.config();
     let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
     let waits_for_permission = request.headers().contains_key(EXPECT);
-    let request = request.map(|body| Guard::wrap(body, config.max_body_bytes, config.doors.body_timeout, waits_for_permission));
+    let waiting = Waiting::default();
+    let request =
+        request.map(|body| Guard::wrap(body, config.max_body_bytes, config.doors.body_timeout, waits_for_permission, waiting.clone()));
     if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
         return too_large("body_bytes", config.max_body_bytes, length).into_response();
     }
-    let run = AssertUnwindSafe(next.run(request)).catch_unwind();
-    match tokio::time::timeout(config.doors.request_timeout, run).await {
+    // The request's future is alive until the end: dropped, it waits for nothing.
+    let mut run = std::pin::pin!(AssertUnwindSafe(next.run(request)).catch_unwind());
+    match tokio::time::timeout(config.doors.request_timeout, run.as_mut()).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
             tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
@@ -148,7 +180,13 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         }
         Err(_) => {
             let seconds = config.doors.request_timeout.as_secs_f64();
-            Problem::new(Code::Timeout, format!("no answer within the {seconds} s that a request may take")).into_response()
+            let problem = if waiting.is_for_client() {
+                Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
+            } else {
+                let detail = format!("the server did not answer within the {seconds} s that a request may take");
+                Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
+            };
+            problem.into_response()
         }
     }
 }
@@ -175,8 +213,9 @@ mod tests {
         let router = axum::Router::new()
             .route("/boom", axum::routing::get(boom))
             .route("/well", axum::routing::get(|| async { "well" }))
-            .layer(axum::middleware::from_fn_with_state(app, fence));
-        let get = |path: &str| router.clone().oneshot(Request::get(path).body(axum::body::Body::empty()).unwrap());
+            .layer(axum::middleware::from_fn_with_state(Fence::of_service(&app), fence));
+        let get =
+            |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
         let response = get("/boom").await.unwrap();
         assert_eq!(response.status(), 500);
         let id = response.headers()[REQUEST_ID].to_str().unwrap().to_owned();

@@ -16,10 +16,14 @@ use tokio_tungstenite::tungstenite::protocol::frame::{CloseFrame, Frame};
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error, Message, Utf8Bytes};
 
+use super::metered::Metered;
+
 /// Largest fragment: what a picture's bytes are copied through.
 const FRAGMENT: usize = 128 << 10;
 /// Smaller writes wait for the next, or for the end of what is queued.
 const GATHER: usize = 16 << 10;
+/// What the heads of a message's frames may add to its bytes: hundreds of fragments.
+const HEADS: usize = 4 << 10;
 /// What is read at once, at most: poses are small.
 const READ: usize = 16 << 10;
 /// Messages and fragments that wait for a client; while there are more, nothing of its own is read.
@@ -38,6 +42,8 @@ pub(super) enum Ending {
     Close(CloseCode, &'static str),
 }
 
+const TOO_LARGE: Ending = Ending::Close(CloseCode::Size, "the message is too large");
+
 /// What a client said.
 #[derive(Debug)]
 pub(super) enum Heard {
@@ -54,7 +60,7 @@ pub(super) enum Heard {
 /// One WebSocket.
 #[derive(Debug)]
 pub(super) struct Line<S> {
-    socket: WebSocketStream<S>,
+    socket: WebSocketStream<Metered<S>>,
     queue: VecDeque<Message>,
     /// What is said before the connection is closed from here, where there is room for it.
     last_words: Option<Message>,
@@ -66,7 +72,7 @@ pub(super) struct Line<S> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
-    /// `read`: what the client has sent already. Messages are at most `most` bytes.
+    /// `read`: what the client has sent already. Messages are at most `most` bytes, with their frames' heads at most [`HEADS`] more.
     pub(super) async fn new(stream: S, read: Bytes, most: usize) -> Self {
         let config = WebSocketConfig::default()
             .read_buffer_size(READ)
@@ -75,6 +81,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             .max_write_buffer_size(2 * (GATHER + FRAGMENT))
             .max_message_size(Some(most))
             .max_frame_size(Some(most));
+        let stream = Metered::new(stream, most.saturating_add(HEADS));
         let socket = WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await;
         Self { socket, queue: VecDeque::new(), last_words: None, is_flushed: true, blocked: None, wrote: Instant::now() }
     }
@@ -131,9 +138,21 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             if let Poll::Ready(Err(_)) = self.poll_write(cx) {
                 return Poll::Ready(Heard::End(Ending::Gone));
             }
-            if self.queue.len() < UNREAD { Pin::new(&mut self.socket).poll_next(cx).map(heard) } else { Poll::Pending }
+            if self.queue.len() < UNREAD { Pin::new(&mut self.socket).poll_next(cx).map(|next| self.counted(next)) } else { Poll::Pending }
         })
         .await
+    }
+
+    /// What came, counted towards the limit of a message.
+    fn counted(&mut self, next: Option<Result<Message, Error>>) -> Heard {
+        let meter = self.socket.get_mut();
+        match &next {
+            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => meter.control(payload),
+            Some(Ok(_)) => meter.message(),
+            Some(Err(Error::Io(_))) if meter.is_used_up() => return Heard::End(TOO_LARGE),
+            _ => {}
+        }
+        heard(next)
     }
 
     fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Error>> {
@@ -177,7 +196,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             // The answer to a client's close is queued already.
             self.is_flushed = false;
             poll_fn(|cx| self.poll_write(cx)).await.ok();
-            let stream = self.socket.get_mut();
+            let stream = self.socket.get_mut().inner();
             stream.shutdown().await.ok();
             // Closing with unread bytes would reset the connection and take the last message with it.
             let (mut scratch, mut unheard) = ([0; 4096], 0);
@@ -198,7 +217,7 @@ fn heard(next: Option<Result<Message, Error>>) -> Heard {
         Some(Ok(Message::Text(text))) => Heard::Text(text),
         Some(Ok(Message::Binary(_) | Message::Frame(_))) => Heard::Binary,
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => Heard::Life,
-        Some(Err(Error::Capacity(_))) => Heard::End(Ending::Close(CloseCode::Size, "the message is too large")),
+        Some(Err(Error::Capacity(_))) => Heard::End(TOO_LARGE),
         Some(Err(Error::Utf8(_))) => Heard::End(Ending::Close(CloseCode::Invalid, "a text message is UTF-8")),
         Some(Err(Error::Protocol(_))) => Heard::End(Ending::Close(CloseCode::Protocol, "not the WebSocket protocol")),
         Some(Ok(Message::Close(_)) | Err(_)) | None => Heard::End(Ending::Gone),

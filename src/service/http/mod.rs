@@ -13,12 +13,15 @@ mod doors;
 mod fence;
 mod handshake;
 mod health;
+mod host;
 mod line;
 mod mesh;
+mod metered;
 mod metrics;
 mod openapi;
 mod page;
 mod points;
+mod problems;
 mod refuse;
 pub mod server;
 mod sessions;
@@ -31,10 +34,11 @@ use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
-use axum::routing::{MethodRouter, get, post, put};
+use axum::routing::{MethodRouter, any, get, post, put};
 use axum::{Extension, Router};
 
 pub use doors::Access;
+use fence::Fence;
 
 use super::App;
 use super::client::Client;
@@ -52,7 +56,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/handles", Keyed, uploads(put(sessions::handles))),
         ("/sessions/{id}/warp", Keyed, post(warp::drag)),
         ("/sessions/{id}/mesh", Keyed, post(mesh::mesh)),
-        ("/sessions/{id}/drag", Keyed, get(socket::drag)),
+        ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/points", Keyed, uploads(post(points::of_session))),
         ("/points", Keyed, uploads(post(points::once))),
         ("/healthz", Open, get(health::alive)),
@@ -60,6 +64,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/metrics", scraped, get(metrics::text)),
         ("/openapi.json", Open, get(openapi::document)),
         ("/docs", Open, get(docs::page)),
+        ("/problems/{code}", Open, get(problems::section)),
     ]
 }
 
@@ -80,7 +85,7 @@ pub fn router(app: App) -> Router {
         .fold(page::routes(&app).merge(docs::files()), |router, (path, route)| router.route(path, route))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(app.clone(), fence::fence))
+        .layer(from_fn_with_state(Fence::of_service(&app), fence::fence))
         .with_state(app)
 }
 
@@ -92,7 +97,7 @@ fn watched(app: App) -> Router {
         .route("/metrics", get(metrics::text))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(app.clone(), fence::fence))
+        .layer(from_fn_with_state(Fence::of_watchers(&app), fence::fence))
         .with_state(app)
 }
 

@@ -54,7 +54,7 @@ codes! {
     MethodNotAllowed = 405, "method_not_allowed", "Method not allowed";
     /// `Accept` names nothing that is written here.
     NotAcceptable = 406, "not_acceptable", "Not acceptable";
-    /// The request took longer than it may.
+    /// The client took too long to send its request.
     Timeout = 408, "timeout", "Timeout";
     /// A newer pose of the session has been seen.
     Superseded = 409, "superseded", "Superseded";
@@ -66,6 +66,8 @@ codes! {
     UnsupportedMediaType = 415, "unsupported_media_type", "Unsupported media type";
     /// The file is not an image that is read here.
     UnsupportedFormat = 415, "unsupported_format", "Unsupported image format";
+    /// The request names a host that the listener does not serve.
+    Misdirected = 421, "misdirected", "Misdirected request";
     /// The file is truncated or contradicts itself.
     BadImage = 422, "bad_image", "Bad image";
     /// A value of the contract that this build does not have.
@@ -92,7 +94,7 @@ codes! {
     RateLimited = 429, "rate_limited", "Rate limited";
     /// A bug; the log has more.
     Internal = 500, "internal", "Internal error";
-    /// The service has no room for the work now.
+    /// The service has no room for the work now, or did not finish it in time.
     Overloaded = 503, "overloaded", "Overloaded";
 }
 

@@ -7,6 +7,9 @@ use crate::codec::CodecError;
 use crate::deform::DeformError;
 use crate::warp::WarpError;
 
+/// Seconds after which work that was given up may be asked for again.
+const RETRY_GIVEN_UP: u32 = 1;
+
 impl From<WarpError> for Problem {
     fn from(error: WarpError) -> Self {
         let detail = error.to_string();
@@ -17,7 +20,7 @@ impl From<WarpError> for Problem {
             WarpError::BadPlace { index, value, limit } => {
                 Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
             }
-            WarpError::GivenUp => Self::new(Code::Timeout, detail),
+            WarpError::GivenUp => Self::new(Code::Overloaded, detail).retry_after(RETRY_GIVEN_UP),
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {

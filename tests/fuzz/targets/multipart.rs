@@ -40,7 +40,7 @@ pub(super) fn post(bytes: &[u8]) {
         ("PUT", "/sessions/11111111-2222-4333-8444-555555555555/handles"),
     ][usize::from(route % 4)];
     let kind = ["multipart/form-data; boundary=b", "application/json"][usize::from(*route > 127)];
-    let request = Request::builder().method(method).uri(path).header("content-type", kind);
+    let request = Request::builder().method(method).uri(path).header("host", "localhost").header("content-type", kind);
     let request = request.body(Body::from(body.to_vec())).expect("a request of plain words");
     let (router, runtime) = &*SERVICE;
     let (status, body) = runtime.block_on(async {

@@ -3,6 +3,8 @@
 pub(crate) mod bombs;
 pub(crate) mod collector;
 pub(crate) mod hand;
+pub(crate) mod healthy;
+pub(crate) mod http2;
 pub(crate) mod picture;
 pub(crate) mod program;
 #[allow(dead_code, reason = "the store's unit tests use the rest of it")]

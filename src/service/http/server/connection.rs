@@ -34,7 +34,7 @@ use crate::service::App;
 use crate::service::config::DoorsConfig;
 use crate::service::doors::places::{Place, Places};
 use crate::service::doors::tls::H2;
-use crate::service::http::body::Guard;
+use crate::service::http::body::{Guard, Waiting};
 use crate::service::http::fence::refused;
 use crate::service::http::{router, watched};
 use crate::service::problem::{Code, Problem};
@@ -179,7 +179,7 @@ impl Connections {
         let refusing = service_fn(|request: Request<Incoming>| {
             begun.store(true, Ordering::Relaxed);
             let waits = request.headers().contains_key(EXPECT);
-            drop(Guard::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits));
+            drop(Guard::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits, Waiting::default()));
             let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
             std::future::ready(Ok(refused(&self.app, problem)))
         });

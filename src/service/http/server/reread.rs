@@ -14,6 +14,8 @@ use crate::service::doors::tls::TlsFiles;
 
 /// How often files are looked at.
 const PAUSE: Duration = Duration::from_secs(1);
+/// Permissions of other users to read and to write.
+const OTHERS: u32 = 0o006;
 
 /// What tells a file from what it was.
 type Look = Option<(SystemTime, u64)>;
@@ -68,6 +70,17 @@ impl Reread {
         keys.chain(self.tls.iter().flat_map(|(files, _)| [files.cert.clone(), files.key.clone()])).collect()
     }
 
+    /// Says which files of secrets other users of the machine can read or write. (A group may: Kubernetes mounts secrets for one.)
+    pub(super) fn warn_of_readable_secrets(&self) {
+        let keys = self.keys.iter().filter_map(|keys| keys.file.as_deref());
+        for path in keys.chain(self.tls.iter().map(|(files, _)| files.key.as_path())) {
+            if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
+                let path = path.display();
+                tracing::warn!("other users can read or write {path} (mode {mode:03o}), which holds secrets: run chmod o-rwx {path}");
+            }
+        }
+    }
+
     fn read(self) -> Self {
         if let Some(keys) = self.keys.as_ref().filter(|keys| keys.file.is_some()) {
             match keys.read() {
@@ -88,7 +101,22 @@ impl Reread {
                 Err(mistake) => tracing::error!("the certificate stays as it was: {mistake}"),
             }
         }
+        self.warn_of_readable_secrets();
         self
+    }
+}
+
+/// The permissions of a file, where there are such.
+fn mode(path: &Path) -> Option<u32> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        Some(std::fs::metadata(path).ok()?.mode() & 0o777)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        None
     }
 }
 

@@ -1,0 +1,154 @@
+//! The hosts that a request may name, and the syntax of a host and its port (RFC 9110, section 4.2; RFC 3986, section 3.2.2).
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+/// A host as requests and the configuration name it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Host {
+    /// An IP literal.
+    Address(IpAddr),
+    /// A name in lower case, without the dot of the root.
+    Name(String),
+}
+
+/// A host and, where it is written, its port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Authority {
+    /// The host.
+    pub host: Host,
+    /// The port.
+    pub port: Option<u16>,
+}
+
+impl Authority {
+    /// Reads `host` or `host:port`. None where the text is neither.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        let (host, port) = match text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+            Some((address, port)) => (Host::Address(IpAddr::V6(address.parse::<Ipv6Addr>().ok()?)), port),
+            None => {
+                let (name, port) = text.split_at(text.find(':').unwrap_or(text.len()));
+                (Host::named(name)?, port)
+            }
+        };
+        let port = match port.strip_prefix(':') {
+            // RFC 3986 allows a colon without a port.
+            Some("") => None,
+            Some(digits) if digits.bytes().all(|b| b.is_ascii_digit()) => Some(digits.parse().ok()?),
+            None if port.is_empty() => None,
+            _ => return None,
+        };
+        Some(Self { host, port })
+    }
+}
+
+impl Host {
+    /// Reads a registered name or an IPv4 address.
+    fn named(text: &str) -> Option<Self> {
+        let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~!$&'()*+,;=%".contains(&b);
+        let escapes = text.split('%').skip(1).all(|rest| rest.as_bytes().get(..2).is_some_and(|hex| hex.iter().all(u8::is_ascii_hexdigit)));
+        let name = text.strip_suffix('.').unwrap_or(text);
+        if name.is_empty() || !text.bytes().all(plain) || !escapes {
+            return None;
+        }
+        Some(name.parse().map_or_else(|_| Self::Name(name.to_ascii_lowercase()), |v4: Ipv4Addr| Self::Address(v4.into())))
+    }
+}
+
+/// Hosts that a request may name. `localhost` and IP literals are always among them: an attacker's DNS cannot answer for those.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Hosts(Vec<Host>);
+
+impl Hosts {
+    /// Reads host names between commas.
+    ///
+    /// # Errors
+    /// The first entry that is not a host name.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let entries = text.split(',').map(str::trim).filter(|entry| !entry.is_empty());
+        let host = |entry: &str| match Authority::parse(entry) {
+            Some(Authority { host, port: None }) if !entry.contains(['*', ':']) => Ok(host),
+            _ => Err(format!("`{entry}` is not a host name such as bend.example (no scheme, no port, no wildcard)")),
+        };
+        entries.map(host).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// Whether none is listed.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whether a request may name this host.
+    #[must_use]
+    pub fn allow(&self, host: &Host) -> bool {
+        match host {
+            Host::Address(_) => true,
+            Host::Name(name) => name == "localhost" || self.0.contains(host),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hosts_are_compared_without_case_port_and_root_dot() {
+        let hosts = Hosts::parse("Bend.example., other.example").unwrap();
+        let allowed = |text: &str| hosts.allow(&Authority::parse(text).unwrap_or_else(|| panic!("{text} is well-formed")).host);
+        for host in
+            ["localhost", "LOCALHOST:8080", "localhost.", "127.0.0.1", "192.0.2.7:80", "127.0.0.1.", "[::1]", "[::1]:8080", "[::1]:"]
+        {
+            assert!(allowed(host), "{host}");
+        }
+        for host in ["bend.example", "BEND.example:443", "bend.example.", "bend.example.:8080", "other.example:1"] {
+            assert!(allowed(host), "{host}");
+        }
+        for host in
+            ["evil.example", "localhost.evil.example", "a.localhost", "x", "127.0.0.1.evil.example", "2130706433", "127.1", "0x7f.0.0.1"]
+        {
+            assert!(!allowed(host), "{host}");
+        }
+    }
+
+    #[test]
+    fn malformed_hosts_are_refused() {
+        for text in [
+            "",
+            ".",
+            ":80",
+            "a b",
+            "a/b",
+            "user@localhost",
+            "localhost:http",
+            "localhost:65536",
+            "localhost:80:80",
+            "localhost:-1",
+            "::1",
+            "[::1",
+            "[::1]80",
+            "[127.0.0.1]",
+            "[localhost]",
+            "[fe80::1%25eth0]",
+            "a%2",
+            "a%zz",
+            "http://localhost",
+            "ex\u{e4}mple",
+            "a\\b",
+            "a?b",
+            "a#b",
+        ] {
+            assert_eq!(Authority::parse(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_list_has_names_alone() {
+        assert!(Hosts::parse(" , ").unwrap().is_empty());
+        assert!(!Hosts::parse("bend.example").unwrap().is_empty());
+        for wrong in ["https://bend.example", "bend.example:443", "*.example", "*", "a b", "bend.example/"] {
+            assert!(Hosts::parse(&format!("ok.example, {wrong}")).unwrap_err().contains(&format!("`{wrong}`")), "{wrong}");
+        }
+    }
+}
