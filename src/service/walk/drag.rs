@@ -239,7 +239,8 @@ impl App {
             Some((place, seq)) => tokio::select! {
                 biased;
                 () = place.superseded() => Err(self.superseded(*seq)),
-                worked = work => worked,
+                // The newer request needs what was being built for this one.
+                worked = place.builds().during(work) => worked,
             },
         }
     }

@@ -19,7 +19,7 @@ use super::causes::Origin;
 use super::client::Client;
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
-use super::pool::{Lane, PoolError, Ticket, Work};
+use super::pool::{Cancel, Lane, PoolError, Ticket, Work};
 use super::problem::{Code, Problem};
 use super::session::{Revision, SessionId};
 use super::store::Record;
@@ -101,7 +101,8 @@ impl App {
             let ticket = app.0.pool.admit(Work::Upload, Lane::Session(theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
             let limits = app.0.config.limits;
-            let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
+            let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
+            let setup = app.0.pool.run(&ticket, new).await??;
             Ok(Kept::new(Arc::new(setup), held))
         };
         let known = self.0.setups.get(shelf_key(record), build, lost).await?;
@@ -141,7 +142,7 @@ impl App {
         timing.decode = began.elapsed();
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits, image.extent());
-        let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
+        let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
         let (plan, plan_built) = self.plan(ticket, &setup, Origin::Handles, &mut timing).await?;
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
@@ -192,7 +193,8 @@ impl App {
             let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
             let threads = app.0.pool.clone();
             let key = theirs.plan_key();
-            let plan = app.0.pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await?;
+            let fill = move |cancel: &Cancel| threads.spread(|| theirs.plan_unless(&|| cancel.is_cancelled()));
+            let plan = app.0.pool.run(&ticket, fill).await??;
             let cause = app.0.causes.built(key, origin);
             tracing::debug!(cause = cause.name(), "a plan was built");
             Ok(Kept::new(plan, held))
@@ -223,8 +225,8 @@ fn lost() -> Problem {
 }
 
 /// The setup of the handles on a picture of that size; q is checked when it is there.
-fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpObject, Arc<Setup>), WarpError> {
-    let setup = Setup::new(&object.rest, extent, limits)?;
+fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cancel: &Cancel) -> Result<(WarpObject, Arc<Setup>), WarpError> {
+    let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
 }

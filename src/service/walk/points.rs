@@ -15,10 +15,7 @@ use crate::service::session::SessionId;
 use crate::service::shares::Share;
 use crate::service::telemetry::scope::stage;
 use crate::service::wire::{PointsObject, Wire};
-use crate::warp::{GridSpec, Setup, WarpError};
-
-/// Places mapped between two looks at whether the client is still there.
-const PLACES_PER_STEP: usize = 4096;
+use crate::warp::{GridSpec, Setup};
 
 /// Places that are mapped sooner than other threads wake.
 const PLACES_ALONE: usize = 256;
@@ -47,7 +44,7 @@ impl App {
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let limits = self.0.config.limits;
-        let setup = self.0.pool.run(&ticket, move |_| Setup::new(&rest, extent, &limits)).await??;
+        let setup = self.0.pool.run(&ticket, move |cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled())).await??;
         self.map(&ticket, self.share(client), Arc::new(setup), object).await
     }
 
@@ -71,15 +68,8 @@ impl App {
             let text = AROUND + PLACE_TEXT * places.len();
             let mut held = app.reserve_for(&share, (text + size_of_val(places.as_slice())) as u64)?;
             let pose = setup.pose(&q)?;
-            let mut mapped = Vec::with_capacity(places.len());
-            for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {
-                if cancel.is_cancelled() {
-                    return Err(WarpError::GivenUp.into());
-                }
-                let map = || setup.map(&pose, step);
-                let step = if step.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() };
-                mapped.extend(step.map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
-            }
+            let map = || setup.map(&pose, &places, &|| cancel.is_cancelled());
+            let mapped = if places.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() }?;
             stage("deform", began);
             let mut body = Vec::with_capacity(text);
             serde_json::to_writer(&mut body, &Mapped { points: Wire(&mapped) }).expect("an object of numbers, into memory");
