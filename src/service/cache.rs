@@ -291,8 +291,9 @@ impl<V: Send + Sync + 'static> Shelf<V> {
         };
         let _ = RETAINED.try_with(|retained| retained.retain(&interest));
         let built = begun.is_some();
-        if let Some(building) = begun {
-            tokio::spawn(Scope::current().wrap(building.finish(build)));
+        match begun {
+            Some(building) => drop(tokio::spawn(Scope::current().wrap(building.finish(build)))),
+            None => drop(build),
         }
         // The sender goes without a word when the build was torn down.
         let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
