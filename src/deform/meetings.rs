@@ -2,8 +2,8 @@
 //! compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
 //!
 //! The work is bounded for every set. Points are compared with a few others of the square cells around them: O(points). Segments are compared with
-//! what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs), and a set that leaves more pairs than
-//! [`MOST_WORK`] allows is refused.
+//! what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set that leaves more pairs than
+//! [`MOST_WORK`] allows is refused; at the default limit of columns that is only one with a million pairs of which neither lies beside the other.
 
 use std::collections::HashMap;
 
@@ -25,8 +25,8 @@ const MOST: usize = 200_000;
 const CROWD: usize = 8;
 /// The side of a cell whose points all coincide, as a share of the distance up to which they do: its diagonal is shorter.
 const SAME_CELL: f64 = 0.7;
-/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, one that is compared besides
-/// [`COMPARISON`]. A million comparisons: more than 1,000 segments of which each lies close to all others over its whole length.
+/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, and [`COMPARISON`] more if it is
+/// compared, because neither lies on one side of the other's line.
 const MOST_WORK: u64 = 16 << 20;
 /// See [`MOST_WORK`].
 const COMPARISON: u64 = 16;
@@ -210,7 +210,8 @@ impl<'a> Search<'a> {
                 self.work += 1;
                 let (a, b) = (&boxes[i], &boxes[j]);
                 let apart = |low: usize| b[low] > a[low + 2] + reach || a[low] > b[low + 2] + reach;
-                if !apart(0) && !apart(1) {
+                let beside = |i: usize, j: usize| is_beside(&self.elements[i], &self.elements[j], reach);
+                if !apart(0) && !apart(1) && !beside(i, j) && !beside(j, i) {
                     self.work += COMPARISON;
                     self.found.meet(self.elements, i.min(j), i.max(j), self.coincident);
                 }
@@ -305,6 +306,17 @@ impl Sweep {
         let pairs = segments.iter().enumerate().map(overlaps).sum();
         Self { segments, points, pairs }
     }
+}
+
+/// All of the other element lies on one side of a segment's line, farther than `reach` from it.
+fn is_beside(element: &Element, other: &Element, reach: f64) -> bool {
+    let Element::Segment(s) = element else { return false };
+    let side = |p: Point| s.tau.cross(p - s.a);
+    let (a, b) = match other {
+        Element::Point { p, .. } => (side(*p), side(*p)),
+        Element::Segment(other) => (side(other.a), side(other.b)),
+    };
+    a.min(b) > reach || a.max(b) < -reach
 }
 
 /// The place of a point.

@@ -5,10 +5,12 @@ mod drag;
 mod points;
 mod sessions;
 
+use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
+use serde::Serialize;
 
 pub use drag::{MeshForm, PosedMesh};
 
@@ -229,6 +231,26 @@ fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cancel: &Cancel)
     let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
+}
+
+/// A value as JSON, in a buffer of that capacity at first; given up when it is cancelled.
+fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
+    struct Text<'a>(Vec<u8>, &'a Cancel);
+    impl io::Write for Text<'_> {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.1.is_cancelled() {
+                return Err(io::ErrorKind::BrokenPipe.into());
+            }
+            self.0.write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut text = Text(Vec::with_capacity(capacity), cancel);
+    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::GivenUp)?;
+    Ok(text.0)
 }
 
 /// Records never change, so name and revision stand for the setup.

@@ -6,6 +6,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use serde::Serialize;
 
+use super::json_unless;
 use crate::geometry::Point;
 use crate::service::App;
 use crate::service::client::Client;
@@ -71,8 +72,7 @@ impl App {
             let map = || setup.map(&pose, &places, &|| cancel.is_cancelled());
             let mapped = if places.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() }?;
             stage("deform", began);
-            let mut body = Vec::with_capacity(text);
-            serde_json::to_writer(&mut body, &Mapped { points: Wire(&mapped) }).expect("an object of numbers, into memory");
+            let mut body = json_unless(cancel, &Mapped { points: Wire(&mapped) }, text)?;
             // It may wait long for its reader.
             body.shrink_to_fit();
             held.shrink_to(body.len() as u64);
