@@ -97,6 +97,15 @@ pub enum DeformError {
         /// The limit.
         limit: usize,
     },
+    /// The handles lie so close to each other that more pairs would have to be compared than are.
+    #[error("the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; send fewer or shorter lines")]
+    TooManyNeighbours {
+        /// The limit.
+        limit: u64,
+    },
+    /// Nobody waits for the result any more.
+    #[error("the work was given up: nobody waits for it any more")]
+    GivenUp,
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
     #[error("alpha is {alpha}; it must be {}", if *.lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" })]
     AlphaOutOfRange {

@@ -49,13 +49,27 @@ impl Field {
     /// `point_mass`: the length whose pull a point has from afar, px; matters only where points and lines are mixed.
     ///
     /// # Errors
-    /// A mass out of range, or handles that meet at too many places.
+    /// A mass out of range, handles that meet at too many places, or lines of which too many lie close to each other.
     pub fn new(handles: Handles, method: Method, falloff: Falloff, point_mass: f64) -> Result<Self, DeformError> {
+        Self::new_unless(handles, method, falloff, point_mass, &|| false)
+    }
+
+    /// The same, given up when `gone` says that nobody waits any more.
+    ///
+    /// # Errors
+    /// Those of [`Field::new`]; given up.
+    pub fn new_unless(
+        handles: Handles,
+        method: Method,
+        falloff: Falloff,
+        point_mass: f64,
+        gone: &dyn Fn() -> bool,
+    ) -> Result<Self, DeformError> {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
         let (elements, owners) = elements(&handles, point_mass);
-        let meetings = Meetings::find(&elements, handles.extent())?;
+        let meetings = Meetings::find(&elements, handles.extent(), gone)?;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {

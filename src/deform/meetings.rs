@@ -1,5 +1,11 @@
-//! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan by a sweep
-//! over x; each pose then only compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
+//! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan; each pose then only
+//! compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
+//!
+//! The work is bounded for every set. Points are compared with a few others of the square cells around them: O(points). Segments are compared with
+//! what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set that leaves more pairs than
+//! [`MOST_WORK`] allows is refused; at the default limit of columns that is only one with a million pairs of which neither lies beside the other.
+
+use std::collections::HashMap;
 
 use super::columns::{Element, ONE_PLACE, Segment};
 use super::handles::COINCIDENT_SHARE;
@@ -14,6 +20,20 @@ const NEAR: f64 = 1.0;
 const NEAR_FACTOR: f64 = 10.0;
 /// More meetings than this in one set is a set that nobody drew by hand.
 const MOST: usize = 200_000;
+/// Points of a cell that other points are compared with, the first ones of the client's order. Of a crowd nearer than 1 px a warning needs some pairs,
+/// not all. Of a crowd within [`COINCIDENT_SHARE`] the first point stands for all others of its cell.
+const CROWD: usize = 8;
+/// The side of a cell whose points all coincide, as a share of the distance up to which they do: its diagonal is shorter.
+const SAME_CELL: f64 = 0.7;
+/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, and [`COMPARISON`] more if it is
+/// compared, because neither lies on one side of the other's line.
+const MOST_WORK: u64 = 16 << 20;
+/// See [`MOST_WORK`].
+const COMPARISON: u64 = 16;
+/// Directions that a sweep may take, evenly spread over half a turn.
+const DIRECTIONS: u32 = 8;
+/// A sweep along x that leaves at most so many pairs an element is good enough.
+const FEW_PAIRS: u64 = 8;
 
 /// A place on an element: the element's index and the parameter along it (0 for a point).
 type On = (usize, f64);
@@ -29,46 +49,21 @@ pub(super) struct Meetings {
 }
 
 impl Meetings {
-    /// Sweeps the elements by x. O(n log n) for sets whose elements overlap little in x.
-    pub(super) fn find(elements: &[Element], extent: f64) -> Result<Self, DeformError> {
-        let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
-        let reach = coincident.max(NEAR);
-        let boxes: Vec<[f64; 4]> = elements.iter().map(bounds).collect();
-        let mut order: Vec<usize> = (0..elements.len()).collect();
-        order.sort_unstable_by(|&i, &j| boxes[i][0].total_cmp(&boxes[j][0]));
-        let mut found = Self { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Self::default() };
-        let mut twin = vec![false; elements.len()];
-        for (k, &i) in order.iter().enumerate() {
-            for &j in &order[k + 1..] {
-                if boxes[j][0] > boxes[i][2] + reach {
-                    break;
-                }
-                if boxes[j][1] <= boxes[i][3] + reach && boxes[i][1] <= boxes[j][3] + reach {
-                    found.meet(elements, i.min(j), i.max(j), coincident, &mut twin);
-                    if found.touching.len() > MOST {
-                        return Err(DeformError::TooManyMeetings { limit: MOST });
-                    }
-                }
-            }
-        }
-        found.touching.sort_unstable_by_key(|(x, y)| (x.0, y.0));
-        Ok(found)
+    /// `gone` is asked after each element.
+    ///
+    /// # Errors
+    /// Too many meetings, too many pairs to compare, given up.
+    pub(super) fn find(elements: &[Element], extent: f64, gone: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+        let mut search = Search::new(elements, extent, gone);
+        search.run()?;
+        Ok(search.found)
     }
 
-    fn meet(&mut self, elements: &[Element], i: usize, j: usize, coincident: f64, twin: &mut [bool]) {
+    /// Compares a segment with another element; `i < j`.
+    fn meet(&mut self, elements: &[Element], i: usize, j: usize, coincident: f64) {
         match (&elements[i], &elements[j]) {
-            (Element::Point { p, .. }, Element::Point { p: other, .. }) => {
-                let apart = p.distance(*other);
-                if apart <= coincident {
-                    // One earlier point at the same place is enough: it has been compared with the others.
-                    if !std::mem::replace(&mut twin[j], true) {
-                        self.touching.push(((i, 0.0), (j, 0.0)));
-                    }
-                } else if apart < NEAR && self.near.len() < MOST {
-                    // A warning needs some of them, not all.
-                    self.near.push((i, j, apart));
-                }
-            }
+            // Found by their cells.
+            (Element::Point { .. }, Element::Point { .. }) => {}
             (Element::Point { p, .. }, Element::Segment(s)) => {
                 if let Some(t) = on(s, *p, coincident) {
                     self.touching.push(((i, 0.0), (j, t)));
@@ -121,6 +116,217 @@ impl Meetings {
     }
 }
 
+/// The search for the meetings of one set.
+struct Search<'a> {
+    elements: &'a [Element],
+    coincident: f64,
+    gone: &'a dyn Fn() -> bool,
+    found: Meetings,
+    /// Pairs of points that were compared.
+    compared: u64,
+    /// Of the search for meetings of segments, see [`MOST_WORK`].
+    work: u64,
+}
+
+impl<'a> Search<'a> {
+    fn new(elements: &'a [Element], extent: f64, gone: &'a dyn Fn() -> bool) -> Self {
+        let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
+        let found = Meetings { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Meetings::default() };
+        Self { elements, coincident, gone, found, compared: 0, work: 0 }
+    }
+
+    fn run(&mut self) -> Result<(), DeformError> {
+        self.points()?;
+        self.segments()?;
+        // Stable: the meetings of one pair stay in the order in which `meet` finds them.
+        self.found.touching.sort_by_key(|(x, y)| (x.0, y.0));
+        Ok(())
+    }
+
+    fn unless_gone(&self) -> Result<(), DeformError> {
+        if (self.gone)() { Err(DeformError::GivenUp) } else { Ok(()) }
+    }
+
+    /// Points that coincide, each with the first of the client's order; and pairs that are near each other.
+    fn points(&mut self) -> Result<(), DeformError> {
+        let points = || self.elements.iter().enumerate().filter_map(|(index, element)| point(element).map(|p| (index, p)));
+        let origin = points().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, (_, p)| Point::new(o.x.min(p.x), o.y.min(p.y)));
+        let (mut close, mut same) = (Cells::new(origin, NEAR), Cells::new(origin, SAME_CELL * self.coincident));
+        let (mut touching, mut near, mut compared) = (Vec::new(), Vec::new(), 0);
+        for (j, p) in points() {
+            self.unless_gone()?;
+            let before = compared;
+            close.around(p, 1, |i, other| {
+                compared += 1;
+                let apart = p.distance(other);
+                if apart > self.coincident && apart < NEAR && near.len() < MOST {
+                    near.push((i, j, apart));
+                }
+            });
+            if compared > before {
+                let mut first = None;
+                same.around(p, 2, |i, other| {
+                    compared += 1;
+                    if p.distance(other) <= self.coincident && first.is_none_or(|first| i < first) {
+                        first = Some(i);
+                    }
+                });
+                touching.extend(first.map(|i| ((i, 0.0), (j, 0.0))));
+            }
+            close.insert(j, p);
+            same.insert(j, p);
+        }
+        (self.found.touching, self.found.near, self.compared) = (touching, near, compared);
+        Ok(())
+    }
+
+    /// Segments with segments and points.
+    fn segments(&mut self) -> Result<(), DeformError> {
+        if self.elements.iter().all(|element| point(element).is_some()) {
+            return Ok(());
+        }
+        // At least what rounding moves a projection.
+        let reach = self.coincident.max(ONE_PLACE);
+        let few = FEW_PAIRS * self.elements.len() as u64;
+        let mut best: Option<Sweep> = None;
+        for turn in 0..DIRECTIONS {
+            self.unless_gone()?;
+            if best.as_ref().is_some_and(|best| best.pairs <= few) {
+                break;
+            }
+            let sweep = Sweep::new(self.elements, std::f64::consts::PI * f64::from(turn) / f64::from(DIRECTIONS), reach);
+            if best.as_ref().is_none_or(|best| sweep.pairs < best.pairs) {
+                best = Some(sweep);
+            }
+        }
+        let Some(Sweep { segments, points, .. }) = best else { return Ok(()) };
+        let boxes: Vec<[f64; 4]> = self.elements.iter().map(bounds).collect();
+        for (k, &Interval { low, high, index: i }) in segments.iter().enumerate() {
+            self.unless_gone()?;
+            let later = segments[k + 1..].iter().take_while(|other| other.low <= high + reach).map(|other| other.index);
+            let from = points.partition_point(|p| p.low < low - reach);
+            let on_it = points[from..].iter().take_while(|p| p.low <= high + reach).map(|p| p.index);
+            for j in later.chain(on_it) {
+                self.work += 1;
+                let (a, b) = (&boxes[i], &boxes[j]);
+                let apart = |low: usize| b[low] > a[low + 2] + reach || a[low] > b[low + 2] + reach;
+                let beside = |i: usize, j: usize| is_beside(&self.elements[i], &self.elements[j], reach);
+                if !apart(0) && !apart(1) && !beside(i, j) && !beside(j, i) {
+                    self.work += COMPARISON;
+                    self.found.meet(self.elements, i.min(j), i.max(j), self.coincident);
+                }
+                if self.work > MOST_WORK {
+                    return Err(DeformError::TooManyNeighbours { limit: MOST_WORK / COMPARISON });
+                }
+                if self.found.touching.len() > MOST {
+                    return Err(DeformError::TooManyMeetings { limit: MOST });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Square cells, each with the first [`CROWD`] of the points that were put into it.
+struct Cells {
+    origin: Point,
+    side: f64,
+    cells: HashMap<(i64, i64), Vec<(usize, Point)>>,
+}
+
+impl Cells {
+    fn new(origin: Point, side: f64) -> Self {
+        Self { origin, side, cells: HashMap::new() }
+    }
+
+    /// Points lie within a few extents of the origin, and a side is no less than a billionth of the extent.
+    #[expect(clippy::cast_possible_truncation, reason = "some 2^32 cells at most")]
+    fn cell(&self, p: Point) -> (i64, i64) {
+        let from = p - self.origin;
+        ((from.x / self.side).floor() as i64, (from.y / self.side).floor() as i64)
+    }
+
+    fn insert(&mut self, index: usize, p: Point) {
+        let crowd = self.cells.entry(self.cell(p)).or_default();
+        if crowd.len() < CROWD {
+            crowd.push((index, p));
+        }
+    }
+
+    /// The points of the cell of `p` and of `rings` rings of cells around it.
+    fn around(&self, p: Point, rings: i64, mut look: impl FnMut(usize, Point)) {
+        let (x, y) = self.cell(p);
+        for x in x - rings..=x + rings {
+            for y in y - rings..=y + rings {
+                for &(index, p) in self.cells.get(&(x, y)).into_iter().flatten() {
+                    look(index, p);
+                }
+            }
+        }
+    }
+}
+
+/// What an element covers along a direction.
+#[derive(Clone, Copy)]
+struct Interval {
+    low: f64,
+    high: f64,
+    index: usize,
+}
+
+/// The elements in their order along a direction, and the number of pairs that overlap there, those of two points left out.
+struct Sweep {
+    segments: Vec<Interval>,
+    points: Vec<Interval>,
+    pairs: u64,
+}
+
+impl Sweep {
+    fn new(elements: &[Element], angle: f64, reach: f64) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        let along = |p: Point| p.x * cos + p.y * sin;
+        let (mut segments, mut points) = (Vec::new(), Vec::new());
+        for (index, element) in elements.iter().enumerate() {
+            match element {
+                Element::Point { p, .. } => points.push(Interval { low: along(*p), high: along(*p), index }),
+                Element::Segment(s) => {
+                    let (a, b) = (along(s.a), along(s.b));
+                    segments.push(Interval { low: a.min(b), high: a.max(b), index });
+                }
+            }
+        }
+        for list in [&mut segments, &mut points] {
+            list.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then(a.index.cmp(&b.index)));
+        }
+        let until = |list: &[Interval], end: f64| list.partition_point(|other| other.low <= end) as u64;
+        let overlaps = |(k, s): (usize, &Interval)| {
+            let points = until(&points, s.high + reach) - points.partition_point(|p| p.low < s.low - reach) as u64;
+            until(&segments[k + 1..], s.high + reach) + points
+        };
+        let pairs = segments.iter().enumerate().map(overlaps).sum();
+        Self { segments, points, pairs }
+    }
+}
+
+/// All of the other element lies on one side of a segment's line, farther than `reach` from it.
+fn is_beside(element: &Element, other: &Element, reach: f64) -> bool {
+    let Element::Segment(s) = element else { return false };
+    let side = |p: Point| s.tau.cross(p - s.a);
+    let (a, b) = match other {
+        Element::Point { p, .. } => (side(*p), side(*p)),
+        Element::Segment(other) => (side(other.a), side(other.b)),
+    };
+    a.min(b) > reach || a.max(b) < -reach
+}
+
+/// The place of a point.
+fn point(element: &Element) -> Option<Point> {
+    match element {
+        Element::Point { p, .. } => Some(*p),
+        Element::Segment(_) => None,
+    }
+}
+
 /// `[min x, min y, max x, max y]`.
 fn bounds(element: &Element) -> [f64; 4] {
     match element {
@@ -160,4 +366,160 @@ fn target(element: &Element, t: f64, pose: &Pose) -> Point {
         Element::Segment(s) => d[s.column] * (1.0 - t) + d[s.column + 1] * t,
     };
     place(element, t) + displacement
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+    use crate::deform::columns::elements;
+    use crate::deform::{Handle, Handles};
+    use proptest::prelude::*;
+
+    const NEVER: &dyn Fn() -> bool = &|| false;
+
+    fn elements_of(handles: Vec<Handle>) -> (Vec<Element>, f64) {
+        let handles = Handles::new(handles, None).unwrap();
+        (elements(&handles, 1.0).0, handles.extent())
+    }
+
+    fn line(a: (f64, f64), b: (f64, f64)) -> Handle {
+        Handle::Polyline(vec![Point::new(a.0, a.1), Point::new(b.0, b.1)])
+    }
+
+    fn dot(x: f64, y: f64) -> Handle {
+        Handle::Point(Point::new(x, y))
+    }
+
+    /// Every pair, compared.
+    fn by_brute_force(elements: &[Element], extent: f64) -> Meetings {
+        let mut search = Search::new(elements, extent, NEVER);
+        for j in 0..elements.len() {
+            let mut first = None;
+            for i in 0..j {
+                if let (Some(p), Some(other)) = (point(&elements[i]), point(&elements[j])) {
+                    let apart = p.distance(other);
+                    if apart <= search.coincident {
+                        first = first.or(Some(i));
+                    } else if apart < NEAR {
+                        search.found.near.push((i, j, apart));
+                    }
+                }
+                search.found.meet(elements, i, j, search.coincident);
+            }
+            search.found.touching.extend(first.map(|i| ((i, 0.0), (j, 0.0))));
+        }
+        search.found.touching.sort_by_key(|(x, y)| (x.0, y.0));
+        search.found
+    }
+
+    fn agrees(handles: Vec<Handle>) -> Result<(), TestCaseError> {
+        let (elements, extent) = elements_of(handles);
+        let (mut found, mut want) = (Meetings::find(&elements, extent, NEVER).unwrap(), by_brute_force(&elements, extent));
+        prop_assert_eq!(&found.touching, &want.touching);
+        found.near.sort_by_key(|near| (near.0, near.1));
+        want.near.sort_by_key(|near| (near.0, near.1));
+        prop_assert_eq!(found.near, want.near);
+        Ok(())
+    }
+
+    /// Places that often coincide, are often near each other, and often lie on one line.
+    fn place() -> impl Strategy<Value = (f64, f64)> {
+        let lattice = (0..6_u8, 0..6_u8).prop_map(|(x, y)| (f64::from(x) * 7.0, f64::from(y) * 7.0));
+        let beside = (0..6_u8, 0..3_u8, -3..4_i8).prop_map(|(x, y, d)| (f64::from(x) * 7.0 + f64::from(d) * 0.3, f64::from(y) * 7.0));
+        let rounded = (0..6_u8, -9..10_i8).prop_map(|(x, d)| (f64::from(x) * 7.0 + f64::from(d) * 5e-9, 7.0 - f64::from(d) * 3e-9));
+        prop_oneof![lattice, beside, rounded, (0.0..40.0, 0.0..40.0)]
+    }
+
+    fn handle() -> impl Strategy<Value = Handle> {
+        let point = place().prop_map(|(x, y)| dot(x, y));
+        let line = (place(), place()).prop_filter("a length", |(a, b)| (a.0 - b.0).hypot(a.1 - b.1) > 1e-3).prop_map(|(a, b)| line(a, b));
+        prop_oneof![point, line]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn meetings_are_those_of_a_search_of_all_pairs(handles in prop::collection::vec(handle(), 0..14)) {
+            agrees(handles)?;
+        }
+
+        #[test]
+        fn meetings_far_from_the_origin_are_too(handles in prop::collection::vec(handle(), 0..9), x in -9e5..9e5_f64, y in -9e5..9e5_f64) {
+            let moved = |p: &Point| Point::new(p.x + x, p.y + y);
+            agrees(handles.iter().map(|h| match h {
+                Handle::Point(p) => Handle::Point(moved(p)),
+                Handle::Polyline(places) => Handle::Polyline(places.iter().map(moved).collect()),
+            }).collect())?;
+        }
+    }
+
+    #[test]
+    fn meetings_of_many_lines_in_one_direction_are_found_along_another() {
+        // Their boxes all overlap in x and y, at every angle of the bundle.
+        for degrees in [0.0_f64, 11.0, 45.0, 90.0, 130.0] {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            let turned = |x: f64, y: f64| (400.0 + x * cos - y * sin, 400.0 + x * sin + y * cos);
+            let mut handles: Vec<Handle> = (0..60).map(|k| f64::from(k) - 30.0).map(|y| line(turned(-150.0, y), turned(150.0, y))).collect();
+            handles.push(line(turned(0.0, -12.5), turned(1.0, 14.5)));
+            let at = turned(10.0, 20.0);
+            handles.push(dot(at.0, at.1));
+            agrees(handles).unwrap();
+        }
+    }
+
+    /// Sets of 10,000 columns, each the worst of its kind: all of them take a bounded amount of work, and end.
+    #[test]
+    fn the_work_of_the_worst_sets_is_bounded() {
+        const N: u32 = 10_000;
+        let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+        let (half, all) = (|| 0..N / 2, || (0..N).map(|k| (k, share(k), share(k ^ 0x5bd1))));
+        let bundle = |angle: f64, spread: f64| {
+            let (sin, cos) = angle.sin_cos();
+            let turned = move |x: f64, y: f64| (x * cos - y * sin, x * sin + y * cos);
+            half().map(|k| spread * f64::from(k)).map(|y| line(turned(0.0, y), turned(400.0, y))).collect::<Vec<_>>()
+        };
+        let sets: Vec<(&str, Vec<Handle>)> = vec![
+            ("points within 1 px", all().map(|(_, x, y)| dot(100.0 + 0.7 * x, 100.0 + 0.7 * y)).collect()),
+            ("points at one place", all().map(|_| dot(3.0, 4.0)).chain([dot(900.0, 0.0)]).collect()),
+            ("points within a millionth of a px", all().map(|(_, x, y)| dot(1e-6 * x, 1e-6 * y)).chain([dot(900.0, 0.0)]).collect()),
+            ("points of one x", all().map(|(_, x, _)| dot(7.0, 4000.0 * x)).collect()),
+            ("points of one x, 1/100 px apart", all().map(|(k, ..)| dot(7.0, 0.01 * f64::from(k))).collect()),
+            ("points on one slanted line", all().map(|(_, x, _)| dot(2000.0 * x, 2000.0 * x)).collect()),
+            ("parallel lines along x", bundle(0.0, 0.01)),
+            ("parallel lines between two directions", bundle(std::f64::consts::PI / 16.0, 0.01)),
+            ("parallel lines far apart", bundle(std::f64::consts::PI / 16.0, 0.5)),
+            ("a star", half().map(|k| f64::from(k).sin_cos()).map(|(s, c)| line((500.0 + 9.0 * c, 500.0 + 9.0 * s), (500.0 + 400.0 * c, 500.0 + 400.0 * s))).collect()),
+            ("all cross", half().map(|k| f64::from(k) / 5000.0).map(|t| line((0.0, 400.0 * t), (400.0, 400.0 * (1.0 - t)))).collect()),
+            ("points beside lines", (0..N / 3).flat_map(|k| [dot(200.0 + share(k), 3.0), line((0.0, 0.01 * f64::from(k)), (400.0, 5.0 + 0.01 * f64::from(k)))]).collect()),
+        ];
+        for (name, handles) in sets {
+            let (elements, extent) = elements_of(handles);
+            let began = std::time::Instant::now();
+            let mut search = Search::new(&elements, extent, NEVER);
+            let outcome = search.run().map_err(|e| e.to_string());
+            let (n, found) = (elements.len() as u64, &search.found);
+            eprintln!(
+                "{name}: {} elements, {} comparisons of points, {} work, {} meetings, {} near, {:.1} ms, {:?}",
+                n, search.compared, search.work, found.touching.len(), found.near.len(), began.elapsed().as_secs_f64() * 1e3, outcome
+            );
+            assert!(search.compared <= n * (9 + 25) * CROWD as u64, "{name}: {}", search.compared);
+            assert!(search.work <= MOST_WORK + 2 * COMPARISON, "{name}: {}", search.work);
+        }
+    }
+
+    #[test]
+    fn a_search_that_nobody_waits_for_ends_at_the_next_element() {
+        let points = (0..500).map(|k| dot(f64::from(k), 0.0));
+        let lines = (0..500).map(|k| line((f64::from(k), 1.0), (f64::from(k), 500.0)));
+        let (elements, extent) = elements_of(points.chain(lines).collect());
+        for looks in [0, 1, 499, 501, 520, 900] {
+            let asked = Cell::new(0);
+            let gone = || asked.replace(asked.get() + 1) >= looks;
+            assert_eq!(Meetings::find(&elements, extent, &gone).unwrap_err(), DeformError::GivenUp);
+            assert_eq!(asked.get(), looks + 1);
+        }
+    }
 }

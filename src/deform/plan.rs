@@ -17,6 +17,11 @@ use crate::geometry::{Grid, Mesh, Point, Vec2};
 const BLOCKS_PER_TASK: usize = 8;
 /// Tables up to this are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
+/// Tables are filled and posed in pieces of this size, bytes, with a look between them at whether someone still waits: a few milliseconds.
+const PIECE_BYTES: usize = 16 << 20;
+
+/// Says that nobody waits for the result any more; asked by any thread.
+pub type Gone<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The A_j table of a set of vertices.
 #[derive(Debug)]
@@ -57,57 +62,86 @@ impl Plan {
     /// Fills the table for the vertices of a grid, in parallel on the current pool.
     #[must_use]
     pub fn of_grid(field: &Field, grid: &Grid) -> Self {
+        Self::of_grid_unless(field, grid, &|| false).expect("nothing gives it up")
+    }
+
+    /// The same; `None` when `gone` said that nobody waits any more. It is asked for each block of vertices.
+    #[must_use]
+    pub fn of_grid_unless(field: &Field, grid: &Grid, gone: Gone<'_>) -> Option<Self> {
         let columns = grid.columns() as usize;
-        Self::of_vertices(field, grid.len(), |k| vertex(grid, columns, k))
+        Self::fill(field, grid.len(), |k| vertex(grid, columns, k), gone)
     }
 
     /// Fills the table for any vertices, `vertex(0..vertices)`.
     #[must_use]
     pub fn of_vertices(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync) -> Self {
+        Self::fill(field, vertices, vertex, &|| false).expect("nothing gives it up")
+    }
+
+    fn fill(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync, gone: Gone<'_>) -> Option<Self> {
         let (family, columns) = (field.family(), field.handles().columns());
         let per_block = lanes_per_block(family, columns);
-        let mut table = vec![Lanes::default(); vertices.div_ceil(LANES) * per_block];
-        if per_block > 0 {
-            table.par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().for_each_init(
+        let blocks = vertices.div_ceil(LANES);
+        let mut table = Vec::with_capacity(blocks * per_block);
+        let per_piece = blocks_per_piece(per_block);
+        for piece in (0..if per_block > 0 { blocks } else { 0 }).step_by(per_piece) {
+            // The memory of a large table is not touched all at once either, which takes tenths of a second.
+            let start = table.len();
+            table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
+            table[start..].par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().try_for_each_init(
                 || Workspace::<LANES>::new(columns),
                 |workspace, (task, blocks)| {
                     for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
-                        let first = (task * BLOCKS_PER_TASK + k) * LANES;
+                        if gone() {
+                            return None;
+                        }
+                        let first = (piece + task * BLOCKS_PER_TASK + k) * LANES;
                         // The last block repeats the last vertex.
                         field.rows(&gather(|lane| vertex((first + lane).min(vertices - 1))), false, workspace);
                         store(family, &workspace.rows, block);
                     }
+                    Some(())
                 },
-            );
+            )?;
         }
-        Self { family, columns, vertices, table }
+        Some(Self { family, columns, vertices, table })
     }
 
     /// The displacement of every vertex, px. O(vertices x columns), one pass over the table.
     #[must_use]
     pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
+        self.displace_unless(pose, &|| false).expect("nothing gives it up")
+    }
+
+    fn displace_unless(&self, pose: &Pose, gone: Gone<'_>) -> Option<(Vec<[f32; 2]>, PoseQuality)> {
         assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
         let mut quality = PoseQuality { least_rotation: 1.0 };
         if pose.is_identity() || self.columns == 0 {
-            return (vec![[0.0; 2]; self.vertices], quality);
+            return Some((vec![[0.0; 2]; self.vertices], quality));
         }
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let per_block = lanes_per_block(self.family, self.columns);
         let blocks = self.vertices.div_ceil(LANES);
         let mut out = Vec::with_capacity(blocks);
         let threads = rayon::current_num_threads();
+        let piece = blocks_per_piece(per_block) * per_block;
         if threads == 1 || Self::is_posed_on_one_thread(self.bytes()) {
-            quality.least_rotation = kernel::displace(self.family, &self.table, &d, &mut out);
+            for table in self.table.chunks(piece) {
+                if gone() {
+                    return None;
+                }
+                quality.least_rotation = quality.least_rotation.min(kernel::displace(self.family, table, &d, &mut out));
+            }
         } else {
-            let parts: Vec<_> = self
+            let parts: Option<Vec<_>> = self
                 .table
-                .par_chunks(blocks.div_ceil(4 * threads) * per_block)
+                .par_chunks((blocks.div_ceil(4 * threads) * per_block).min(piece))
                 .map(|table| {
                     let mut out = Vec::new();
-                    (kernel::displace(self.family, table, &d, &mut out), out)
+                    (!gone()).then(|| (kernel::displace(self.family, table, &d, &mut out), out))
                 })
                 .collect();
-            for (least, part) in parts {
+            for (least, part) in parts? {
                 quality.least_rotation = quality.least_rotation.min(least);
                 out.extend(part);
             }
@@ -115,21 +149,32 @@ impl Plan {
         // The last block repeats its last vertex.
         let mut out = out.into_flattened();
         out.truncate(self.vertices);
-        (out, quality)
+        Some((out, quality))
     }
 
     /// The posed mesh of the grid that the plan was made for.
     #[must_use]
     pub fn pose(&self, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
-        let (displacement, quality) = self.displace(pose);
-        (Mesh::new(*grid, displacement), quality)
+        self.pose_unless(grid, pose, &|| false).expect("nothing gives it up")
+    }
+
+    /// The same; `None` when `gone` said that nobody waits any more.
+    #[must_use]
+    pub fn pose_unless(&self, grid: &Grid, pose: &Pose, gone: Gone<'_>) -> Option<(Mesh, PoseQuality)> {
+        let (displacement, quality) = self.displace_unless(pose, gone)?;
+        Some((Mesh::new(*grid, displacement), quality))
     }
 }
 
+/// Blocks of a table in a piece of it.
+fn blocks_per_piece(per_block: usize) -> usize {
+    (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
+}
+
 /// The posed mesh without a table: every row is weighed anew, for grids whose table would not fit. O(vertices x elements) with weights.
-/// `gone` is asked every hundred vertices or so; `None` when it said that nobody waits any more.
+/// `gone` is asked for each block of vertices; `None` when it said that nobody waits any more.
 #[must_use]
-pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: &(dyn Fn() -> bool + Sync)) -> Option<(Mesh, PoseQuality)> {
+pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: Gone<'_>) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
     let mut displacement = vec![[0.0f32; 2]; grid.len()];
     let mut least_rotation = 1.0;
@@ -140,11 +185,11 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: &(dyn F
             .map_init(
                 || Workspace::<LANES>::new(field.handles().columns()),
                 |workspace, (task, out)| {
-                    if gone() {
-                        return None;
-                    }
                     let mut least = f32::INFINITY;
                     for (k, out) in out.chunks_mut(LANES).enumerate() {
+                        if gone() {
+                            return None;
+                        }
                         let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
                         field.rows(&gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1))), false, workspace);
                         for (lane, out) in out.iter_mut().enumerate() {

@@ -76,9 +76,10 @@ impl Mesh {
         (0..rows - 1).flat_map(move |j| (0..columns - 1).filter(move |&i| self.is_folded(i, j)).map(move |i| (i, j)))
     }
 
-    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells.
+    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `gone` said that nobody
+    /// waits any more; it is asked for each row.
     #[must_use]
-    pub fn folded_cell_count(&self) -> u64 {
+    pub fn folded_cell_count(&self, gone: &dyn Fn() -> bool) -> Option<u64> {
         let columns = self.grid.columns() as usize;
         let rest: Vec<f64> = (0..self.grid.columns()).map(|i| self.grid.x(i)).collect();
         let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {
@@ -92,6 +93,9 @@ impl Mesh {
         line(0, &mut above, &mut top);
         let mut folded = 0;
         for j in 1..self.grid.rows() {
+            if gone() {
+                return None;
+            }
             line(j, &mut below, &mut bottom);
             across.clear();
             across.extend(above.iter().zip(&below).map(|(a, d)| *d - *a));
@@ -105,7 +109,7 @@ impl Mesh {
             std::mem::swap(&mut above, &mut below);
             std::mem::swap(&mut top, &mut bottom);
         }
-        folded
+        Some(folded)
     }
 
     /// Whether a posed cell has a part of the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the
@@ -198,10 +202,10 @@ mod tests {
                 })
             });
             let mut mesh = Mesh::new(grid, displacement.collect());
-            assert_eq!(mesh.folded_cell_count(), mesh.folded_cells().count() as u64, "{columns} x {rows}, {reach}");
+            assert_eq!(mesh.folded_cell_count(&|| false), Some(mesh.folded_cells().count() as u64), "{columns} x {rows}, {reach}");
             // A number that is none folds what it touches.
             mesh.displacement[0][1] = f32::NAN;
-            assert_eq!(mesh.folded_cell_count(), mesh.folded_cells().count() as u64);
+            assert_eq!(mesh.folded_cell_count(&|| false), Some(mesh.folded_cells().count() as u64));
         }
     }
 }

@@ -1,13 +1,26 @@
 //! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides without drawing whether the target is covered,
-//! and finds the border's place nearest to a pixel for `Outside::Edge`, by a binary tree of boxes over consecutive segments (the polygon is local
-//! enough that no other order is needed). Lattice steps in, sampler coordinates out. Built in O(border), a query visits O(log border) boxes as a rule.
+//! and finds the border's places nearest to the bare pixels for `Outside::Edge`. Lattice steps in, sampler coordinates out.
+//!
+//! A square of pixels has a list of the segments that may be nearest to one of its pixels: those that are no farther from its centre than the nearest
+//! one and the square's diagonal together. The lists of the largest squares come from a binary tree of boxes over consecutive segments, those of the
+//! squares within from the list around them. So the segments of a border that crosses the picture back and forth, whose boxes overlap everywhere, are
+//! looked at once a square and not once a pixel. The work has a bound for every border, because lists have one ([`SQUARES`]).
 
-use super::lattice::{Corner, HALF, Lattice, ONE};
+use super::kernel::BARE;
+use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
 use crate::geometry::Point;
 use crate::pixmap::Extent;
 
 /// Segments in a leaf of the tree.
 const LEAF: usize = 4;
+/// Squares of pixels: their side, px, and the most segments in the list of one. Where more segments lie as near, those nearest to the centre are kept:
+/// then the place that is found may be farther away than the nearest one, by the square's diagonal at most. Places of the target alone decide which
+/// squares there are, so that any banding gives the same bytes.
+const SQUARES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
+/// Lists up to this length are searched for each pixel without smaller squares.
+const SHORT: usize = 12;
+/// What rounding may move a distance, lattice steps, and more.
+const MARGIN: f64 = 1.0;
 
 /// The border polygon, and its tree of boxes.
 #[derive(Debug)]
@@ -60,7 +73,7 @@ impl Border {
         winding != 0
     }
 
-    /// Builds the tree that [`Border::nearest`] walks.
+    /// Builds the tree for a [`Search`].
     pub(super) fn index(&mut self) {
         let leaves = (self.vertices.len() - 1).div_ceil(LEAF).next_power_of_two();
         let mut boxes = vec![[f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY]; 2 * leaves - 1];
@@ -77,26 +90,173 @@ impl Border {
         self.boxes = boxes;
     }
 
-    /// The sampler's coordinates of the border's place that is nearest to `place`; among equals the one found first, which depends on `place` alone.
-    pub(super) fn nearest(&self, place: Point) -> (f32, f32) {
-        let leaves = self.boxes.len().div_ceil(2);
-        let mut best = (f64::INFINITY, (self.vertices[0].u, self.vertices[0].v));
+    /// Leaves of the tree.
+    fn leaves(&self) -> usize {
+        self.boxes.len().div_ceil(2)
+    }
+
+    /// Of two segments equally near to `place` the one that a search down the tree finds first: nearer boxes come first, of equal ones the left one.
+    fn comes_first(&self, segment: usize, other: usize, place: Point) -> bool {
+        let node = |segment: usize| segment / LEAF + self.leaves() - 1;
+        let (mut a, mut b) = (node(segment.min(other)), node(segment.max(other)));
+        if a == b {
+            return segment < other;
+        }
+        while (a - 1) / 2 != (b - 1) / 2 {
+            (a, b) = ((a - 1) / 2, (b - 1) / 2);
+        }
+        let left_is_first = box_distance(&self.boxes[a], place) <= box_distance(&self.boxes[b], place);
+        left_is_first == (segment < other)
+    }
+}
+
+/// Rows of coordinates some of which are bare: `[rows][pitch]`, of which `width` are pixels.
+#[derive(Debug)]
+pub(super) struct Rows<'a> {
+    pub(super) first: u32,
+    pub(super) width: usize,
+    pub(super) pitch: usize,
+    pub(super) u: &'a mut [f32],
+    pub(super) v: &'a mut [f32],
+}
+
+impl Rows<'_> {
+    fn end(&self) -> usize {
+        self.first as usize + self.u.len().div_ceil(self.pitch)
+    }
+
+    /// Index of a pixel.
+    fn at(&self, x: usize, y: usize) -> usize {
+        (y - self.first as usize) * self.pitch + x
+    }
+}
+
+/// A segment that may be the nearest one, by its distance from the centre of the square.
+type Candidate = (f64, u32);
+
+/// The search for the nearest places of a border.
+#[derive(Debug)]
+pub(super) struct Search<'a> {
+    border: &'a Border,
+    lists: [Vec<Candidate>; SQUARES.len()],
+    /// Boxes, segments and pixels that were looked at.
+    work: u64,
+}
+
+impl<'a> Search<'a> {
+    /// For a border that was indexed.
+    pub(super) fn new(border: &'a Border) -> Self {
+        Self { border, lists: Default::default(), work: 0 }
+    }
+
+    /// Gives every bare pixel the sampler's coordinates of the border's place nearest to it; among equals that of the segment that comes first.
+    pub(super) fn fill(&mut self, rows: &mut Rows<'_>) {
+        let (side, _) = SQUARES[0];
+        let before = self.work;
+        for y in (rows.first as usize / side * side..rows.end()).step_by(side) {
+            for x in (0..rows.width).step_by(side) {
+                self.square(0, x, y, rows);
+            }
+        }
+        debug_assert!(self.work - before <= self.most_work(rows), "{} of {}", self.work - before, self.most_work(rows));
+    }
+
+    /// The most work that rows take: each square its parent's whole list (the tree, at first), each pixel the longest list of the last one.
+    fn most_work(&self, rows: &Rows<'_>) -> u64 {
+        let tree = self.border.boxes.len() + self.border.vertices.len();
+        let above = [tree, SQUARES[0].1, SQUARES[1].1];
+        let lists = SQUARES.iter().zip(above).map(|((side, _), above)| {
+            let squares = rows.width.div_ceil(*side) * (rows.u.len().div_ceil(rows.pitch).div_ceil(*side) + 1);
+            squares * (above + side * side)
+        });
+        let pixels = rows.u.len() * SQUARES[2].1.max(SHORT);
+        (lists.sum::<usize>() + pixels) as u64
+    }
+
+    /// The bare pixels of a square, the part of it that lies in the rows.
+    fn square(&mut self, level: usize, x0: usize, y0: usize, rows: &mut Rows<'_>) {
+        let (side, most) = SQUARES[level];
+        let (xs, ys) = (x0..(x0 + side).min(rows.width), y0.max(rows.first as usize)..(y0 + side).min(rows.end()));
+        self.work += (xs.len() * ys.len()) as u64;
+        if !ys.clone().any(|y| rows.u[rows.at(xs.start, y)..rows.at(xs.end, y)].contains(&BARE)) {
+            return;
+        }
+        let half = |corner: usize| column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(ONE);
+        let centre = Point::new(half(x0), half(y0));
+        let diagonal = side as f64 * f64::from(ONE) * std::f64::consts::SQRT_2 + MARGIN;
+        let (above, below) = self.lists.split_at_mut(level);
+        let list = &mut below[0];
+        list.clear();
+        let nearest = match above.last() {
+            None => self.border.gather(centre, diagonal, list, &mut self.work),
+            Some(above) => {
+                self.work += above.len() as u64;
+                list.extend(above.iter().map(|&(_, segment)| (self.border.distance(segment as usize, centre), segment)));
+                list.iter().fold(f64::INFINITY, |nearest, candidate| nearest.min(candidate.0))
+            }
+        };
+        list.retain(|candidate| candidate.0 <= nearest + diagonal);
+        if list.len() > most {
+            list.select_nth_unstable_by(most - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            list.truncate(most);
+        }
+        if level + 1 < SQUARES.len() && list.len() > SHORT {
+            let (side, _) = SQUARES[level + 1];
+            for y in (y0..ys.end).step_by(side).filter(|y| y + side > ys.start) {
+                for x in xs.clone().step_by(side) {
+                    self.square(level + 1, x, y, rows);
+                }
+            }
+            return;
+        }
+        for y in ys {
+            for x in xs.clone() {
+                let at = rows.at(x, y);
+                if rows.u[at] == BARE {
+                    let list = &self.lists[level];
+                    self.work += list.len() as u64;
+                    #[expect(clippy::cast_possible_truncation, reason = "a row of the target")]
+                    let place = Point::new(column_centre(x), row_centre(y as u32) as f64);
+                    (rows.u[at], rows.v[at]) = self.border.nearest_of(list, place);
+                }
+            }
+        }
+    }
+}
+
+impl Border {
+    fn segment(&self, index: usize) -> (Corner, Corner) {
+        (self.vertices[index], self.vertices[index + 1])
+    }
+
+    /// Distance of a segment from a place.
+    fn distance(&self, index: usize, place: Point) -> f64 {
+        let (a, b) = self.segment(index);
+        nearest_on(a, b, place).0.sqrt()
+    }
+
+    /// Appends all segments that are no farther from `place` than the nearest one and `beyond`, and some more; the distance of the nearest one.
+    fn gather(&self, place: Point, beyond: f64, list: &mut Vec<Candidate>, work: &mut u64) -> f64 {
+        let leaves = self.leaves();
+        let mut nearest = f64::INFINITY;
         // Depth first, the nearer child first: two entries a level at most.
         let mut pending = [(0_usize, 0.0_f64); 2 * usize::BITS as usize];
         let mut depth = usize::from(!self.boxes.is_empty());
         while depth > 0 {
             depth -= 1;
-            let (node, distance) = pending[depth];
-            if distance >= best.0 {
+            let (node, distance2) = pending[depth];
+            *work += 1;
+            if distance2.sqrt() > nearest + beyond {
                 continue;
             }
             if node + 1 >= leaves {
                 let first = (node + 1 - leaves) * LEAF;
-                for pair in self.vertices[first.min(self.vertices.len())..].windows(2).take(LEAF) {
-                    let (distance, coordinates) = nearest_on(pair[0], pair[1], place);
-                    if distance < best.0 {
-                        best = (distance, coordinates);
-                    }
+                for index in first..(first + LEAF).min(self.vertices.len() - 1) {
+                    *work += 1;
+                    let distance = self.distance(index, place);
+                    nearest = nearest.min(distance);
+                    #[expect(clippy::cast_possible_truncation, reason = "a grid has fewer than 2^32 outer vertices")]
+                    list.push((distance, index as u32));
                 }
                 continue;
             }
@@ -106,6 +266,20 @@ impl Border {
             }
             pending[depth..depth + 2].copy_from_slice(&children);
             depth += 2;
+        }
+        nearest
+    }
+
+    /// The sampler's coordinates of the place nearest to `place` on the segments of a list.
+    fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
+        let mut best = (f64::INFINITY, (self.vertices[0].u, self.vertices[0].v), usize::MAX);
+        for &(_, index) in list {
+            let index = index as usize;
+            let (a, b) = self.segment(index);
+            let (distance, coordinates) = nearest_on(a, b, place);
+            if distance < best.0 || (distance == best.0 && self.comes_first(index, best.2, place)) {
+                best = (distance, coordinates, index);
+            }
         }
         best.1
     }
@@ -170,25 +344,108 @@ mod tests {
         assert!(polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(extent(10, 8)), "a slanted one");
     }
 
-    #[test]
-    fn nearest_agrees_with_a_search_of_all() {
-        let spiral: Vec<_> =
-            (0..200_i32).map(|k| ((f64::from(k) * 0.7).sin() * f64::from(k), (f64::from(k) * 0.7).cos() * f64::from(k))).collect();
-        let mut border = polygon(&spiral.iter().map(|&(x, y)| (x.round() as i32, y.round() as i32)).collect::<Vec<_>>());
+    /// The nearest place by a search down the tree for this place alone: the definition of which one is found among equals.
+    fn by_the_tree(border: &Border, node: usize, place: Point, best: &mut (f64, (f32, f32))) {
+        if node + 1 >= border.leaves() {
+            let first = (node + 1 - border.leaves()) * LEAF;
+            for index in first..(first + LEAF).min(border.vertices.len() - 1) {
+                let (a, b) = border.segment(index);
+                let (distance, coordinates) = nearest_on(a, b, place);
+                if distance < best.0 {
+                    *best = (distance, coordinates);
+                }
+            }
+            return;
+        }
+        let mut children = [2 * node + 1, 2 * node + 2].map(|child| (box_distance(&border.boxes[child], place), child));
+        if children[1].0 < children[0].0 {
+            children.swap(0, 1);
+        }
+        for (distance, child) in children {
+            if distance < best.0 {
+                by_the_tree(border, child, place, best);
+            }
+        }
+    }
+
+    /// The coordinates of all pixels of a target, and the work a pixel that it took; two bands, the second of which begins in a square.
+    fn filled(border: &mut Border, width: usize, height: usize) -> (Vec<(f32, f32)>, f64) {
         border.index();
-        for k in 0..500 {
-            let place = Point::new(f64::from((k * 7919) % 90_000) - 45_000.5, f64::from((k * 104_729) % 90_000) - 45_000.25);
-            let (u, v) = border.nearest(place);
-            let found = Point::new(f64::from(u) * f64::from(ONE), f64::from(v) * f64::from(ONE)).distance(place);
-            let least = border.segments().map(|(a, b)| nearest_on(a, b, place).0).fold(f64::INFINITY, f64::min).sqrt();
-            assert!((found - least).abs() < 1e-2, "{found} {least}");
+        let mut found = Vec::new();
+        let mut work = 0;
+        for rows in [0..height / 3, height / 3..height] {
+            let pitch = width + 5;
+            let (mut u, mut v) = (vec![BARE; rows.len() * pitch], vec![0.0; rows.len() * pitch]);
+            let mut search = Search::new(border);
+            search.fill(&mut Rows { first: rows.start as u32, width, pitch, u: &mut u, v: &mut v });
+            work += search.work;
+            let pairs = u.chunks_exact(pitch).zip(v.chunks_exact(pitch));
+            found.extend(pairs.flat_map(|(u, v)| u[..width].iter().copied().zip(v[..width].iter().copied()).collect::<Vec<_>>()));
+        }
+        (found, work as f64 / (width * height) as f64)
+    }
+
+    fn agrees(name: &str, vertices: &[(i32, i32)], width: usize, height: usize) -> f64 {
+        let mut border = steps(vertices);
+        let (found, work) = filled(&mut border, width, height);
+        for (k, found) in found.iter().enumerate() {
+            let place = Point::new(column_centre(k % width), row_centre((k / width) as u32) as f64);
+            let mut want = (f64::INFINITY, (0.0, 0.0));
+            by_the_tree(&border, 0, place, &mut want);
+            assert_eq!(*found, want.1, "{name}: pixel {}, {}", k % width, k / width);
+        }
+        eprintln!("{name}: {} segments, work {work:.1} a pixel", vertices.len());
+        work
+    }
+
+    /// In lattice steps; each vertex has coordinates of its own.
+    fn steps(vertices: &[(i32, i32)]) -> Border {
+        let closed = vertices.iter().chain(vertices.first()).zip(0_u16..);
+        let vertices = closed.map(|(&(x, y), k)| Corner { x, y, u: f32::from(k), v: -f32::from(k) }).collect();
+        Border { vertices, boxes: Vec::new() }
+    }
+
+    fn numbers(seed: u32) -> impl FnMut(i32) -> i32 {
+        let mut state = seed;
+        move |below| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((u64::from(state) * below as u64) >> 32) as i32
         }
     }
 
     #[test]
-    fn nearest_of_one_point_is_that_point() {
-        let mut border = polygon(&[(3, 4); 1000]);
-        border.index();
-        assert_eq!(border.nearest(Point::new(1e9, -1e9)), (3.0, 4.0));
+    fn nearest_places_are_those_of_a_search_for_each_pixel_alone() {
+        let spiral: Vec<_> = (0..200).map(|k| (f64::from(k) * 0.7, f64::from(k) * 80.0)).map(|(a, r)| ((r * a.sin()) as i32, (r * a.cos()) as i32)).collect();
+        agrees("spiral", &spiral, 70, 50);
+        agrees("one place", &[(300, 400); 50], 40, 40);
+        agrees("rectangle", &[(2560, 2560), (7680, 2560), (7680, 7680), (2560, 7680)], 45, 45);
+        // There and back on the same line, and mirrored: everything is found twice, equally near.
+        agrees("there and back", &(0..40).chain((0..40).rev()).map(|k| (k * 256, 5000)).collect::<Vec<_>>(), 41, 41);
+        agrees("two sides", &(0..60).map(|k| (k * 150, if k % 2 == 0 { 256 } else { 38 * 256 })).collect::<Vec<_>>(), 40, 39);
+        for seed in 0..12 {
+            let mut next = numbers(seed);
+            let size = [40 * 256, 400 * 256, 1 << 20][seed as usize % 3];
+            let vertices: Vec<_> = (0..90).map(|_| (next(2 * size) - size / 2, next(2 * size) - size / 2)).collect();
+            agrees("any", &vertices, 66, 44);
+        }
+    }
+
+    #[test]
+    fn the_work_a_pixel_is_bounded_for_every_border() {
+        let mut next = numbers(7);
+        let mut chaos = |count: usize| (0..count).map(|_| (next(256 * 256), next(256 * 256))).collect::<Vec<_>>();
+        let few = agrees("400 segments across the target", &chaos(400), 256, 256);
+        assert!(few < 100.0, "{few}");
+        // More than lists hold: no search for each pixel alone to compare with.
+        let comb = |count: i32, reach: i32| (0..count).map(|k| (k % 700, if k % 2 == 0 { -reach } else { reach })).collect::<Vec<_>>();
+        let sets =
+            [("4,000 across", chaos(4000)), ("40,000 across", chaos(40_000)), ("40,000 in one line", comb(40_000, 256)), ("40,000 afar", comb(40_000, 1 << 28))];
+        for (name, vertices) in sets {
+            let mut border = steps(&vertices);
+            let (_, work) = filled(&mut border, 256, 256);
+            eprintln!("{name}: work {work:.1} a pixel");
+            // 2 * 40,000 boxes and segments to 1,024 pixels, 8,192 to 64, 512 to 4, and 128.
+            assert!(work < 3.0 * (80.0 + 128.0 + 128.0 + 128.0), "{name}: {work}");
+        }
     }
 }

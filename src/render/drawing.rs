@@ -4,17 +4,16 @@
 
 use std::ops::Range;
 
-use super::border::Border;
+use super::border::{Border, Rows, Search};
 use super::cell;
 use super::division::{DOUBT, Division};
 use super::edge::Edge;
 use super::kernel::{BARE, Canvas, Kernel, LANES, NOTES, Spans};
-use super::lattice::{BLOCK, Lattice, column_centre, row_centre};
+use super::lattice::{BLOCK, Lattice, row_centre};
 use super::sampler;
 use super::source::Source;
 use super::ways::{Way, Ways};
 use super::{Outside, RenderOptions};
-use crate::geometry::Point;
 use crate::pixmap::Channels;
 
 /// Rows whose coordinates are made together.
@@ -76,11 +75,42 @@ impl Drawing {
             let at = (strip.start - rows.start) as usize * width * pixel;
             let out = &mut out[at..at + strip.len() * width * pixel];
             self.prepare(&strip, &mut scratch);
+            if self.is_extended() {
+                self.extend(&strip, &mut scratch);
+            }
             for (row, out) in strip.clone().zip(out.chunks_exact_mut(width * pixel)) {
-                let line = self.coordinates(row, &strip, &mut scratch);
-                self.paint(source, channels, row, line, &mut scratch, out);
+                let line = if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
+                self.paint(source, channels, line, &scratch, out);
             }
         }
+    }
+
+    /// The picture's edge is painted where the picture does not reach.
+    fn is_extended(&self) -> bool {
+        !self.covered && self.options.outside == Outside::Edge
+    }
+
+    /// Finds the coordinates of all pixels of a strip.
+    fn extend(&self, strip: &Range<u32>, scratch: &mut Scratch) {
+        let width = self.options.target.width() as usize;
+        let pitch = width + SLACK;
+        for row in strip.clone() {
+            let start = self.coordinates(row, strip, scratch);
+            for gap in gaps(&scratch.runs, width) {
+                scratch.u[start..][gap].fill(BARE);
+            }
+        }
+        let rows = pitch..(1 + strip.len()) * pitch;
+        let (u, v) = (&mut scratch.u[rows.clone()], &mut scratch.v[rows]);
+        Search::new(&self.border).fill(&mut Rows { first: strip.start, width, pitch, u, v });
+    }
+
+    /// Where the row of an extended strip begins in the scratch: one run, as wide as the target.
+    fn extended(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
+        let width = self.options.target.width() as usize;
+        scratch.runs.clear();
+        scratch.runs.push(0..width);
+        (1 + (row - strip.start) as usize) * (width + SLACK)
     }
 
     fn scratch(&self) -> Scratch {
@@ -101,8 +131,8 @@ impl Drawing {
         let width = self.options.target.width();
         let all_plain = strip.clone().all(|row| self.ways.of(row) == Way::Plain);
         let pitch = width as usize + SLACK;
-        // Plain rows are made and used one by one, in the first place; the others stand behind it.
-        let size = if all_plain { 1 } else { 1 + strip.len() } * pitch;
+        // Plain rows are made and used one by one, in the first place, unless they are extended; the others stand behind it.
+        let size = if all_plain && !self.is_extended() { 1 } else { 1 + strip.len() } * pitch;
         if scratch.u.len() < size {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
@@ -157,7 +187,7 @@ impl Drawing {
         let index = (row - strip.start) as usize;
         let width = self.options.target.width() as usize;
         let way = self.ways.of(row);
-        let start = if way == Way::Plain { 0 } else { (index + 1) * (width + SLACK) };
+        let start = if way == Way::Plain && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
         match way {
             Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
@@ -258,24 +288,13 @@ impl Drawing {
     }
 
     /// Samples a row whose coordinates are known, and paints what lies outside.
-    fn paint(&self, source: &Source, channels: Channels, row: u32, start: usize, scratch: &mut Scratch, out: &mut [u8]) {
+    fn paint(&self, source: &Source, channels: Channels, start: usize, scratch: &Scratch, out: &mut [u8]) {
         let width = self.options.target.width() as usize;
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
-        let whole = scratch.runs.first().is_some_and(|run| run.len() == width);
-        if !whole {
-            if let Some(colour) = sampler::outside_pixel(self.options.outside, depth) {
-                for gap in gaps(&scratch.runs, width) {
-                    sampler::fill(&mut out[gap.start * pixel..gap.end * pixel], &colour[..pixel]);
-                }
-            } else {
-                #[expect(clippy::cast_precision_loss, reason = "rows on the target have far fewer than 53 bits")]
-                let y = row_centre(row) as f64;
-                for x in gaps(&scratch.runs, width).flatten() {
-                    (scratch.u[start + x], scratch.v[start + x]) = self.border.nearest(Point::new(column_centre(x), y));
-                }
-                scratch.runs.clear();
-                scratch.runs.push(0..width);
+        if let Some(colour) = sampler::outside_pixel(self.options.outside, depth) {
+            for gap in gaps(&scratch.runs, width) {
+                sampler::fill(&mut out[gap.start * pixel..gap.end * pixel], &colour[..pixel]);
             }
         }
         for run in &scratch.runs {

@@ -2,16 +2,18 @@
 //! that their coefficients depend on, both for each owner of keys: what one owner has sent is never found by another. What is kept holds its reservation of the account of memory, also when it was taken off the shelf and someone
 //! still uses it. An entry larger than its shelf is used but not kept.
 //!
-//! A build is a task of its own: a client that leaves does not stop it, so those who wait for the same entry get theirs.
+//! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left: that takes
+//! it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new build.
 
 use std::collections::HashMap;
+use std::convert::Infallible;
 use std::future::Future;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use lru::LruCache;
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 
 use super::budget::Reservation;
 use super::client::Owner;
@@ -82,12 +84,52 @@ pub struct Use {
 
 type Outcome<V> = Option<Result<Arc<Kept<V>>, Problem>>;
 
+/// Every request that waits for a build holds this. When the last one drops it, the build learns that and stops.
+type Interest = Arc<oneshot::Sender<Infallible>>;
+
+tokio::task_local! {
+    static RETAINED: Retained;
+}
+
+/// Keeps builds going that were begun within [`Retained::during`], also after the request that began them was given up: a newer request of the same
+/// session takes the place of an older one and needs the same values, but may still be waiting for a worker. They stop when this is dropped too.
+#[derive(Clone, Debug, Default)]
+pub struct Retained(Arc<Mutex<Vec<Interest>>>);
+
+impl Retained {
+    /// Keeps the builds going that `work` waits for.
+    pub fn during<F: Future>(&self, work: F) -> impl Future<Output = F::Output> {
+        RETAINED.scope(self.clone(), work)
+    }
+
+    fn retain(&self, interest: &Interest) {
+        let mut interests = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Closed: the build has ended.
+        interests.retain(|interest| !interest.is_closed());
+        interests.push(Arc::clone(interest));
+    }
+}
+
 #[derive(Debug)]
 struct Entries<V> {
     kept: LruCache<Key, Arc<Kept<V>>>,
     bytes: u64,
-    /// Where those who want the same value wait.
-    building: HashMap<Key, watch::Receiver<Outcome<V>>>,
+    building: HashMap<Key, Pending<V>>,
+}
+
+/// A build under way, for requests that want the same value.
+#[derive(Debug)]
+struct Pending<V> {
+    outcome: watch::Receiver<Outcome<V>>,
+    /// Dead when all who waited have left: the build is being stopped.
+    interest: Weak<oneshot::Sender<Infallible>>,
+}
+
+impl<V> Pending<V> {
+    /// Joins those who wait, unless the build is being stopped.
+    fn join(&self) -> Option<(watch::Receiver<Outcome<V>>, Interest)> {
+        Some((self.outcome.clone(), self.interest.upgrade()?))
+    }
 }
 
 #[derive(Debug)]
@@ -109,16 +151,23 @@ impl<V> Clone for Shelf<V> {
     }
 }
 
-/// A build under way; whoever waits is told when it is dropped, whatever has become of it.
+/// The building side: those who wait learn of its end when it is dropped, whatever the outcome.
 struct Building<V> {
     shelf: Shelf<V>,
     key: Key,
     told: watch::Sender<Outcome<V>>,
+    interest: Weak<oneshot::Sender<Infallible>>,
+    /// Resolves when the last request that waited has left.
+    abandoned: oneshot::Receiver<Infallible>,
 }
 
 impl<V> Drop for Building<V> {
     fn drop(&mut self) {
-        self.shelf.lock().building.remove(&self.key);
+        let mut entries = self.shelf.lock();
+        // A build that was stopped may have been replaced by a new one.
+        if entries.building.get(&self.key).is_some_and(|pending| pending.interest.ptr_eq(&self.interest)) {
+            entries.building.remove(&self.key);
+        }
     }
 }
 
@@ -237,33 +286,46 @@ impl<V: Send + Sync + 'static> Shelf<V> {
     where
         B: Future<Output = Result<Kept<V>, Problem>> + Send + 'static,
     {
-        let (mut outcome, built) = {
+        let (mut outcome, interest, begun) = {
             let mut entries = self.lock();
             if let Some(value) = entries.kept.get(&key).cloned() {
                 self.0.hits.fetch_add(1, Ordering::Relaxed);
                 return Ok(Fetched { value, built: false });
             }
-            match entries.building.get(&key) {
-                Some(outcome) => (outcome.clone(), false),
+            match entries.building.get(&key).and_then(Pending::join) {
+                Some((outcome, interest)) => (outcome, interest, None),
                 None => {
                     let (told, outcome) = watch::channel(None);
-                    entries.building.insert(key, outcome.clone());
-                    let building = Building { shelf: self.clone(), key, told };
-                    tokio::spawn(Scope::current().wrap(building.finish(build)));
-                    (outcome, true)
+                    let (interest, abandoned) = oneshot::channel();
+                    let interest = Arc::new(interest);
+                    let weak = || Arc::downgrade(&interest);
+                    entries.building.insert(key, Pending { outcome: outcome.clone(), interest: weak() });
+                    let building = Building { shelf: self.clone(), key, told, interest: weak(), abandoned };
+                    (outcome, interest, Some(building))
                 }
             }
         };
+        let _ = RETAINED.try_with(|retained| retained.retain(&interest));
+        let built = begun.is_some();
+        match begun {
+            Some(building) => drop(tokio::spawn(Scope::current().wrap(building.finish(build)))),
+            None => drop(build),
+        }
         // The sender goes without a word when the build was torn down.
         let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
         let value = outcome.ok().flatten().ok_or_else(lost)??;
+        drop(interest);
         Ok(Fetched { value, built })
     }
 }
 
 impl<V> Building<V> {
-    async fn finish(self, build: impl Future<Output = Result<Kept<V>, Problem>>) {
-        let outcome = build.await.map(Arc::new);
+    async fn finish(mut self, build: impl Future<Output = Result<Kept<V>, Problem>>) {
+        let outcome = tokio::select! {
+            biased;
+            outcome = build => outcome.map(Arc::new),
+            _ = &mut self.abandoned => return,
+        };
         if let Ok(value) = &outcome {
             self.shelf.0.built.fetch_add(1, Ordering::Relaxed);
             self.shelf.put(self.key, Arc::clone(value));
@@ -276,8 +338,11 @@ impl<V> Building<V> {
 mod tests {
     use super::*;
     use crate::service::budget::{Budget, Purpose};
+    use crate::service::client::Client;
+    use crate::service::pool::{Cancel, Lane, Pool, Shape, Work};
     use crate::service::problem::Code;
-    use tokio::sync::Semaphore;
+    use futures_util::FutureExt as _;
+    use tokio::sync::{Semaphore, mpsc};
 
     const KEY: Key = key(1);
 
@@ -357,6 +422,151 @@ mod tests {
         tokio::task::yield_now().await;
         gate.add_permits(1);
         assert_eq!(second.await.unwrap(), Ok(7));
+    }
+
+    /// A build that never ends by itself, and says so when it begins and when it is dropped.
+    fn endless(said: &mpsc::UnboundedSender<&'static str>) -> impl Future<Output = Result<Kept<u64>, Problem>> + Send + use<> {
+        struct Dropped(mpsc::UnboundedSender<&'static str>);
+        impl Drop for Dropped {
+            fn drop(&mut self) {
+                let _ = self.0.send("dropped");
+            }
+        }
+        let dropped = Dropped(said.clone());
+        async move {
+            let _ = dropped.0.send("began");
+            std::future::pending().await
+        }
+    }
+
+    #[tokio::test]
+    async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
+        let shelf = Shelf::new(1 << 20);
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let wait = || {
+            let (shelf, build) = (shelf.clone(), endless(&said));
+            tokio::spawn(async move { shelf.get(KEY, build, lost).await })
+        };
+        let first = wait();
+        assert_eq!(hears.recv().await, Some("began"));
+        let others = [wait(), wait()];
+        // Builds that are not needed are dropped at once.
+        assert_eq!([hears.recv().await, hears.recv().await], [Some("dropped"); 2]);
+        for left in [first].into_iter().chain(others) {
+            assert!(hears.try_recv().is_err(), "one still waits");
+            left.abort();
+            assert!(left.await.unwrap_err().is_cancelled());
+        }
+        assert_eq!(hears.recv().await, Some("dropped"));
+        while !shelf.lock().building.is_empty() {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(shelf.usage(), Use::default());
+    }
+
+    #[tokio::test]
+    async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let mut abandoned = Box::pin(shelf.get(KEY, endless(&said), lost));
+        assert!((&mut abandoned).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("began"));
+        // One thread: the task of the build cannot have seen it when the next request comes.
+        drop(abandoned);
+        assert!(!shelf.lock().building.is_empty());
+        let gate = Arc::new(Semaphore::new(0));
+        let (opens, built) = (Arc::clone(&gate), kept(&budget, 7));
+        let next = async move {
+            let _ = opens.acquire().await;
+            built
+        };
+        let mut next = Box::pin(shelf.get(KEY, next, lost));
+        assert!((&mut next).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("dropped"));
+        // The old build has gone, and has left the new one's entry alone: a third request shares it.
+        let mut third = Box::pin(shelf.get(KEY, async { Err(lost()) }, lost));
+        assert!((&mut third).now_or_never().is_none());
+        gate.add_permits(1);
+        assert_eq!((next.await.map(|f| (**f.value, f.built)), third.await.map(|f| (**f.value, f.built))), (Ok((7, true)), Ok((7, false))));
+        assert!(shelf.lock().building.is_empty());
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn whoever_stays_gets_the_value_while_others_come_and_leave() {
+        let (shelf, budget) = (Shelf::new(0), budget());
+        for round in 0..2000_u32 {
+            let wait = || {
+                let (shelf, built) = (shelf.clone(), kept(&budget, 7));
+                let build = async move {
+                    tokio::task::yield_now().await;
+                    built
+                };
+                tokio::spawn(async move { shelf.get(KEY, build, lost).await.map(|f| **f.value) })
+            };
+            let leaves = wait();
+            if round % 3 == 0 {
+                tokio::task::yield_now().await;
+            }
+            leaves.abort();
+            let stays = wait();
+            assert_eq!(stays.await.unwrap(), Ok(7), "round {round}");
+            let _ = leaves.await;
+        }
+    }
+
+    #[tokio::test]
+    async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
+        let shelf = Shelf::new(1 << 20);
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let retained = Retained::default();
+        let mut waits = Box::pin(retained.during(shelf.get(KEY, endless(&said), lost)));
+        assert!((&mut waits).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("began"));
+        drop(waits);
+        tokio::task::yield_now().await;
+        assert!(hears.try_recv().is_err());
+        drop(retained);
+        assert_eq!(hears.recv().await, Some("dropped"));
+    }
+
+    #[tokio::test]
+    async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let long = std::time::Duration::from_secs(600);
+        let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
+        let admit = || pool.admit(Work::Upload, Lane::Client(Client::default()));
+        let build = || {
+            let (pool, built) = (pool.clone(), kept(&budget, 7));
+            async move {
+                let ticket = pool.admit(Work::Upload, Lane::Client(Client::default())).await?;
+                let until_cancelled = |cancel: &Cancel| {
+                    while !cancel.is_cancelled() {
+                        std::thread::yield_now();
+                    }
+                };
+                pool.run(&ticket, until_cancelled).await?;
+                built
+            }
+        };
+        let ticket = admit().await.unwrap();
+        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        assert!((&mut waits).now_or_never().is_none());
+        while pool.load(Work::Upload).waiting == 0 {
+            tokio::task::yield_now().await;
+        }
+        drop(waits);
+        while pool.load(Work::Upload).waiting == 1 {
+            tokio::task::yield_now().await;
+        }
+        drop(ticket);
+        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        assert!((&mut waits).now_or_never().is_none());
+        while pool.running() == 0 {
+            tokio::task::yield_now().await;
+        }
+        drop(waits);
+        // The only turn comes back.
+        drop(admit().await.unwrap());
     }
 
     #[tokio::test]

@@ -9,6 +9,7 @@ use std::time::SystemTime;
 use tokio::sync::watch;
 use uuid::{Uuid, Variant};
 
+use super::cache::Retained;
 use super::client::Owner;
 
 /// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
@@ -107,14 +108,22 @@ pub type Life = (SessionId, SystemTime);
 
 /// The sessions for which numbered requests are under way.
 #[derive(Clone, Debug, Default)]
-pub struct Lanes(Arc<Mutex<HashMap<Life, Arc<watch::Sender<u64>>>>>);
+pub struct Lanes(Arc<Mutex<HashMap<Life, Arc<Lane>>>>);
+
+/// The numbered requests of one life of a session.
+#[derive(Debug)]
+struct Lane {
+    newest: watch::Sender<u64>,
+    /// What a superseded request was building, the newer one needs.
+    builds: Retained,
+}
 
 /// A numbered request under way.
 #[derive(Debug)]
 pub struct Place {
     lanes: Lanes,
     life: Life,
-    newest: Arc<watch::Sender<u64>>,
+    lane: Arc<Lane>,
     seq: u64,
 }
 
@@ -122,16 +131,17 @@ impl Lanes {
     /// Enters a request; those with a lower number are superseded from now on.
     #[must_use]
     pub fn enter(&self, life: Life, seq: u64) -> Place {
-        let newest = Arc::clone(self.lock().entry(life).or_insert_with(|| Arc::new(watch::Sender::new(seq))));
-        newest.send_if_modified(|newest| {
+        let new = || Arc::new(Lane { newest: watch::Sender::new(seq), builds: Retained::default() });
+        let lane = Arc::clone(self.lock().entry(life).or_insert_with(new));
+        lane.newest.send_if_modified(|newest| {
             let higher = seq > *newest;
             *newest = seq.max(*newest);
             higher
         });
-        Place { lanes: self.clone(), life, newest, seq }
+        Place { lanes: self.clone(), life, lane, seq }
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<Life, Arc<watch::Sender<u64>>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<Life, Arc<Lane>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -140,14 +150,20 @@ impl Place {
     /// A higher number has been seen.
     #[must_use]
     pub fn is_superseded(&self) -> bool {
-        *self.newest.borrow() > self.seq
+        *self.lane.newest.borrow() > self.seq
     }
 
     /// Waits until a higher number is seen.
     pub async fn superseded(&self) {
-        let mut newest = self.newest.subscribe();
+        let mut newest = self.lane.newest.subscribe();
         // The sender lives as long as `self`, so waiting cannot fail.
         let _ = newest.wait_for(|newest| *newest > self.seq).await;
+    }
+
+    /// Builds that go on for as long as a numbered request of the session is under way.
+    #[must_use]
+    pub fn builds(&self) -> &Retained {
+        &self.lane.builds
     }
 }
 
@@ -155,7 +171,7 @@ impl Drop for Place {
     fn drop(&mut self) {
         let mut lanes = self.lanes.lock();
         // The map's and this one: arcs are cloned under the lock alone.
-        if Arc::strong_count(&self.newest) <= 2 {
+        if Arc::strong_count(&self.lane) <= 2 {
             lanes.remove(&self.life);
         }
     }

@@ -51,17 +51,6 @@ pub enum WarpError {
     },
 }
 
-impl WarpError {
-    /// The same error of places that were mapped as a part of a longer list, `offset` places from its start.
-    #[must_use]
-    pub fn with_place_offset(self, offset: usize) -> Self {
-        match self {
-            Self::BadPlace { index, value, limit } => Self::BadPlace { index: index + offset, value, limit },
-            other => other,
-        }
-    }
-}
-
 /// What was asked for, in words; `what` as in [`WarpError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {

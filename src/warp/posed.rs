@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Plan, Setup, WarpError};
-use crate::deform::{Handle, Handles, Pose, Warning};
+use crate::deform::{Gone, Handle, Handles, Pose, Warning};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
@@ -31,14 +31,14 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the plan has no table, and then given up when `gone` says
+    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the grid is large or the plan has no table. Given up when `gone` says
     /// that nobody waits any more.
     ///
     /// # Errors
     /// `folds: reject` and it folds; given up.
-    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: &(dyn Fn() -> bool + Sync)) -> Result<Self, WarpError> {
+    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: Gone<'_>) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cell_count();
+        let cells = mesh.folded_cell_count(gone).ok_or(WarpError::GivenUp)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
@@ -81,25 +81,33 @@ impl Posed {
 
     /// The posed vertices row by row, in the client's units.
     pub fn vertices(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
-        let grid = self.mesh.grid();
+        (0..self.mesh.grid().rows()).flat_map(|row| self.row(row))
+    }
+
+    fn row(&self, row: u32) -> impl Iterator<Item = [f64; 2]> + '_ {
         let (ux, uy) = self.unit;
-        (0..grid.rows()).flat_map(move |row| {
-            (0..grid.columns()).map(move |column| {
-                let posed = self.mesh.posed(column, row);
-                [posed.x / ux, posed.y / uy]
-            })
+        (0..self.mesh.grid().columns()).map(move |column| {
+            let posed = self.mesh.posed(column, row);
+            [posed.x / ux, posed.y / uy]
         })
     }
 
-    /// The same as little-endian f32, x then y.
-    #[must_use]
-    pub fn numbers(&self) -> Vec<u8> {
+    /// The same as little-endian f32, x then y; given up when `gone`.
+    ///
+    /// # Errors
+    /// Given up.
+    pub fn numbers(&self, gone: Gone<'_>) -> Result<Vec<u8>, WarpError> {
         let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
-        for vertex in self.vertices() {
-            #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
-            out.extend(vertex.map(|c| c as f32).iter().flat_map(|c| c.to_le_bytes()));
+        for row in 0..self.mesh.grid().rows() {
+            if gone() {
+                return Err(WarpError::GivenUp);
+            }
+            for vertex in self.row(row) {
+                #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
+                out.extend(vertex.map(|c| c as f32).iter().flat_map(|c| c.to_le_bytes()));
+            }
         }
-        out
+        Ok(out)
     }
 }
 

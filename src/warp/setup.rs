@@ -8,7 +8,9 @@ use rayon::prelude::*;
 use super::digest::Collector;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
-use crate::deform::{self, Falloff, Field, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table};
+use crate::deform::{
+    self, DeformError, Falloff, Field, Gone, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
+};
 use crate::geometry::{Grid, Mesh, Point};
 use crate::pixmap::Extent;
 
@@ -52,6 +54,14 @@ impl Setup {
     /// # Errors
     /// Handles, parameters, grid, or the size of any of them.
     pub fn new(rest: &RestSpec, extent: Extent, limits: &Limits) -> Result<Self, WarpError> {
+        Self::new_unless(rest, extent, limits, &|| false)
+    }
+
+    /// The same, given up when `gone`.
+    ///
+    /// # Errors
+    /// Those of [`Setup::new`]; given up.
+    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, gone: Gone<'_>) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
@@ -65,7 +75,10 @@ impl Setup {
         let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-        let field = Field::new(handles, rest.method, falloff, given).map_err(WarpError::Rest)?;
+        let field = Field::new_unless(handles, rest.method, falloff, given, gone).map_err(|error| match error {
+            DeformError::GivenUp => WarpError::GivenUp,
+            error => WarpError::Rest(error),
+        })?;
         let plan_key = plan_key(&field, &grid, mixed);
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let plan_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
@@ -102,7 +115,16 @@ impl Setup {
     /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
     #[must_use]
     pub fn plan(&self) -> Plan {
-        Plan(self.plan_bytes.map(|_| deform::Plan::of_grid(&self.field, &self.grid)))
+        self.plan_unless(&|| false).expect("nothing gives it up")
+    }
+
+    /// The same, given up when `gone`.
+    ///
+    /// # Errors
+    /// Given up.
+    pub fn plan_unless(&self, gone: Gone<'_>) -> Result<Plan, WarpError> {
+        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, gone).ok_or(WarpError::GivenUp);
+        self.plan_bytes.map(fill).transpose().map(Plan)
     }
 
     /// Checks posed handles against the rest handles; only q enters.
@@ -131,11 +153,12 @@ impl Setup {
         (self.grid.columns(), self.grid.rows())
     }
 
-    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work.
+    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work, in parallel on the current rayon pool where
+    /// there are many; given up when `gone`.
     ///
     /// # Errors
-    /// A place that is not finite or beyond what coordinates may be.
-    pub fn map(&self, pose: &Pose, places: &[Point]) -> Result<Vec<Point>, WarpError> {
+    /// A place that is not finite or beyond what coordinates may be; given up.
+    pub fn map(&self, pose: &Pose, places: &[Point], gone: Gone<'_>) -> Result<Vec<Point>, WarpError> {
         let (ux, uy) = self.unit;
         for (index, p) in places.iter().enumerate() {
             if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
@@ -143,10 +166,13 @@ impl Setup {
             }
         }
         let map = |p: &Point| {
+            if gone() {
+                return Err(WarpError::GivenUp);
+            }
             let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
-            Point::new(mapped.x / ux, mapped.y / uy)
+            Ok(Point::new(mapped.x / ux, mapped.y / uy))
         };
-        Ok(places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect())
+        places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect()
     }
 
     /// Distance of neighbouring grid lines, px; the last ones may be nearer.
@@ -163,12 +189,13 @@ impl Setup {
         &self.field
     }
 
-    /// The posed mesh; without a table every row is weighed anew, which may take long and ends early when `gone`.
-    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Mesh, PoseQuality), WarpError> {
-        match &plan.0 {
-            Some(table) => Ok(table.pose(&self.grid, pose)),
-            None => pose_without_table(&self.field, &self.grid, pose, gone).ok_or(WarpError::GivenUp),
-        }
+    /// The posed mesh; without a table every row is weighed again, which may take long. Given up when `gone`.
+    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, gone: Gone<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
+        let posed = match &plan.0 {
+            Some(table) => table.pose_unless(&self.grid, pose, gone),
+            None => pose_without_table(&self.field, &self.grid, pose, gone),
+        };
+        posed.ok_or(WarpError::GivenUp)
     }
 }
 

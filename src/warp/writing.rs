@@ -12,8 +12,10 @@ use crate::codec::{StripChecksum, Writer};
 /// A thread keeps its buffer of samples for the next strip up to this size, bytes: rows of ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
 
-/// Rows that are rendered between two looks at whether someone still waits: a strip of PNG has fewer.
-const BAND: u32 = 256;
+/// Pixels that are rendered between two looks at whether someone still waits: a strip of PNG has fewer.
+const BAND: u32 = 1 << 18;
+/// Bands have a whole number of rows that are drawn together.
+const BAND_ROWS: u32 = 32;
 
 /// A step of writing whose cost someone may want to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,10 +92,11 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let bands = (rows.start..rows.end).step_by(BAND as usize).zip(samples.chunks_mut(BAND as usize * row));
+            let step = (BAND / renderer.target().width()).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+            let bands = (rows.start..rows.end).step_by(step as usize).zip(samples.chunks_mut(step as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {
-                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + BAND), band));
+                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + step), band));
                 }
             }
             if !watch.is_wanted() {

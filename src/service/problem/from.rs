@@ -67,6 +67,10 @@ fn of_handles(side: &str, error: &DeformError) -> Problem {
         DeformError::TooManyMeetings { limit } => {
             new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_meetings", limit, limit + 1)
         }
+        DeformError::TooManyNeighbours { limit } => {
+            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_comparisons", limit, limit + 1)
+        }
+        DeformError::GivenUp => new(Code::Timeout),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::{Timing, image_key};
+use super::{Timing, image_key, json_unless};
 use bytes::Bytes;
 
 use crate::deform::Handle;
@@ -25,7 +25,7 @@ use crate::service::shares::Share;
 use crate::service::store::{Record, Session};
 use crate::service::telemetry::scope::stage;
 use crate::service::wire::{DragObject, MeshObject, MeshShape, Wire};
-use crate::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup};
+use crate::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpError};
 
 /// Vertices that are written as JSON, some 40 bytes each.
 const JSON_VERTICES: u64 = 1 << 20;
@@ -90,10 +90,10 @@ impl MeshForm {
         Ok(())
     }
 
-    fn write(self, posed: &Posed, shape: MeshShape) -> Vec<u8> {
+    fn write(self, posed: &Posed, shape: MeshShape, cancel: &Cancel) -> Result<Vec<u8>, WarpError> {
         match self {
-            Self::Json => serde_json::to_vec(&MeshObject { shape, vertices: Wire(posed) }).expect("an object of numbers"),
-            Self::Numbers => posed.numbers(),
+            Self::Json => json_unless(cancel, &MeshObject { shape, vertices: Wire(posed) }, 0),
+            Self::Numbers => posed.numbers(&|| cancel.is_cancelled()),
         }
     }
 }
@@ -214,7 +214,7 @@ impl App {
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
-            let body = form.write(&posed, MeshShape::new(&setup, extent));
+            let body = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
             held.shrink_to(body.len() as u64);
             let body = held.with(body);
             Ok::<_, Problem>(PosedMesh { report: posed.into_report(), timing, plan_built, body })
@@ -242,7 +242,8 @@ impl App {
             Some((place, seq)) => tokio::select! {
                 biased;
                 () = place.superseded() => Err(self.superseded(*seq)),
-                worked = work => worked,
+                // The newer request needs what was being built for this one.
+                worked = place.builds().during(work) => worked,
             },
         }
     }

@@ -5,10 +5,12 @@ mod drag;
 mod points;
 mod sessions;
 
+use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
+use serde::Serialize;
 
 pub use drag::{MeshForm, PosedMesh};
 
@@ -19,7 +21,7 @@ use super::causes::Origin;
 use super::client::{Client, Owner};
 use super::formats::Formats;
 use super::picture::{Drawn, Sitting};
-use super::pool::{Lane, PoolError, Ticket, Work};
+use super::pool::{Cancel, Lane, PoolError, Ticket, Work};
 use super::problem::{Code, Problem};
 use super::session::{Revision, SessionId};
 use super::store::Record;
@@ -101,7 +103,8 @@ impl App {
             let ticket = app.0.pool.admit(Work::Upload, Lane::session(client, theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
             let limits = app.0.config.limits;
-            let setup = app.0.pool.run(&ticket, move |_| Setup::new(&theirs.rest, theirs.extent, &limits)).await??;
+            let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
+            let setup = app.0.pool.run(&ticket, new).await??;
             Ok(Kept::new(Arc::new(setup), held))
         };
         let known = self.0.setups.get(shelf_key(record), build, lost).await?;
@@ -142,7 +145,7 @@ impl App {
         timing.decode = began.elapsed();
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits, image.extent());
-        let (object, setup) = self.0.pool.run(ticket, move |_| resolve(object, extent, &limits)).await??;
+        let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
         let (plan, plan_built) = self.plan(owner, ticket, &setup, Origin::Handles, &mut timing).await?;
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
@@ -194,7 +197,8 @@ impl App {
         let build = async move {
             let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
             let threads = app.0.pool.clone();
-            let plan = app.0.pool.run(&ticket, move |_| threads.spread(|| theirs.plan())).await?;
+            let fill = move |cancel: &Cancel| threads.spread(|| theirs.plan_unless(&|| cancel.is_cancelled()));
+            let plan = app.0.pool.run(&ticket, fill).await??;
             let cause = app.0.causes.built(key, origin);
             tracing::debug!(cause = cause.name(), "a plan was built");
             Ok(Kept::new(plan, held))
@@ -225,10 +229,30 @@ fn lost() -> Problem {
 }
 
 /// The setup of the handles on a picture of that size; q is checked when it is there.
-fn resolve(object: WarpObject, extent: Extent, limits: &Limits) -> Result<(WarpObject, Arc<Setup>), WarpError> {
-    let setup = Setup::new(&object.rest, extent, limits)?;
+fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cancel: &Cancel) -> Result<(WarpObject, Arc<Setup>), WarpError> {
+    let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
+}
+
+/// A value as JSON, in a buffer of that capacity at first; given up when it is cancelled.
+fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
+    struct Text<'a>(Vec<u8>, &'a Cancel);
+    impl io::Write for Text<'_> {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.1.is_cancelled() {
+                return Err(io::ErrorKind::BrokenPipe.into());
+            }
+            self.0.write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut text = Text(Vec::with_capacity(capacity), cancel);
+    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::GivenUp)?;
+    Ok(text.0)
 }
 
 /// Records never change, so name and revision stand for the setup.

@@ -6,6 +6,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use serde::Serialize;
 
+use super::json_unless;
 use crate::geometry::Point;
 use crate::service::App;
 use crate::service::budget::Purpose;
@@ -16,10 +17,7 @@ use crate::service::session::SessionId;
 use crate::service::shares::Share;
 use crate::service::telemetry::scope::stage;
 use crate::service::wire::{PointsObject, Wire};
-use crate::warp::{GridSpec, Setup, WarpError};
-
-/// Places mapped between two looks at whether the client is still there.
-const PLACES_PER_STEP: usize = 4096;
+use crate::warp::{GridSpec, Setup};
 
 /// Places that are mapped sooner than other threads wake.
 const PLACES_ALONE: usize = 256;
@@ -48,7 +46,7 @@ impl App {
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let limits = self.0.config.limits;
-        let setup = self.0.pool.run(&ticket, move |_| Setup::new(&rest, extent, &limits)).await??;
+        let setup = self.0.pool.run(&ticket, move |cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled())).await??;
         self.map(&ticket, self.share(client), Arc::new(setup), object).await
     }
 
@@ -72,18 +70,10 @@ impl App {
             let text = AROUND + PLACE_TEXT * places.len();
             let mut held = app.reserve_for(Purpose::Frame, &share, (text + size_of_val(places.as_slice())) as u64)?;
             let pose = setup.pose(&q)?;
-            let mut mapped = Vec::with_capacity(places.len());
-            for (k, step) in places.chunks(PLACES_PER_STEP).enumerate() {
-                if cancel.is_cancelled() {
-                    return Err(WarpError::GivenUp.into());
-                }
-                let map = || setup.map(&pose, step);
-                let step = if step.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() };
-                mapped.extend(step.map_err(|e| e.with_place_offset(k * PLACES_PER_STEP))?);
-            }
+            let map = || setup.map(&pose, &places, &|| cancel.is_cancelled());
+            let mapped = if places.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() }?;
             stage("deform", began);
-            let mut body = Vec::with_capacity(text);
-            serde_json::to_writer(&mut body, &Mapped { points: Wire(&mapped) }).expect("an object of numbers, into memory");
+            let mut body = json_unless(cancel, &Mapped { points: Wire(&mapped) }, text)?;
             // It may wait long for its reader.
             body.shrink_to_fit();
             held.shrink_to(body.len() as u64);

@@ -10,7 +10,7 @@ use crate::service::budget::Purpose;
 use crate::service::cache::{Kept, Key};
 use crate::service::causes::Origin;
 use crate::service::client::Client;
-use crate::service::pool::{Lane, Work};
+use crate::service::pool::{Cancel, Lane, Work};
 use crate::service::problem::Problem;
 use crate::service::session::{Revision, SessionId};
 use crate::service::store::{Put, Record, Session, StoreError};
@@ -75,7 +75,7 @@ impl App {
             let old = self.touch(id, None).await?.record;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
             let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
-            let resolve = move |_: &_| resolve(patch.over(base), extent, &limits);
+            let resolve = move |cancel: &Cancel| resolve(patch.over(base), extent, &limits, cancel);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
             let WarpObject { rest, folds, output, .. } = object;
