@@ -125,6 +125,8 @@ pub enum Warning {
     NearDuplicateHandles,
     /// Lines with alpha below 1: infinite slope across the line.
     LineAlphaBelowOne,
+    /// The picture's file has a colour profile that is not carried over: it is damaged, too large, or not for RGB.
+    ProfileDropped,
 }
 
 impl Warning {
@@ -137,6 +139,7 @@ impl Warning {
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
+            Self::ProfileDropped => "profile_dropped",
         }
     }
 }

@@ -119,7 +119,7 @@ fn extent() -> Extent {
 /// The astronaut, cropped, as RGBA.
 fn source() -> Arc<Source> {
     let file = include_bytes!("../images/astronaut.png");
-    let photograph = codec::decode(file, &Limits::default()).expect("a whole file").pixmap;
+    let photograph = codec::decode(file, &Limits::default(), &|| false).expect("a whole file").pixmap;
     let Samples::Eight(samples) = photograph.samples() else { panic!("the photograph has 8 bits") };
     let (channels, width) = (photograph.channels().count(), photograph.extent().width() as usize);
     let row = |y: usize| &samples[y * width * channels..][..SIDE as usize * channels];

@@ -89,6 +89,7 @@ export const WARNINGS = {
   rotation_undefined: "The handles say nothing of a turn: none is made.",
   near_duplicate_handles: "Two handles lie almost on each other.",
   line_alpha_below_one: "Focus below 1 lets lines slip between their ends.",
+  profile_dropped: "The picture's colour profile cannot be used: its colours may look different.",
 };
 
 export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", deform: "Bending", render: "Drawing", encode: "Writing PNG" };
