@@ -23,23 +23,12 @@ pub(super) fn most_code_bytes(pixels: u64) -> u64 {
     pixels.saturating_mul(PIXEL_CODE_BYTES).saturating_add(FREE_CODE_BYTES).min(MAX_CODE_BYTES)
 }
 
-/// Why reading a stream ended before its picture.
-#[derive(Debug)]
-enum Halt {
-    /// The stream is damaged here; the decoder finds the same damage and describes it.
-    Damaged,
-    /// The stream breaks a rule that is checked here, or the picture is no longer wanted.
-    Refused(CodecError),
+fn bad(detail: impl ToString) -> CodecError {
+    CodecError::bad(NAME, detail)
 }
 
-impl From<CodecError> for Halt {
-    fn from(error: CodecError) -> Self {
-        Self::Refused(error)
-    }
-}
-
-fn refused(detail: impl ToString) -> Halt {
-    Halt::Refused(CodecError::bad(NAME, detail))
+fn damaged() -> CodecError {
+    bad("its lossless stream is damaged before the picture")
 }
 
 const LENGTH_CODES: usize = 19;
@@ -58,13 +47,11 @@ const GROUP: u64 = 3 * 5 * 56;
 const BLOCKS: u64 = 32;
 
 /// Bytes of the tables that a decoder builds for a stream: the whole of a `VP8L` chunk (`size: None`), or what follows the first byte of an
-/// `ALPH` chunk. Of a damaged stream, up to the damage. At most `most`.
+/// `ALPH` chunk. At most `most`.
 pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &Work<'_>) -> Result<u64, CodecError> {
     let mut walk = Walk { bits: Bits { rest: stream, buffer: 0, count: 0, work }, bytes: 0, most };
-    match walk.stream(size) {
-        Ok(()) | Err(Halt::Damaged) => Ok(walk.bytes),
-        Err(Halt::Refused(error)) => Err(error),
-    }
+    walk.stream(size)?;
+    Ok(walk.bytes)
 }
 
 struct Walk<'a> {
@@ -74,7 +61,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn stream(&mut self, size: Option<(u32, u32)>) -> Result<(), Halt> {
+    fn stream(&mut self, size: Option<(u32, u32)>) -> Result<(), CodecError> {
         let (mut width, height) = match size {
             Some(size) => size,
             None => {
@@ -88,7 +75,7 @@ impl Walk<'_> {
         while self.bits.read(1)? == 1 {
             let kind = self.bits.read(2)?;
             if std::mem::replace(&mut seen[kind as usize], true) {
-                return Err(refused("a transform occurs twice"));
+                return Err(bad("a transform occurs twice"));
             }
             match kind {
                 0 | 1 => {
@@ -122,29 +109,29 @@ impl Walk<'_> {
                 self.bytes += code.table_bytes();
             }
             if self.bytes > self.most {
-                return Err(refused(format!("its prefix codes take more than {} bytes of tables", self.most)));
+                return Err(bad(format!("its prefix codes take more than {} bytes of tables", self.most)));
             }
         }
         Ok(())
     }
 
-    fn cached_colours(&mut self) -> Result<usize, Halt> {
+    fn cached_colours(&mut self) -> Result<usize, CodecError> {
         if self.bits.read(1)? == 0 {
             return Ok(0);
         }
         let bits = self.bits.read(4)?;
-        if (1..=11).contains(&bits) { Ok(1 << bits) } else { Err(Halt::Damaged) }
+        if (1..=11).contains(&bits) { Ok(1 << bits) } else { Err(damaged()) }
     }
 
     /// Skips an image that has one group of codes. The largest number that red and green of a pixel make: copies repeat what stood before,
     /// and the colours of a cache are zero before a literal has set them.
-    fn image(&mut self, width: u32, height: u32) -> Result<u32, Halt> {
+    fn image(&mut self, width: u32, height: u32) -> Result<u32, CodecError> {
         let cached = self.cached_colours()?;
         let mut group = Vec::with_capacity(ALPHABETS.len());
         for (k, alphabet) in ALPHABETS.into_iter().enumerate() {
             group.push(Code::read(&mut self.bits, alphabet + if k == 0 { cached } else { 0 })?);
         }
-        let [green, red, blue, alpha, distance] = group.as_slice() else { return Err(Halt::Damaged) };
+        let [green, red, blue, alpha, distance] = group.as_slice() else { return Err(damaged()) };
         // Symbols that take no bits: all pixels are alike.
         match (&*green.symbols, &*red.symbols, &*blue.symbols, &*alpha.symbols) {
             ([green @ 0..256], [red], [_], [_]) => return Ok(u32::from(red << 8 | green)),
@@ -165,7 +152,7 @@ impl Walk<'_> {
                 }
                 code @ 256.. if code < ALPHABETS[0] => {
                     if at == 0 {
-                        return Err(Halt::Damaged);
+                        return Err(damaged());
                     }
                     at += u64::from(self.count(symbol - 256)?);
                     let far = distance.symbol(&mut self.bits)?;
@@ -178,7 +165,7 @@ impl Walk<'_> {
     }
 
     /// A length or a distance behind its prefix.
-    fn count(&mut self, prefix: u16) -> Result<u32, Halt> {
+    fn count(&mut self, prefix: u16) -> Result<u32, CodecError> {
         let prefix = u32::from(prefix);
         if prefix < 4 {
             return Ok(prefix + 1);
@@ -202,7 +189,7 @@ struct Code {
 }
 
 impl Code {
-    fn read(bits: &mut Bits<'_>, alphabet: usize) -> Result<Self, Halt> {
+    fn read(bits: &mut Bits<'_>, alphabet: usize) -> Result<Self, CodecError> {
         if bits.read(1)? == 1 {
             let two = bits.read(1)? == 1;
             let first_bits = if bits.read(1)? == 1 { 8 } else { 1 };
@@ -213,11 +200,11 @@ impl Code {
             let mut counts = [0; LONGEST + 1];
             counts[1] = if two { 2 } else { 0 };
             let known = symbols.iter().all(|&symbol| usize::from(symbol) < alphabet);
-            return if known { Ok(Self { counts, symbols }) } else { Err(Halt::Damaged) };
+            return if known { Ok(Self { counts, symbols }) } else { Err(damaged()) };
         }
         let mut lengths = [0; LENGTH_CODES];
         let given = bits.read(4)? as usize + 4;
-        for &symbol in LENGTH_CODE_ORDER.get(..given).ok_or(Halt::Damaged)? {
+        for &symbol in LENGTH_CODE_ORDER.get(..given).ok_or_else(damaged)? {
             lengths[symbol] = bits.symbol(3)?;
         }
         let code = Self::of_lengths(&lengths)?;
@@ -244,15 +231,15 @@ impl Code {
             };
             lengths.extend(std::iter::repeat_n(length, times as usize));
         }
-        if lengths.len() > alphabet { Err(Halt::Damaged) } else { Self::of_lengths(&lengths) }
+        if lengths.len() > alphabet { Err(damaged()) } else { Self::of_lengths(&lengths) }
     }
 
     /// Whole codes only: every run of bits means something.
-    fn of_lengths(lengths: &[u16]) -> Result<Self, Halt> {
+    fn of_lengths(lengths: &[u16]) -> Result<Self, CodecError> {
         let mut counts = [0; LONGEST + 1];
         let used = || (0..).zip(lengths).filter(|(_, length)| **length > 0);
         for (_, &length) in used() {
-            *counts.get_mut(usize::from(length)).ok_or(Halt::Damaged)? += 1;
+            *counts.get_mut(usize::from(length)).ok_or_else(damaged)? += 1;
         }
         let symbols = if used().count() == 1 {
             counts = [0; LONGEST + 1];
@@ -260,7 +247,7 @@ impl Code {
         } else {
             let filled: u32 = (0..).zip(counts).skip(1).map(|(length, count)| u32::from(count) << (15 - length)).sum();
             if filled != 1 << LONGEST {
-                return Err(Halt::Damaged);
+                return Err(damaged());
             }
             let mut places = [0; LONGEST + 1];
             for length in 1..LONGEST {
@@ -278,7 +265,7 @@ impl Code {
     }
 
     /// The next symbol; the only one takes no bits.
-    fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16, Halt> {
+    fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16, CodecError> {
         if let [only] = *self.symbols {
             return Ok(only);
         }
@@ -287,13 +274,13 @@ impl Code {
             code |= bits.read(1)?;
             let count = u32::from(count);
             if code < first + count {
-                return self.symbols.get((index + code - first) as usize).copied().ok_or(Halt::Damaged);
+                return self.symbols.get((index + code - first) as usize).copied().ok_or_else(damaged);
             }
             index += count;
             first = (first + count) << 1;
             code <<= 1;
         }
-        Err(Halt::Damaged)
+        Err(damaged())
     }
 
     /// What the decoder builds of it.
@@ -314,10 +301,10 @@ struct Bits<'a> {
 
 impl Bits<'_> {
     /// At most 32.
-    fn read(&mut self, count: u32) -> Result<u32, Halt> {
+    fn read(&mut self, count: u32) -> Result<u32, CodecError> {
         self.work.step(1)?;
         while self.count < count {
-            let (&byte, rest) = self.rest.split_first().ok_or(Halt::Damaged)?;
+            let (&byte, rest) = self.rest.split_first().ok_or_else(damaged)?;
             self.buffer |= u64::from(byte) << self.count;
             self.count += 8;
             self.rest = rest;
@@ -325,12 +312,12 @@ impl Bits<'_> {
         let value = self.buffer & ((1 << count) - 1);
         self.buffer >>= count;
         self.count -= count;
-        u32::try_from(value).map_err(|_| Halt::Damaged)
+        u32::try_from(value).map_err(|_| damaged())
     }
 
     /// At most 16.
-    fn symbol(&mut self, count: u32) -> Result<u16, Halt> {
-        self.read(count).and_then(|value| u16::try_from(value).map_err(|_| Halt::Damaged))
+    fn symbol(&mut self, count: u32) -> Result<u16, CodecError> {
+        self.read(count).and_then(|value| u16::try_from(value).map_err(|_| damaged()))
     }
 }
 
@@ -406,10 +393,13 @@ mod tests {
     }
 
     #[test]
-    fn cut_streams_end_the_walk() {
-        let whole = bomb(3);
-        let weights: Vec<u64> = (0..whole.len()).map(|length| weight(&whole[..length], MAX_CODE_BYTES).unwrap()).collect();
-        assert!(weights.is_sorted(), "{weights:?}");
+    fn cut_streams_are_refused() {
+        let mut whole = bomb(3);
+        whole.truncate(whole.len() - 64);
+        assert!(weight(&whole, MAX_CODE_BYTES).is_ok());
+        for length in 0..whole.len() - 1 {
+            assert!(matches!(weight(&whole[..length], MAX_CODE_BYTES), Err(CodecError::Bad { .. })), "{length}");
+        }
     }
 
     /// RFC 9649, section 4: "each transform is allowed to be used only once".
@@ -426,10 +416,14 @@ mod tests {
             pen.put(0, 1);
             (0..5).for_each(|_| pen.put(0b0001, 4));
         };
-        for (kinds, refused) in [(&[0, 1, 2, 3][..], false), (&[3, 2, 1, 0], false), (&[2, 2], true), (&[0, 1, 0], true), (&[3, 2, 3], true)] {
+        for (kinds, refused) in
+            [(&[0, 1, 2, 3][..], false), (&[3, 2, 1, 0], false), (&[2, 2], true), (&[0, 1, 0], true), (&[3, 2, 3], true)]
+        {
             let mut pen = vp8l_head(64, 64);
             kinds.iter().for_each(|&kind| transform(&mut pen, kind));
-            pen.bytes.extend([0; 64]);
+            // No more; no cache, no regions, one group of codes.
+            pen.put(0, 3);
+            (0..5).for_each(|_| pen.put(0b0001, 4));
             let told = weight(&pen.bytes, MAX_CODE_BYTES);
             assert_eq!(told.is_err(), refused, "{kinds:?}: {told:?}");
             if let Err(error) = told {
@@ -467,8 +461,9 @@ mod tests {
         pen.put(0, 1);
         pen.put(1, 8);
         (0..4).for_each(|_| pen.put(0b0001, 4));
-        pen.bytes.extend(vec![0; 1 << 20]);
-        assert!(matches!(code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &Work::new(&|| true)), Err(CodecError::GivenUp)));
-        assert!(weight(&pen.bytes, MAX_CODE_BYTES).is_ok());
+        pen.bytes.extend(vec![0; 3 << 20]);
+        let told = |gone: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &Work::new(gone)).unwrap_err();
+        assert_eq!(told(&|| true), CodecError::GivenUp);
+        assert_eq!(told(&|| false), damaged(), "behind it there is no picture");
     }
 }

@@ -182,8 +182,9 @@ def hostile():
     copy = [*far, (1, 1), (45, 7), (0, 1)]
     cached = [*far, (1, 1), (69, 7), (0, 1)]
     size = lambda width, height: [head, (width - 1, 14), (height - 1, 14), (0, 4)]
-    transform = [(0b001, 3), (0, 3), (0, 1), *copy, *[zero] * 4]
-    yield "webp-transform-of-copies", riff((b"VP8L", bits(*size(4096, 256), *transform)))
+    copies = [(0b001, 3), (0, 3), (0, 1), *copy, *[zero] * 4]
+    yield "webp-transform-of-copies", riff((b"VP8L", bits(*size(4096, 256), *copies)))
+    transform = [(0b001, 3), (0, 3), (0b00011, 5), *cached, *[zero] * 4]
     yield "webp-transforms-30", riff((b"VP8L", bits(*size(4096, 256), *transform * 30)))
     # The frame is that of a real file, and so is its size.
     lossy = (SEEDS / "webp-lossy").read_bytes()[20:]

@@ -93,18 +93,30 @@ pub(crate) fn vp8l_head(width: u32, height: u32) -> Pen {
     pen
 }
 
-/// The same predictor transform again and again, each with the largest image that its picture allows; the symbols of the images take no bits.
+/// The same predictor transform again and again, each with the largest image that its picture allows. The pixels of the images take no bits: all
+/// have the same colour of a cache.
 fn transforms(mut pen: Pen, count: usize) -> Vec<u8> {
     for _ in 0..count {
-        // A transform; the predictor, in blocks of 4 x 4; no cache; copies of one pixel.
+        // A transform; the predictor, in blocks of 4 x 4; a cache of two colours.
         pen.put(0b001, 3);
         pen.put(0, 3);
-        pen.put(0, 1);
-        pen.only_far(256);
+        pen.put(0b00011, 5);
+        pen.only_far(280);
         (0..4).for_each(|_| pen.only_zero());
     }
     pen.bytes.extend([0; 16]);
     pen.bytes
+}
+
+/// A lossless WebP with one transform, whose image is made of copies: there is nothing that they could copy.
+pub(crate) fn webp_transform_of_copies(width: u32, height: u32) -> Vec<u8> {
+    let mut pen = vp8l_head(width, height);
+    pen.put(0b001, 3);
+    pen.put(0, 4);
+    pen.only_far(256);
+    (0..4).for_each(|_| pen.only_zero());
+    pen.bytes.extend([0; 16]);
+    riff(&[(b"VP8L", pen.bytes)])
 }
 
 /// A lossless WebP with `count` transforms of one kind.
@@ -347,7 +359,11 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
         ("jpeg of comments", [vec![0xFF, 0xD8], segment(0xFE, &[]).repeat(500_000)].concat(), &[422]),
         ("jpeg of tables", [jpeg_head(64, 64, 0xC2), jpeg_head(8, 8, 0xC2)[73..].repeat(20_000), vec![0xFF, 0xD9]].concat(), &[422]),
         ("jpeg with EXIF in a loop", with_exif(&jpeg_scans(64, 1), &exif_loop()), &[200]),
-        ("webp with a canvas of 2^48", riff(&[(b"VP8X", [0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF].to_vec()), (b"VP8 ", vp8(16, 16))]), &[422]),
+        (
+            "webp with a canvas of 2^48",
+            riff(&[(b"VP8X", [0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF].to_vec()), (b"VP8 ", vp8(16, 16))]),
+            &[422],
+        ),
         ("webp of 16383 x 16383", riff(&[(b"VP8 ", vp8(16_383, 16_383))]), &[413]),
         ("webp, lossless, of 16384 x 16384", riff(&[(b"VP8L", [&[0x2F, 0xFF, 0xFF, 0xFF, 0x0F], [0; 64].as_slice()].concat())]), &[413]),
         ("webp of many code tables", code_tables.to_vec(), &[422]),
@@ -382,7 +398,7 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
         ("webp of 1000 transforms", webp_transforms(16_384, 3_000, 1_000), &[422]),
         ("webp of 1000 transforms, too large", webp_transforms(16_384, 16_384, 1_000), &[413]),
         ("webp with an alpha of 30 transforms", webp_alpha_transforms(16_383, 3_000, 30), &[422]),
-        ("webp whose transform is made of copies", webp_transforms(16_384, 3_000, 1), &[422]),
+        ("webp whose transform is made of copies", webp_transform_of_copies(16_384, 3_000), &[422]),
         ("webp of one cached colour", webp_of_one_cached_colour(1_000, 1_000), &[200]),
         ("webp of copies", webp_of_copies(512), &[200]),
         ("webp of many chunks", riff(&vec![(b"zzzz", vec![]); 200_000]), &[422]),
