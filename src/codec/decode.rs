@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Format, Limits};
+use super::{CodecError, Format, Header, Limits, Work};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
 /// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
@@ -22,40 +22,82 @@ pub struct Decoded {
     pub pixmap: Pixmap,
     /// The file's ICC profile when it describes RGB, to be written back.
     pub icc: Option<Vec<u8>>,
+    /// The file has a profile that is not kept.
+    pub profile_dropped: bool,
 }
 
-/// Decodes a file after its header has passed `limits`.
+/// A file whose header has passed the limits.
+#[derive(Debug)]
+pub struct Opened<'a> {
+    parsed: Parsed<'a>,
+    header: Header,
+    work: &'a Work<'a>,
+}
+
+/// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads what else decides on the
+/// memory that decoding takes.
 ///
 /// # Errors
-/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Bad`] for a file that is truncated anywhere,
-/// whose chunks fail their CRC, or that makes a decoder panic. Bytes after the file's end are ignored.
-pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
-    let parsed = Parsed::new(bytes)?;
+/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::GivenUp`].
+pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<Opened<'a>, CodecError> {
+    let mut parsed = Parsed::new(bytes, work)?;
+    limits.check(parsed.header().extent)?;
+    if let Parsed::WebP(file) = &mut parsed {
+        file.read_codes(work)?;
+    }
     let header = parsed.header();
-    limits.check(header.extent)?;
+    Ok(Opened { parsed, header, work })
+}
 
-    let samples = contained(header.format, || match &parsed {
-        Parsed::Png(file) => file.samples(header.decode_bytes),
-        Parsed::Jpeg(file) => file.samples(),
-        Parsed::WebP(file) => file.samples(),
-    })?;
+/// Opens and decodes a file; ends early when `gone` says that the picture is no longer wanted.
+///
+/// # Errors
+/// Those of [`open`] and [`Opened::decode`].
+pub fn decode(bytes: &[u8], limits: &Limits, gone: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
+    open(bytes, limits, &Work::new(gone))?.decode()
+}
 
-    let orientation = parsed.orientation();
-    let width = parsed.stored().width() as usize;
-    let turned = match (samples, header.channels) {
-        (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width).map(Samples::Eight),
-        (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width).map(Samples::Eight),
-        (Samples::Sixteen(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width).map(Samples::Sixteen),
-        (Samples::Sixteen(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width).map(Samples::Sixteen),
-    };
-    let upright = turned.map_err(|_| no_room(header.decode_bytes))?;
+impl Opened<'_> {
+    /// What the header says. `decode_bytes` is exact here where [`super::probe`] knows no more than a bound.
+    #[must_use]
+    pub const fn header(&self) -> Header {
+        self.header
+    }
 
-    let icc = match &parsed {
-        Parsed::Png(file) => file.icc(),
-        Parsed::Jpeg(file) => file.icc(),
-        Parsed::WebP(file) => file.icc(),
-    };
-    Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc })
+    /// The picture.
+    ///
+    /// # Errors
+    /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
+    /// file's end are ignored. [`CodecError::GivenUp`].
+    pub fn decode(&self) -> Result<Decoded, CodecError> {
+        let Self { parsed, header, work } = self;
+        // What ends because its input is withheld calls it damage.
+        let wanted = |error| if work.is_gone() { CodecError::GivenUp } else { error };
+        let samples = contained(header.format, || match parsed {
+            Parsed::Png(file) => file.samples(header.decode_bytes, work),
+            Parsed::Jpeg(file) => file.samples(work),
+            Parsed::WebP(file) => file.samples(work),
+        })
+        .map_err(wanted)?;
+
+        let orientation = parsed.orientation();
+        let width = parsed.stored().width() as usize;
+        let upright = match (samples, header.channels) {
+            (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Eight),
+            (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Eight),
+            (Samples::Sixteen(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Sixteen),
+            (Samples::Sixteen(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Sixteen),
+        }?;
+
+        let (has_profile, icc) = match parsed {
+            Parsed::Png(file) => (file.has_profile(), file.icc(work)),
+            Parsed::Jpeg(file) => (file.has_profile(), file.icc()),
+            Parsed::WebP(file) => (file.has_profile(), file.icc()),
+        };
+        work.check()?;
+        let profile_dropped = has_profile && icc.is_none();
+        Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc, profile_dropped })
+    }
 }
 
 /// A decoder that panics has met a damaged file.
@@ -82,9 +124,11 @@ pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
     pixels.saturating_mul(channels.count() as u64)
 }
 
-/// A profile is kept when it is of sane size, whole, and says that it describes RGB.
+/// A profile is kept when it is one (ICC.1, 7.2: its length in its first four bytes, `acsp` at byte 36), of sane size, and for RGB.
 pub(super) fn keep_rgb_profile(profile: Vec<u8>) -> Option<Vec<u8>> {
-    (profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
+    let length = profile.first_chunk().map(|length| u32::from_be_bytes(*length));
+    let is_one = length.is_some_and(|length| length as usize == profile.len()) && profile.get(36..40) == Some(b"acsp");
+    (is_one && profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
 }
 
 #[cfg(test)]
@@ -102,6 +146,6 @@ mod tests {
     #[test]
     fn a_palette_of_no_whole_colours_is_a_damaged_file() {
         let file = include_bytes!("../../tests/fuzz/found/image/png-palette-not-of-threes");
-        assert!(matches!(decode(file, &Limits::default()), Err(CodecError::Bad { format: "PNG", .. })));
+        assert!(matches!(decode(file, &Limits::default(), &|| false), Err(CodecError::Bad { format: "PNG", .. })));
     }
 }

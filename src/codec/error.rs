@@ -29,6 +29,9 @@ pub enum CodecError {
         /// The decoder's words.
         detail: String,
     },
+    /// The picture is no longer wanted; nothing is known about the file.
+    #[error("the picture is no longer wanted")]
+    GivenUp,
 }
 
 impl CodecError {

@@ -1,5 +1,5 @@
-//! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `decode` checks every limit on that header
-//! before it takes memory; `Writer` turns strips of rows into the bytes of a file, PNG strip by strip in any order.
+//! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `open` checks every limit on that header before
+//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`Work`); `Writer` turns strips of rows into the bytes of a file, PNG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod decode;
@@ -20,15 +20,18 @@ mod tests;
 #[forbid(unsafe_code)]
 mod vp8l;
 #[forbid(unsafe_code)]
+mod work;
+#[forbid(unsafe_code)]
 mod write;
 #[forbid(unsafe_code)]
 mod write_jpeg;
 #[forbid(unsafe_code)]
 mod write_webp;
 
-pub use decode::{Decoded, PROFILE_BYTES, decode};
+pub use decode::{Decoded, Opened, PROFILE_BYTES, decode, open};
 pub use error::CodecError;
 pub use limits::Limits;
 pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
+pub use work::Work;
 pub use write::{Encoding, Writer};

@@ -2,13 +2,16 @@
 //! IFD 0 (EXIF 2.32, 4.6.5) and applied once. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity, never an
 //! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
 
-use std::collections::TryReserveError;
+use super::decode::room;
+use super::{CodecError, Work};
 
 const ORIENTATION_TAG: u16 = 0x0112;
 const TYPE_SHORT: u16 = 3;
 
 /// Side of the squares in which a picture is transposed: 64 rows of 64 RGBA16 pixels are 32 KiB.
 const TILE: usize = 64;
+/// Pixels that are mirrored at once.
+const RUN: usize = 1 << 10;
 
 /// How the stored rows must be turned to stand upright. The number is the one EXIF uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -75,21 +78,30 @@ impl Orientation {
         matches!(self, Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270)
     }
 
-    /// Turns `stored: [rows][width][N]` upright.
-    pub(super) fn apply<T: Copy + Default, const N: usize>(self, mut stored: Vec<T>, width: usize) -> Result<Vec<T>, TryReserveError> {
+    /// Turns `stored: [rows][width][N]` upright, until that is no longer wanted.
+    pub(super) fn apply<T: Copy + Default, const N: usize>(
+        self,
+        mut stored: Vec<T>,
+        width: usize,
+        work: &Work<'_>,
+    ) -> Result<Vec<T>, CodecError> {
         match self {
             Self::Upright => {}
-            Self::MirrorHorizontal => stored.chunks_exact_mut(N * width).for_each(|row| row.as_chunks_mut::<N>().0.reverse()),
-            Self::Rotate180 => stored.as_chunks_mut::<N>().0.reverse(),
-            Self::MirrorVertical => mirror_rows(&mut stored, N * width),
-            Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270 => return self.turn::<T, N>(&stored, width),
+            Self::MirrorHorizontal => {
+                for row in stored.chunks_exact_mut(N * width) {
+                    work.check()?;
+                    row.as_chunks_mut::<N>().0.reverse();
+                }
+            }
+            Self::Rotate180 => rotate(stored.as_chunks_mut::<N>().0, work)?,
+            Self::MirrorVertical => mirror_rows(&mut stored, N * width, work)?,
+            Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270 => return self.turn::<T, N>(&stored, width, work),
         }
         Ok(stored)
     }
 
-    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize) -> Result<Vec<T>, TryReserveError> {
-        let mut upright = Vec::new();
-        upright.try_reserve_exact(stored.len())?;
+    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+        let mut upright = room(stored.len() as u64)?;
         upright.resize(stored.len(), T::default());
         let from = stored.as_chunks::<N>().0;
         let into = upright.as_chunks_mut::<N>().0;
@@ -98,6 +110,7 @@ impl Orientation {
         let from_below = matches!(self, Self::Transverse | Self::Rotate90);
         for top in (0..width).step_by(TILE) {
             for left in (0..height).step_by(TILE) {
+                work.check()?;
                 for y in top..(top + TILE).min(width) {
                     let column = if from_right { width - 1 - y } else { y };
                     for x in left..(left + TILE).min(height) {
@@ -111,12 +124,28 @@ impl Orientation {
     }
 }
 
-fn mirror_rows<T>(samples: &mut [T], row: usize) {
+/// Reverses the pixels, from both ends to the middle.
+fn rotate<P>(pixels: &mut [P], work: &Work<'_>) -> Result<(), CodecError> {
+    let half = pixels.len() / 2;
+    let (front, back) = pixels.split_at_mut(half);
+    let odd = back.len() - half;
+    for (first, last) in front.chunks_mut(RUN).zip(back[odd..].rchunks_mut(RUN)) {
+        work.check()?;
+        first.swap_with_slice(last);
+        first.reverse();
+        last.reverse();
+    }
+    Ok(())
+}
+
+fn mirror_rows<T>(samples: &mut [T], row: usize, work: &Work<'_>) -> Result<(), CodecError> {
     let height = samples.len() / row;
     let (above, below) = samples.split_at_mut(height / 2 * row);
     for (upper, lower) in above.chunks_exact_mut(row).zip(below.rchunks_exact_mut(row)) {
+        work.check()?;
         upper.swap_with_slice(lower);
     }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -188,9 +217,10 @@ pub(super) mod tests {
 
     #[test]
     fn orientation_turns_letters() {
+        let work = Work::new(&|| false);
         for (number, _, expected) in UPRIGHT {
             let orientation = Orientation::from_number(number).unwrap();
-            assert_eq!(orientation.apply::<_, 1>(b"abcdef".to_vec(), 3).unwrap(), expected, "{number}");
+            assert_eq!(orientation.apply::<_, 1>(b"abcdef".to_vec(), 3, &work).unwrap(), expected, "{number}");
             assert_eq!(orientation.swaps_sides(), number >= 5);
         }
     }
@@ -198,13 +228,14 @@ pub(super) mod tests {
     /// Sides around the tile, several samples a pixel: turning there and back is the identity.
     #[test]
     fn orientation_and_its_inverse_cancel() {
+        let work = Work::new(&|| false);
         for (width, height) in [(1, 1), (1, 70), (70, 1), (64, 65), (130, 63)] {
             let stored: Vec<u16> = (0..).take(3 * width * height).collect();
             for (there, back) in [(2, 2), (3, 3), (4, 4), (5, 5), (6, 8), (7, 7), (8, 6)] {
                 let (there, back) = (Orientation::from_number(there).unwrap(), Orientation::from_number(back).unwrap());
-                let turned = there.apply::<_, 3>(stored.clone(), width).unwrap();
+                let turned = there.apply::<_, 3>(stored.clone(), width, &work).unwrap();
                 let turned_width = if there.swaps_sides() { height } else { width };
-                assert_eq!(back.apply::<_, 3>(turned, turned_width).unwrap(), stored, "{there:?} {width}x{height}");
+                assert_eq!(back.apply::<_, 3>(turned, turned_width, &work).unwrap(), stored, "{there:?} {width}x{height}");
             }
         }
     }

@@ -3,7 +3,7 @@
 //! every size is computed in u64. `Header::decode_bytes` is what a caller reserves before it lets `decode` run.
 
 use super::orientation::Orientation;
-use super::{CodecError, read_jpeg, read_png, read_webp};
+use super::{CodecError, Work, read_jpeg, read_png, read_webp};
 use crate::pixmap::{Channels, Depth, Extent};
 
 /// A file format that is read and written.
@@ -54,7 +54,8 @@ pub struct Header {
     pub channels: Channels,
     /// What `decode` yields: sixteen bit for a 16-bit PNG, else eight.
     pub depth: Depth,
-    /// Predicted peak of memory while decoding, bytes: the picture, the decoder's own planes, and what turning it upright takes.
+    /// Predicted peak of memory while decoding, bytes: the picture, the decoder's own planes, and what turning it upright takes. Never less
+    /// than the real one; for a lossless WebP [`super::Opened::header`] is closer, for it has read the codes.
     pub decode_bytes: u64,
 }
 
@@ -62,6 +63,7 @@ pub struct Header {
 const TURNING_SLACK: u64 = 1 << 20;
 
 /// A recognised file whose header has been read.
+#[derive(Debug)]
 pub(super) enum Parsed<'a> {
     Png(read_png::PngFile<'a>),
     Jpeg(read_jpeg::JpegFile<'a>),
@@ -69,11 +71,11 @@ pub(super) enum Parsed<'a> {
 }
 
 impl<'a> Parsed<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, CodecError> {
+    pub(super) fn new(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         Ok(match Format::of(bytes)? {
-            Format::Png => Self::Png(read_png::PngFile::parse(bytes)?),
-            Format::Jpeg => Self::Jpeg(read_jpeg::JpegFile::parse(bytes)?),
-            Format::WebP => Self::WebP(read_webp::WebPFile::parse(bytes)?),
+            Format::Png => Self::Png(read_png::PngFile::parse(bytes, work)?),
+            Format::Jpeg => Self::Jpeg(read_jpeg::JpegFile::parse(bytes, work)?),
+            Format::WebP => Self::WebP(read_webp::WebPFile::parse(bytes, work)?),
         })
     }
 
@@ -117,13 +119,13 @@ pub(super) fn picture_bytes(extent: Extent, channels: Channels, depth: Depth) ->
     extent.pixels().saturating_mul((channels.count() * depth.bytes()) as u64)
 }
 
-/// Reads the header only.
+/// Reads the header only: a few steps for each chunk or segment of the file, whatever sizes they claim.
 ///
 /// # Errors
 /// [`CodecError::Unsupported`] when the format (or its variant) is not read, [`CodecError::TooLarge`] for an animation,
 /// [`CodecError::Bad`] when the header itself is damaged. Limits on size are the caller's: see [`super::Limits::check`].
-pub fn probe(bytes: &[u8]) -> Result<Header, CodecError> {
-    Parsed::new(bytes).map(|parsed| parsed.header())
+pub fn probe(bytes: &[u8], work: &Work<'_>) -> Result<Header, CodecError> {
+    Parsed::new(bytes, work).map(|parsed| parsed.header())
 }
 
 fn looks_like(bytes: &[u8]) -> String {

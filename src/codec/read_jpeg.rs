@@ -3,12 +3,12 @@
 //! marker EOI must stand outside every segment, and it is handed on behind a run of one-bits. No Huffman code consists of ones
 //! alone (T.81, annex C), so a scan that ends early meets an invalid code instead of silent zeros. Cost: one copy of the file.
 
-use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::CodecError;
 use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::work::{Bytes, Work};
 use crate::pixmap::{Channels, Extent, Samples};
 
 pub(super) const NAME: &str = "JPEG";
@@ -32,6 +32,7 @@ const APP2: u8 = 0xE2;
 const TEM: u8 = 0x01;
 
 /// A JPEG whose segments have been walked up to its first scan.
+#[derive(Debug)]
 pub(super) struct JpegFile<'a> {
     bytes: &'a [u8],
     pub(super) extent: Extent,
@@ -70,11 +71,13 @@ fn cut_off() -> CodecError {
 }
 
 /// The segment whose marker stands at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
-fn segment_at(bytes: &[u8], mut at: usize) -> Result<Segment<'_>, CodecError> {
+fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Segment<'a>, CodecError> {
     if *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
         return Err(bad("a segment does not begin with a marker"));
     }
+    work.step(1)?;
     while *bytes.get(at).ok_or_else(cut_off)? == 0xFF {
+        work.step(1)?;
         at += 1;
     }
     let (marker, at) = (bytes[at], at + 1);
@@ -90,14 +93,14 @@ fn segment_at(bytes: &[u8], mut at: usize) -> Result<Segment<'_>, CodecError> {
 }
 
 impl<'a> JpegFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, CodecError> {
+    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let mut frame = None;
         let mut exif = None;
         let mut profile = Vec::new();
         let mut profile_bytes = 0;
         let mut at = 2;
         loop {
-            let segment = segment_at(bytes, at)?;
+            let segment = segment_at(bytes, at, work)?;
             at = segment.end;
             match segment.marker {
                 DHT => {}
@@ -157,12 +160,13 @@ impl<'a> JpegFile<'a> {
     }
 
     /// Walks all scans.
-    fn find_end(&self) -> Result<End, CodecError> {
+    fn find_end(&self, work: &Work<'_>) -> Result<End, CodecError> {
         let mut end = End { first_scan: 0, eoi: 0, scans: 1, entropy_bytes: 0 };
         let mut at = self.scan;
         loop {
             let rest = self.bytes.get(at..).ok_or_else(cut_off)?;
             let run = rest.iter().position(|&byte| byte == 0xFF).ok_or_else(cut_off)?;
+            work.step(1 + run as u64)?;
             end.entropy_bytes += run as u64;
             at += run;
             match self.bytes.get(at + 1).ok_or_else(cut_off)? {
@@ -176,7 +180,7 @@ impl<'a> JpegFile<'a> {
                     if end.first_scan == 0 {
                         end.first_scan = at;
                     }
-                    let segment = segment_at(self.bytes, at)?;
+                    let segment = segment_at(self.bytes, at, work)?;
                     match segment.marker {
                         EOI => return Ok(End { eoi: at, ..end }),
                         SOI => return Err(bad("a picture begins inside a picture")),
@@ -193,8 +197,8 @@ impl<'a> JpegFile<'a> {
     }
 
     /// The rows as stored, RGB.
-    pub(super) fn samples(&self) -> Result<Samples, CodecError> {
-        let end = self.find_end()?;
+    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+        let end = self.find_end(work)?;
         if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
             return Err(bad(format!("{} bytes of data cannot hold the picture", end.entropy_bytes)));
         }
@@ -217,7 +221,7 @@ impl<'a> JpegFile<'a> {
             .set_max_width(width)
             .set_max_height(height)
             .jpeg_set_out_colorspace(ColorSpace::RGB);
-        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(whole.as_slice()), options);
+        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Bytes::new(whole.as_slice(), work), options);
         decoder.decode_headers().map_err(bad)?;
         let components = decoder.info().map_or(0, |info| usize::from(info.components));
         if decoder.dimensions() != Some((width, height)) || components != self.factors.len() {
@@ -231,6 +235,10 @@ impl<'a> JpegFile<'a> {
         }
         decoder.decode_into(&mut out).map_err(bad)?;
         Ok(Samples::Eight(out))
+    }
+
+    pub(super) fn has_profile(&self) -> bool {
+        !self.profile.is_empty()
     }
 
     /// The profile, its parts put in order.

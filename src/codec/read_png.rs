@@ -3,23 +3,38 @@
 //! stays 16 bit. Every checksum must agree and IEND must be there. Shapes: samples `[height][width][channels]`, rows as stored.
 
 use std::borrow::Cow;
-use std::io::{Cursor, Read};
+use std::io::Read;
 
 use super::CodecError;
 use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::work::{Pieces, Work};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 pub(super) const NAME: &str = "PNG";
 const SIGNATURE: usize = 8;
+/// Length, kind and checksum of a chunk.
+const CHUNK_FRAME: u64 = 12;
 
 /// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
 const MAX_INFLATION: u64 = 1032;
+
+/// What the data may take at most for each byte of filtered rows, heads and checksums of its chunks included. Deflate without any gain takes
+/// 9/8 at most (fixed codes); the rest is for encoders that write stored blocks or chunks of some 20 bytes.
+const DATA_PER_BYTE: u64 = 2;
+/// The same for each row: an encoder may flush each row (5 bytes), and end its chunk there (12).
+const DATA_PER_ROW: u64 = 32;
+/// The same for a picture of any size. A chunk for each byte of a small picture is found in test suites.
+const FREE_DATA: u64 = 64 << 10;
+
+/// What a deflated profile may take at most: stored, with as much to spare as the data of a picture has.
+const MAX_DEFLATED_ICC: usize = MAX_ICC + (64 << 10);
 
 /// First column, first row, column step, row step of the seven passes.
 const ADAM7: [(usize, usize, usize, usize); 7] =
     [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)];
 
 /// A PNG whose chunks have been walked.
+#[derive(Debug)]
 pub(super) struct PngFile<'a> {
     bytes: &'a [u8],
     pub(super) extent: Extent,
@@ -31,6 +46,7 @@ pub(super) struct PngFile<'a> {
     pub(super) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
     idat_bytes: u64,
+    idat_chunks: u64,
     /// Where the file ends; `None` when it is cut off before IEND.
     end: Option<usize>,
 }
@@ -56,7 +72,7 @@ fn bad(detail: impl ToString) -> CodecError {
 }
 
 impl<'a> PngFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, CodecError> {
+    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
         let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
             return Err(bad("a header chunk of the wrong size or with an unknown method"));
@@ -77,20 +93,23 @@ impl<'a> PngFile<'a> {
             exif: None,
             profile: None,
             idat_bytes: 0,
+            idat_chunks: 0,
             end: None,
         };
-        file.walk(ihdr.end)?;
+        file.walk(ihdr.end, work)?;
         Ok(file)
     }
 
-    fn walk(&mut self, mut at: usize) -> Result<(), CodecError> {
+    fn walk(&mut self, mut at: usize, work: &Work<'_>) -> Result<(), CodecError> {
         let mut before_data = true;
         while let Some(chunk) = chunk_at(self.bytes, at) {
+            work.step(1)?;
             at = chunk.end;
             match &chunk.kind {
                 b"IDAT" => {
                     before_data = false;
                     self.idat_bytes += chunk.data.len() as u64;
+                    self.idat_chunks += 1;
                 }
                 b"tRNS" if before_data => self.transparency = matches!(self.colour, 0 | 2 | 3),
                 b"iCCP" if before_data && self.profile.is_none() => self.profile = Some(chunk.data),
@@ -130,20 +149,45 @@ impl<'a> PngFile<'a> {
         (512 << 10) + rows + exif + copy
     }
 
-    /// Bytes of the filtered rows, from below (what interlacing rounds up is left out).
-    fn least_raw_bytes(&self) -> u64 {
-        let per_pixel = match self.colour {
+    /// The filtered rows, and their bytes.
+    fn filtered(&self) -> (u64, u64) {
+        let samples = match self.colour {
             2 => 3,
             4 => 2,
             6 => 4,
             _ => 1,
         };
-        (self.extent.pixels().saturating_mul(per_pixel * u64::from(self.bits))) / 8
+        let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
+        let pass = |columns: u64, rows: u64| {
+            let rows = if columns == 0 { 0 } else { rows };
+            (rows, rows.saturating_mul(1 + (columns * samples * u64::from(self.bits)).div_ceil(8)))
+        };
+        if !self.interlaced {
+            return pass(width, height);
+        }
+        let part = |side: u64, first: usize, step: usize| side.saturating_sub(first as u64).div_ceil(step as u64);
+        let passes = ADAM7.iter().map(|&(x, y, dx, dy)| pass(part(width, x, dx), part(height, y, dy)));
+        passes.fold((0, 0), |(rows, bytes), (more_rows, more)| (rows + more_rows, bytes.saturating_add(more)))
+    }
+
+    /// The data can hold the picture, and holds little else: what an inflater does with empty blocks, empty chunks and data beyond the last
+    /// row is proportional to the picture then.
+    fn weigh_data(&self) -> Result<(), CodecError> {
+        let (rows, raw) = self.filtered();
+        if self.idat_bytes.saturating_mul(MAX_INFLATION) < raw {
+            return Err(bad(format!("{} bytes of data cannot hold the picture", self.idat_bytes)));
+        }
+        let most = raw.saturating_mul(DATA_PER_BYTE).saturating_add(rows * DATA_PER_ROW).saturating_add(FREE_DATA);
+        let data = self.idat_bytes + CHUNK_FRAME * self.idat_chunks;
+        if data > most {
+            return Err(bad(format!("{data} bytes of data chunks for a picture that takes at most {most}")));
+        }
+        Ok(())
     }
 
     /// The file without the chunks of a one-frame animation: its still picture is what is wanted, and the frame's own size
     /// must not reach the decoder.
-    fn still(&self, end: usize) -> Result<Cow<'a, [u8]>, CodecError> {
+    fn still(&self, end: usize, work: &Work<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
         let whole = &self.bytes[..end];
         if !self.animation_chunks {
             return Ok(Cow::Borrowed(whole));
@@ -152,6 +196,7 @@ impl<'a> PngFile<'a> {
         copy.extend_from_slice(&whole[..SIGNATURE]);
         let mut at = SIGNATURE;
         while let Some(chunk) = chunk_at(whole, at) {
+            work.step(1)?;
             if !matches!(&chunk.kind, b"acTL" | b"fcTL" | b"fdAT") {
                 copy.extend_from_slice(&whole[at..chunk.end]);
             }
@@ -161,30 +206,32 @@ impl<'a> PngFile<'a> {
     }
 
     /// The rows as stored. `budget`: bytes that the decoder itself may allocate.
-    pub(super) fn samples(&self, budget: u64) -> Result<Samples, CodecError> {
+    pub(super) fn samples(&self, budget: u64, work: &Work<'_>) -> Result<Samples, CodecError> {
         let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
-        if self.idat_bytes.saturating_mul(MAX_INFLATION) < self.least_raw_bytes() {
-            return Err(bad(format!("{} bytes of data cannot hold the picture", self.idat_bytes)));
-        }
+        self.weigh_data()?;
         let mut options = png::DecodeOptions::default();
         options.set_ignore_text_chunk(true);
         options.set_ignore_iccp_chunk(true);
         options.set_skip_ancillary_crc_failures(false);
         options.set_ignore_adler32(false);
-        let mut decoder = png::Decoder::new_with_options(Cursor::new(self.still(end)?), options);
+        let mut decoder = png::Decoder::new_with_options(Pieces::new(self.still(end, work)?, work), options);
         decoder.set_limits(png::Limits { bytes: usize::try_from(budget).unwrap_or(usize::MAX) });
         decoder.set_transformations(png::Transformations::EXPAND);
         let mut reader = decoder.read_info().map_err(bad)?;
         let samples = match self.depth() {
-            Depth::Eight => self.rows::<u8, _>(&mut reader).map(Samples::Eight),
-            Depth::Sixteen => self.rows::<u16, _>(&mut reader).map(Samples::Sixteen),
+            Depth::Eight => self.rows::<u8, _>(&mut reader, work).map(Samples::Eight),
+            Depth::Sixteen => self.rows::<u16, _>(&mut reader, work).map(Samples::Sixteen),
         }?;
         // Also what follows the last row must be whole: the data's own end, the checksums, IEND.
         reader.finish().map_err(bad)?;
         Ok(samples)
     }
 
-    fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(&self, reader: &mut png::Reader<R>) -> Result<Vec<T>, CodecError> {
+    fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(
+        &self,
+        reader: &mut png::Reader<R>,
+        work: &Work<'_>,
+    ) -> Result<Vec<T>, CodecError> {
         let (colour, bits) = reader.output_color_type();
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         if reader.info().size() != (self.extent.width(), self.extent.height())
@@ -200,6 +247,7 @@ impl<'a> PngFile<'a> {
         let mut out = room::<T>(sample_count(self.extent.pixels(), self.channels()))?;
         if !self.interlaced {
             for _ in 0..height {
+                work.check()?;
                 reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
                 T::expand(&row, colour.samples(), self.channels(), &mut out);
             }
@@ -213,6 +261,7 @@ impl<'a> PngFile<'a> {
                 continue;
             }
             for y in (first_row..height).step_by(row_step) {
+                work.check()?;
                 reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
                 pixels.clear();
                 T::expand(&row[..columns * colour.samples() * T::BYTES], colour.samples(), self.channels(), &mut pixels);
@@ -225,16 +274,21 @@ impl<'a> PngFile<'a> {
         Ok(out)
     }
 
+    pub(super) fn has_profile(&self) -> bool {
+        self.profile.is_some()
+    }
+
     /// The profile, inflated to at most one byte more than is kept.
-    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+    pub(super) fn icc(&self, work: &Work<'_>) -> Option<Vec<u8>> {
         if !matches!(self.colour, 2 | 3 | 6) {
             return None;
         }
         let data = self.profile?;
         let name = data.iter().take(80).position(|&byte| byte == 0)?;
-        let deflated = data.get(name + 1..)?.strip_prefix(&[0])?;
+        let deflated = data.get(name + 1..)?.strip_prefix(&[0]).filter(|deflated| deflated.len() <= MAX_DEFLATED_ICC)?;
         let mut profile = Vec::new();
-        flate2::read::ZlibDecoder::new(deflated).take(MAX_ICC as u64 + 1).read_to_end(&mut profile).ok()?;
+        let inflated = flate2::bufread::ZlibDecoder::new(Pieces::new(deflated, work));
+        inflated.take(MAX_ICC as u64 + 1).read_to_end(&mut profile).ok()?;
         keep_rgb_profile(profile)
     }
 }

@@ -2,12 +2,11 @@
 //! here, which holds nothing but the frame: its size, its alpha and its length have been checked, so flags that promise absent
 //! chunks do no harm, and a frame larger than its canvas is refused before it takes memory. Cost: one copy of the file.
 
-use std::io::Cursor;
-
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
 use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::work::{Pieces, Work};
 use super::{CodecError, vp8l};
 use crate::pixmap::{Channels, Extent, Samples};
 
@@ -20,7 +19,7 @@ const ALPHA_LOSSLESS: u8 = 1;
 /// Position, size, duration and flags of an animation's frame, before its own chunks.
 const ANMF_HEAD: usize = 16;
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 enum Coding<'a> {
     /// VP8, and the ALPH chunk beside it.
     Lossy(&'a [u8], Option<&'a [u8]>),
@@ -29,12 +28,13 @@ enum Coding<'a> {
 }
 
 /// A WebP whose chunks have been walked.
+#[derive(Debug)]
 pub(super) struct WebPFile<'a> {
     pub(super) extent: Extent,
     coding: Coding<'a>,
     pub(super) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
-    /// Tables of prefix codes that a lossless stream asks for.
+    /// The most that the tables of a lossless stream's prefix codes may take; what they do take once the codes have been read.
     code_bytes: u64,
 }
 
@@ -56,9 +56,10 @@ struct Chunks<'a> {
 }
 
 impl<'a> Chunks<'a> {
-    fn walk(mut rest: &'a [u8]) -> Result<Self, CodecError> {
+    fn walk(mut rest: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let mut found = Self::default();
         while let Some((head, behind)) = rest.split_first_chunk::<8>() {
+            work.step(1)?;
             let size = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
             let size = usize::try_from(size).map_err(|_| bad("a chunk longer than memory"))?;
             let data = behind.get(..size).ok_or_else(|| bad("a chunk is cut off"))?;
@@ -84,11 +85,11 @@ impl<'a> Chunks<'a> {
 }
 
 impl<'a> WebPFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, CodecError> {
+    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
         let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
         let body = bytes.get(12..end).ok_or_else(|| bad("it is cut off before its end"))?;
-        let mut chunks = Chunks::walk(body)?;
+        let mut chunks = Chunks::walk(body, work)?;
 
         let canvas = chunks.canvas.map(Canvas::parse).transpose()?;
         if chunks.frames > 1 {
@@ -101,7 +102,7 @@ impl<'a> WebPFile<'a> {
             if head[..6] != [0; 6] {
                 return Err(bad("its only frame does not cover the canvas"));
             }
-            let inner = Chunks::walk(&frame[ANMF_HEAD..])?;
+            let inner = Chunks::walk(&frame[ANMF_HEAD..], work)?;
             chunks = Chunks { vp8: inner.vp8, vp8l: inner.vp8l, alpha: inner.alpha, ..chunks };
         }
 
@@ -117,17 +118,30 @@ impl<'a> WebPFile<'a> {
         if canvas.is_some_and(|canvas| (canvas.width, canvas.height) != (extent.width(), extent.height())) {
             return Err(bad("a picture of another size than its canvas"));
         }
-        let code_bytes = match coding {
-            Coding::Lossless(vp8l, _) => vp8l::code_bytes(vp8l, None),
-            Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {
-                vp8l::code_bytes(stream, Some((extent.width(), extent.height())))
-            }
-            Coding::Lossy(..) => 0,
-        };
-        if code_bytes > vp8l::MAX_CODE_BYTES {
-            return Err(bad(format!("its prefix codes take more than {} bytes of tables", vp8l::MAX_CODE_BYTES)));
+        let mut file = Self { extent, coding, exif: chunks.exif, profile: chunks.profile, code_bytes: 0 };
+        if file.lossless_stream().is_some() {
+            file.code_bytes = vp8l::most_code_bytes(extent.pixels());
         }
-        Ok(Self { extent, coding, exif: chunks.exif, profile: chunks.profile, code_bytes })
+        Ok(file)
+    }
+
+    /// What is coded as VP8L, and its size where the stream does not say it.
+    fn lossless_stream(&self) -> Option<(&'a [u8], Option<(u32, u32)>)> {
+        match self.coding {
+            Coding::Lossless(vp8l, _) => Some((vp8l, None)),
+            Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {
+                Some((stream, Some((self.extent.width(), self.extent.height()))))
+            }
+            Coding::Lossy(..) => None,
+        }
+    }
+
+    /// Learns how much the tables of the prefix codes take.
+    pub(super) fn read_codes(&mut self, work: &Work<'_>) -> Result<(), CodecError> {
+        if let Some((stream, size)) = self.lossless_stream() {
+            self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
+        }
+        Ok(())
     }
 
     pub(super) fn channels(&self) -> Channels {
@@ -182,8 +196,8 @@ impl<'a> WebPFile<'a> {
     }
 
     /// The rows as stored.
-    pub(super) fn samples(&self) -> Result<Samples, CodecError> {
-        let decoder = WebPDecoder::new(Cursor::new(self.remade()?)).map_err(bad)?;
+    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+        let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
         let len = sample_count(self.extent.pixels(), self.channels());
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
             return Err(bad("two headers that disagree"));
@@ -192,6 +206,10 @@ impl<'a> WebPFile<'a> {
         out.resize(usize::try_from(len).map_err(|_| bad("larger than memory"))?, 0);
         decoder.read_image(&mut out).map_err(bad)?;
         Ok(Samples::Eight(out))
+    }
+
+    pub(super) fn has_profile(&self) -> bool {
+        self.profile.is_some()
     }
 
     pub(super) fn icc(&self) -> Option<Vec<u8>> {

@@ -214,7 +214,7 @@ mod tests {
         file.extend(writer.tail(&[checksum]));
         assert_eq!(Format::of(&file).unwrap(), encoding.format());
         assert!(file.len() as u64 <= writer.max_bytes());
-        decode(&file, &Limits::default()).unwrap()
+        decode(&file, &Limits::default(), &|| false).unwrap()
     }
 
     #[test]
@@ -306,7 +306,9 @@ mod tests {
         let extent = Extent::new(9, 7).unwrap();
         let samples = waves(extent, Channels::Rgb);
         let mut profile = vec![0; 70_000];
+        profile[..4].copy_from_slice(&70_000_u32.to_be_bytes());
         profile[16..20].copy_from_slice(b"RGB ");
+        profile[36..40].copy_from_slice(b"acsp");
         profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
         for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP] {
             let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));

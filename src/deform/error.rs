@@ -136,6 +136,8 @@ pub enum Warning {
     LineAlphaBelowOne,
     /// No posed cell intersects the canvas.
     NothingVisible,
+    /// The picture's file has a colour profile that is not carried over: it is damaged, too large, or not for RGB.
+    ProfileDropped,
 }
 
 impl Warning {
@@ -149,6 +151,7 @@ impl Warning {
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
             Self::NothingVisible => "nothing_visible",
+            Self::ProfileDropped => "profile_dropped",
         }
     }
 }

@@ -56,7 +56,7 @@ fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result
         create(out).and_then(|(file, half)| draw(&warp, helpers, file).and_then(|()| half.keep()))
     };
     drawn.map_err(|e| Problem::new(Code::Internal, format!("{} cannot be written: {e}", out.display())))?;
-    Ok(Summary { extent: warp.target(), report: posed.into_report() })
+    Ok(Summary { extent: warp.target(), report: posed.into_report_on(&image) })
 }
 
 /// The format that a file's name promises.

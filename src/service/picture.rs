@@ -182,7 +182,7 @@ impl Sitting {
         let Self { image, setup, plan, q, folds, output, .. } = self;
         output.target(image.extent(), limits)?;
         let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, gone)?;
-        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report()))
+        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report_on(image)))
     }
 }
 

@@ -10,7 +10,7 @@ use crate::deform::DeformError;
 pub enum WarpError {
     /// The file.
     #[error(transparent)]
-    Codec(#[from] CodecError),
+    Codec(CodecError),
     /// The rest handles p, or a parameter.
     #[error("{0}")]
     Rest(DeformError),
@@ -49,6 +49,15 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+}
+
+impl From<CodecError> for WarpError {
+    fn from(error: CodecError) -> Self {
+        match error {
+            CodecError::GivenUp => Self::GivenUp,
+            error => Self::Codec(error),
+        }
+    }
 }
 
 /// What was asked for, in words; `what` as in [`WarpError::TooLarge`].

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::{Digest, WarpError};
-use crate::codec::{self, Limits, Profile};
+use crate::codec::{self, Limits, Opened, Profile, Work};
+use crate::deform::Warning;
 use crate::pixmap::Extent;
 use crate::render::Source;
 
@@ -13,6 +14,7 @@ pub struct Image {
     digest: Digest,
     pub(super) source: Arc<Source>,
     pub(super) icc: Option<Profile>,
+    profile_dropped: bool,
 }
 
 impl Image {
@@ -22,15 +24,12 @@ impl Image {
         Digest::of(file)
     }
 
-    /// The most memory that decoding the file and using its picture will take, bytes, from its header alone: what to reserve before.
-    ///
-    /// # Errors
-    /// Those of [`codec::probe`], and a picture over the limits.
-    pub fn peak_bytes(file: &[u8], limits: &Limits) -> Result<u64, WarpError> {
-        let header = codec::probe(file)?;
-        limits.check(header.extent)?;
+    /// The most memory that decoding an opened file and using its picture will take, bytes: what to reserve before.
+    #[must_use]
+    pub fn peak_bytes(opened: &Opened<'_>) -> u64 {
+        let header = opened.header();
         let used = Source::bytes(header.extent, header.channels, header.depth);
-        Ok(header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES))
+        header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES)
     }
 
     /// Decodes a file behind limits. CPU work; call it off the async threads.
@@ -38,16 +37,23 @@ impl Image {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(Self::digest_of(file), file, limits)
+        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &Work::new(&|| false))?)
     }
 
-    /// The same where the digest is known already.
+    /// The same of an opened file whose digest is known already.
     ///
     /// # Errors
     /// See [`codec::CodecError`].
-    pub fn decode_as(digest: Digest, file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        let decoded = codec::decode(file, limits)?;
-        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc: decoded.icc.as_deref().map(Profile::new) })
+    pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
+        let decoded = opened.decode()?;
+        let icc = decoded.icc.as_deref().map(Profile::new);
+        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc, profile_dropped: decoded.profile_dropped })
+    }
+
+    /// What a client should know of every picture that is drawn from this one.
+    #[must_use]
+    pub fn warning(&self) -> Option<Warning> {
+        self.profile_dropped.then_some(Warning::ProfileDropped)
     }
 
     /// The digest of the file.

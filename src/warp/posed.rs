@@ -1,7 +1,7 @@
 //! A posed grid and what is told about it: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
-use super::{Digest, Folds, Plan, Setup, WarpError};
+use super::{Digest, Folds, Image, Plan, Setup, WarpError};
 use crate::deform::{Gone, Handle, Handles, Pose, Warning};
 use crate::geometry::Mesh;
 
@@ -77,6 +77,14 @@ impl Posed {
     #[must_use]
     pub(super) const fn digest(&self) -> Digest {
         self.digest
+    }
+
+    /// The report of a picture that is drawn from `image`.
+    #[must_use]
+    pub fn into_report_on(self, image: &Image) -> Report {
+        let mut report = self.report;
+        report.warnings.extend(image.warning());
+        report
     }
 
     /// The posed vertices row by row, in the client's units.

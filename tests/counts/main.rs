@@ -1,6 +1,9 @@
 //! One stage of a warp, run once where callgrind counts its instructions: `counts STAGE`. Everything that the stage needs is prepared and the
 //! stage is run once before, uncounted, so that tables made at first use and the dynamic linker are not in the figure. Without a stage it
 //! prints their names and the level in use (`MLSWARP_LEVEL` lowers it). `tests/counts/run` starts it and compares.
+//!
+//! `counts files FOLDER` writes the hostile files and the seeds of the fuzz target, and prints the bytes and the claimed pixels of each;
+//! `counts decode FOLDER` decodes them in the order of their names, each counted by itself.
 
 #![allow(
     missing_docs,
@@ -11,13 +14,17 @@
     reason = "a program that is started by a script"
 )]
 
+#[allow(dead_code, reason = "other tests use the rest of it")]
+#[path = "../it/support/bombs.rs"]
+mod bombs;
 #[path = "../bench/sets.rs"]
 mod sets;
 
 use std::hint::black_box;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter};
+use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter, Work};
 use mlswarp::deform::{Method, Plan};
 use mlswarp::geometry::{Grid, Mesh};
 use mlswarp::level::Level;
@@ -29,16 +36,55 @@ const VERTICES: u32 = 100;
 const STAGES: [(&str, fn()); 5] = [("deform", deform), ("plan", plan), ("plan-lines", plan_lines), ("render", render), ("png", png)];
 
 fn main() {
-    let wanted = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    let mut arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with('-'));
+    let (wanted, folder) = (arguments.next(), arguments.next());
     let Some(wanted) = wanted else {
         println!("level {}", Level::detect().name());
         STAGES.iter().for_each(|(name, _)| println!("{name}"));
         return;
     };
+    match (wanted.as_str(), folder) {
+        ("files", Some(folder)) => return files(Path::new(&folder)),
+        ("decode", Some(folder)) => return decode(Path::new(&folder)),
+        _ => {}
+    }
     let stage = STAGES.iter().find(|(name, _)| *name == wanted).unwrap_or_else(|| panic!("no such stage: {wanted}")).1;
     // One thread: what a stage splits is counted whole, and no second thread waits in a loop.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
     pool.install(stage);
+}
+
+fn listed(folder: &Path) -> Vec<PathBuf> {
+    let mut paths: Vec<_> = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("a file").path()).collect();
+    paths.sort();
+    paths
+}
+
+fn files(folder: &Path) {
+    let kept = |name: &str| listed(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz").join(name).join("image"));
+    for path in kept("seeds").into_iter().chain(kept("found")) {
+        std::fs::copy(&path, folder.join(path.file_name().expect("a file"))).expect("a copy");
+    }
+    let tables = std::fs::read(folder.join("webp-code-tables")).expect("a file that is kept");
+    for (name, bytes, _) in bombs::all(&tables) {
+        std::fs::write(folder.join(format!("bomb: {name}")), bytes).expect("a file");
+    }
+    let limits = Limits::default();
+    for path in listed(folder) {
+        let bytes = std::fs::read(&path).expect("a file");
+        let header = codec::probe(&bytes, &Work::new(&|| false)).ok().filter(|header| limits.check(header.extent).is_ok());
+        let pixels = header.map_or(0, |header| header.extent.pixels());
+        println!("{}\t{pixels}\t{}", bytes.len(), path.file_name().expect("a file").to_string_lossy());
+    }
+}
+
+fn decode(folder: &Path) {
+    // A damaged palette makes a decoder panic, which is caught; its message would be counted.
+    std::panic::set_hook(Box::new(|_| {}));
+    let files: Vec<_> = listed(folder).into_iter().map(|path| std::fs::read(path).expect("a file")).collect();
+    for bytes in files {
+        counted_stage(&mut || drop(black_box(codec::decode(black_box(&bytes), &Limits::default(), &|| false))));
+    }
 }
 
 fn measure(mut work: impl FnMut()) {
@@ -119,7 +165,7 @@ fn extent() -> Extent {
 /// The astronaut, cropped, as RGBA.
 fn source() -> Arc<Source> {
     let file = include_bytes!("../images/astronaut.png");
-    let photograph = codec::decode(file, &Limits::default()).expect("a whole file").pixmap;
+    let photograph = codec::decode(file, &Limits::default(), &|| false).expect("a whole file").pixmap;
     let Samples::Eight(samples) = photograph.samples() else { panic!("the photograph has 8 bits") };
     let (channels, width) = (photograph.channels().count(), photograph.extent().width() as usize);
     let row = |y: usize| &samples[y * width * channels..][..SIDE as usize * channels];

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/fuzz/seeds/image: one small real file of every kind that is read, and of some that are not.
+"""Writes tests/fuzz/seeds/image: one small real file of every kind that is read, and of some that are not, and small hostile ones.
 
     pip install pillow==13.0.0
     tests/fuzz/seeds.py
@@ -160,10 +160,54 @@ def one_frame(still):
     return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WEBP" + chunks
 
 
+def bits(*fields):
+    """Numbers of so many bits each, the lowest first."""
+    number = place = 0
+    for value, count in fields:
+        number |= value << place
+        place += count
+    return number.to_bytes(-(-place // 8) + 16, "little")
+
+
+def riff(*chunks):
+    body = b"".join(kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2) for kind, data in chunks)
+    return b"RIFF" + struct.pack("<I", 4 + len(body)) + b"WEBP" + body
+
+
+def hostile():
+    """Small files whose work an unwary reader multiplies by the sizes that they claim."""
+    zero, head = (0b0001, 4), (0x2F, 8)
+    # A prefix code whose one symbol lies beyond the literals.
+    far = [(0, 5), (0, 3), (1, 3), (0, 3), (1, 3), (1, 1), (0, 3), (2, 2), *[(1, 1), (89, 7)] * 2]
+    copy = [*far, (1, 1), (45, 7), (0, 1)]
+    cached = [*far, (1, 1), (69, 7), (0, 1)]
+    size = lambda width, height: [head, (width - 1, 14), (height - 1, 14), (0, 4)]
+    copies = [(0b001, 3), (0, 3), (0, 1), *copy, *[zero] * 4]
+    yield "webp-transform-of-copies", riff((b"VP8L", bits(*size(4096, 256), *copies)))
+    transform = [(0b001, 3), (0, 3), (0b00011, 5), *cached, *[zero] * 4]
+    yield "webp-transforms-30", riff((b"VP8L", bits(*size(4096, 256), *transform * 30)))
+    # The frame is that of a real file, and so is its size.
+    lossy = (SEEDS / "webp-lossy").read_bytes()[20:]
+    canvas = b"\x10\0\0\0" + (40 - 1).to_bytes(3, "little") + (33 - 1).to_bytes(3, "little")
+    alpha = b"\1" + bits(*transform * 30)
+    yield "webp-alpha-transforms-30", riff((b"VP8X", canvas), (b"ALPH", alpha), (b"VP8 ", lossy))
+    plain = [(0, 1), (0b11, 2), (0, 3), (0, 1), *cached, *[zero] * 4]
+    yield "webp-one-cached-colour", riff((b"VP8L", bits(*size(256, 256), *plain)))
+    rows = b"".join(packed(WIDTH, 8, 2, range(WIDTH), y) for y in range(HEIGHT))
+    last = b"\1" + struct.pack("<HH", len(rows), 0xFFFF - len(rows)) + rows + struct.pack(">I", zlib.adler32(rows))
+    start = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0))
+    end = chunk(b"IEND", b"")
+    behind = b"\x78\x01" + b"\0\0\0\xff\xff" * 400 + last
+    yield "png-empty-blocks", start + chunk(b"IDAT", behind) + end
+    yield "png-empty-chunks", start + chunk(b"IDAT", b"") * 200 + chunk(b"IDAT", b"\x78\x01" + last) + end
+    yield "png-profile-empty-blocks", start + chunk(b"iCCP", b"name\0\0" + behind) + chunk(b"IDAT", b"\x78\x01" + last) + end
+
+
 def main():
     SEEDS.mkdir(parents=True, exist_ok=True)
-    for name, data in [*pngs(), *jpegs(), *webps()]:
-        (SEEDS / name).write_bytes(data)
+    for kind in (pngs, jpegs, webps, hostile):
+        for name, data in kind():
+            (SEEDS / name).write_bytes(data)
     files = list(SEEDS.iterdir())
     print(f"{len(files)} files, {sum(file.stat().st_size for file in files)} bytes")
 

@@ -55,7 +55,7 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
 
 pub(crate) fn decode(png: &[u8]) -> Pixmap {
     decoded(png);
-    codec::decode(png, &ImageLimits::default()).unwrap().pixmap
+    codec::decode(png, &ImageLimits::default(), &|| false).unwrap().pixmap
 }
 
 fn eight(pixmap: &Pixmap) -> &[u8] {

@@ -8,6 +8,7 @@ mod binary;
 mod clients;
 mod crash;
 mod decoders;
+mod decoding;
 mod doors;
 mod drag;
 mod environment;

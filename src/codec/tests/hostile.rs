@@ -76,20 +76,41 @@ fn mend_checksums(bytes: &mut [u8]) {
     }
 }
 
+fn png_of(width: u32, height: u32) -> Vec<u8> {
+    let mut png = Png::new(3, 2, 8, 6, &[1; 24]);
+    png.ihdr[..4].copy_from_slice(&width.to_be_bytes());
+    png.ihdr[4..8].copy_from_slice(&height.to_be_bytes());
+    png.bytes()
+}
+
+fn jpeg_of(width: u16, height: u16, progressive: bool) -> Vec<u8> {
+    let mut jpeg = Jpeg::letters();
+    jpeg.size = (width, height);
+    if progressive { jpeg.progressive().bytes() } else { jpeg.bytes() }
+}
+
+fn canvas_of(width: u32, height: u32) -> Vec<u8> {
+    riff(&[(b"VP8X", &vp8x(0, (width, height))), (b"VP8 ", &vp8(16, 16))])
+}
+
+/// Small files that claim to be large.
+pub(super) fn claims() -> Vec<(&'static str, Vec<u8>)> {
+    vec![
+        ("png of 60000", png_of(60_000, 60_000)),
+        ("png of the limits", png_of(16_384, 3_000)),
+        ("png of four billion", png_of(u32::MAX, u32::MAX)),
+        ("jpeg of 60000", jpeg_of(60_000, 60_000, false)),
+        ("jpeg of the limits", jpeg_of(16_384, 3_000, false)),
+        ("jpeg of 60000, progressive", jpeg_of(60_000, 60_000, true)),
+        ("jpeg of the limits, progressive", jpeg_of(16_384, 3_000, true)),
+        ("webp of 60000", canvas_of(60_000, 60_000)),
+        ("webp, solid", riff(&[(b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0])])),
+    ]
+}
+
 #[test]
 fn bombs_are_refused_by_their_header() {
-    let png = |width: u32, height: u32| {
-        let mut png = Png::new(3, 2, 8, 6, &[1; 24]);
-        png.ihdr[..4].copy_from_slice(&width.to_be_bytes());
-        png.ihdr[4..8].copy_from_slice(&height.to_be_bytes());
-        png.bytes()
-    };
-    let jpeg = |width: u16, height: u16, progressive: bool| {
-        let mut jpeg = Jpeg::letters();
-        jpeg.size = (width, height);
-        if progressive { jpeg.progressive().bytes() } else { jpeg.bytes() }
-    };
-    let webp = |width: u32, height: u32| riff(&[(b"VP8X", &vp8x(0, (width, height))), (b"VP8 ", &vp8(16, 16))]);
+    let (png, jpeg, webp) = (png_of, jpeg_of, canvas_of);
 
     let side = CodecError::TooLarge { what: "image_side", limit: 16_384, actual: 60_000 };
     for bytes in [png(60_000, 60_000), jpeg(60_000, 60_000, false), jpeg(60_000, 60_000, true)] {

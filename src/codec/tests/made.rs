@@ -15,7 +15,9 @@ pub(super) fn deflate(bytes: &[u8]) -> Vec<u8> {
 /// Something that passes for an RGB profile.
 pub(super) fn profile(len: usize) -> Vec<u8> {
     let mut profile: Vec<u8> = (0..len).map(|n| ((n * n) >> 3) as u8).collect();
+    profile[..4].copy_from_slice(&(len as u32).to_be_bytes());
     profile[16..20].copy_from_slice(b"RGB ");
+    profile[36..40].copy_from_slice(b"acsp");
     profile
 }
 

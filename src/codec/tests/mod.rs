@@ -3,15 +3,26 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "patterns are cut to their low byte, and sizes are written here")]
 
+#[path = "../../../tests/it/support/bombs.rs"]
+pub(super) mod bombs;
 mod hostile;
 mod jpeg;
 mod made;
 mod png;
 mod webp;
+mod work;
 
 use super::orientation::tests::{UPRIGHT, exif};
 use super::*;
 use crate::pixmap::{Channels, Depth, Pixmap, Samples};
+
+fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
+    super::decode(bytes, limits, &|| false)
+}
+
+fn probe(bytes: &[u8]) -> Result<Header, CodecError> {
+    super::probe(bytes, &Work::new(&|| false))
+}
 
 fn photograph(name: &str) -> Vec<u8> {
     std::fs::read(format!("{}/tests/images/{name}", env!("CARGO_MANIFEST_DIR"))).unwrap()
@@ -120,10 +131,41 @@ fn unsupported_formats_are_named() {
     assert_eq!(found(b"RIFF\0\0\0\0WAVEfmt "), "an unknown format that begins with 52 49 46 46");
 }
 
+/// What stands where a profile stands and is not one.
+fn not_profiles() -> Vec<(&'static str, Vec<u8>)> {
+    let changed = |at: usize, bytes: &[u8]| {
+        let mut profile = made::profile(500);
+        profile[at..at + bytes.len()].copy_from_slice(bytes);
+        profile
+    };
+    vec![
+        ("a longer size field", changed(0, &501_u32.to_be_bytes())),
+        ("a shorter size field", changed(0, &499_u32.to_be_bytes())),
+        ("a size field of four billion", changed(0, &[0xFF; 4])),
+        ("no signature", changed(36, b"ACSP")),
+        ("a grey profile", changed(16, b"GRAY")),
+        ("a CMYK profile", changed(16, b"CMYK")),
+        ("no whole head", made::profile(500)[..39].to_vec()),
+        ("three bytes", vec![0, 0, 3]),
+    ]
+}
+
+#[test]
+fn a_file_without_a_profile_has_none_to_drop() {
+    for (name, bytes) in zoo() {
+        let decoded = decode(&bytes, &Limits::default()).unwrap();
+        assert!(!decoded.profile_dropped || name.contains("icc") || name.contains("rich"), "{name}");
+    }
+}
+
 /// A colour-managed picture keeps its profile only where the profile describes the samples that are handed on.
 #[test]
 fn icc_profile_is_kept_for_rgb_only() {
-    let icc = |bytes: &[u8]| decode(bytes, &Limits::default()).unwrap().icc;
+    let icc = |bytes: &[u8]| {
+        let decoded = decode(bytes, &Limits::default()).unwrap();
+        assert_eq!(decoded.profile_dropped, decoded.icc.is_none(), "a profile is carried over or reported");
+        decoded.icc
+    };
     let profile = made::profile(70_000);
     let mut lab = profile.clone();
     lab[16..20].copy_from_slice(b"Lab ");
@@ -142,6 +184,12 @@ fn icc_profile_is_kept_for_rgb_only() {
     assert_eq!(png(2, 3, made::iccp(&made::profile(1 << 20))).map(|icc| icc.len()), Some(1 << 20));
     assert_eq!(png(2, 3, made::iccp(&made::profile((1 << 20) + 1))), None);
     assert_eq!(png(2, 3, made::iccp(&vec![0; 200 << 20])), None, "an inflating profile is cut, not followed");
+    for (what, profile) in not_profiles() {
+        assert_eq!(png(2, 3, made::iccp(&profile)), None, "{what}");
+    }
+    let behind = |blocks: usize| [b"name\0\0", &bombs::behind_blocks(bombs::EmptyBlock::Stored, blocks, &profile)[..]].concat();
+    assert_eq!(png(2, 3, behind(1_000)).as_ref(), Some(&profile));
+    assert_eq!(png(2, 3, behind(250_000)), None, "what is inflated is bounded as what comes of it");
     assert_eq!(png(2, 3, b"name\0\0not deflated".to_vec()), None);
     assert_eq!(png(2, 3, b"no end of the name".to_vec()), None);
 
@@ -159,10 +207,18 @@ fn icc_profile_is_kept_for_rgb_only() {
     assert_eq!(jpeg(3, &[(1, 2, first), (1, 2, second)]), None);
     assert_eq!(jpeg(1, &[(1, 2, first), (2, 2, second)]), None);
     assert_eq!(jpeg(4, &[(1, 2, first), (2, 2, second)]), None);
+    let small = made::profile(500);
+    assert_eq!(jpeg(3, &[(1, 1, &small)]).as_ref(), Some(&small));
+    for (what, profile) in not_profiles() {
+        assert_eq!(jpeg(3, &[(1, 1, &profile)]), None, "{what}");
+    }
 
     let webp =
         |icc_profile: &[u8]| icc(&made::webp_container(&made::webp_lossless(1, 1, Channels::Rgb, &[1, 2, 3]), (1, 1), &[], icc_profile));
     assert_eq!(webp(&profile).as_ref(), Some(&profile));
     assert_eq!(webp(&lab), None);
+    for (what, profile) in not_profiles() {
+        assert_eq!(webp(&profile), None, "{what}");
+    }
     assert_eq!(webp(&made::profile((1 << 20) + 2)), None);
 }

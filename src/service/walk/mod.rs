@@ -27,7 +27,7 @@ use super::session::{Revision, SessionId};
 use super::store::Record;
 use super::telemetry::scope::stage;
 use super::wire::{WarpObject, WarpPatch};
-use crate::codec::{CodecError, Format};
+use crate::codec::{self, CodecError, Format};
 use crate::pixmap::Extent;
 use crate::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
 
@@ -154,9 +154,12 @@ impl App {
         let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
         let decode = async move {
             let theirs = app.clone();
-            let decode = move |_: &_| {
-                let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&file, &limits)?)?;
-                let image = Image::decode_as(digest, &file, &limits)?;
+            let decode = move |cancel: &Cancel| {
+                let gone = || cancel.is_cancelled();
+                let work = codec::Work::new(&gone);
+                let opened = codec::open(&file, &limits, &work).map_err(WarpError::from)?;
+                let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
+                let image = Image::decode_as(digest, &opened)?;
                 held.shrink_to(image.bytes());
                 Ok(Kept::new(image, held))
             };

@@ -32,6 +32,208 @@ pub(crate) fn deflated_zeros(bytes: usize) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
+/// Numbers written bit by bit, the lowest bit first: how deflate and lossless WebP write them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pen {
+    pub(crate) bytes: Vec<u8>,
+    used: u32,
+}
+
+impl Pen {
+    pub(crate) fn put(&mut self, value: u32, count: u32) {
+        for k in 0..count {
+            if self.used.is_multiple_of(8) {
+                self.bytes.push(0);
+            }
+            *self.bytes.last_mut().unwrap() |= u8::from(value >> k & 1 == 1) << (self.used % 8);
+            self.used += 1;
+        }
+    }
+
+    /// Goes on at the next whole byte.
+    fn align(&mut self) {
+        self.used = self.used.next_multiple_of(8);
+    }
+
+    /// A prefix code of lossless WebP with one symbol below 256: the symbol takes no bits.
+    pub(crate) fn only(&mut self, symbol: u32) {
+        self.put(0b101, 3);
+        self.put(symbol, 8);
+    }
+
+    /// The same in four bits, with symbol 0.
+    fn only_zero(&mut self) {
+        self.put(0b0001, 4);
+    }
+
+    /// A code for green with one symbol from 256 on, which takes no bits either.
+    fn only_far(&mut self, symbol: u32) {
+        // Of code lengths, 18 (a run of zeros) is `1`, and 1 is `0`; four of them are read: three runs and the symbol's own.
+        self.put(0, 1);
+        self.put(0, 4);
+        [0, 1, 0, 1].into_iter().for_each(|length| self.put(length, 3));
+        self.put(1, 1);
+        self.put(0, 3);
+        self.put(2, 2);
+        for zeros in [100, 100, symbol - 200] {
+            self.put(1, 1);
+            self.put(zeros - 11, 7);
+        }
+        self.put(0, 1);
+    }
+}
+
+/// The head of a lossless WebP stream without alpha.
+pub(crate) fn vp8l_head(width: u32, height: u32) -> Pen {
+    let mut pen = Pen::default();
+    pen.put(0x2F, 8);
+    pen.put(width - 1, 14);
+    pen.put(height - 1, 14);
+    pen.put(0, 4);
+    pen
+}
+
+/// The same predictor transform again and again, each with the largest image that its picture allows. The pixels of the images take no bits: all
+/// have the same colour of a cache.
+fn transforms(mut pen: Pen, count: usize) -> Vec<u8> {
+    for _ in 0..count {
+        // A transform; the predictor, in blocks of 4 x 4; a cache of two colours.
+        pen.put(0b001, 3);
+        pen.put(0, 3);
+        pen.put(0b00011, 5);
+        pen.only_far(280);
+        (0..4).for_each(|_| pen.only_zero());
+    }
+    pen.bytes.extend([0; 16]);
+    pen.bytes
+}
+
+/// A lossless WebP with one transform, whose image is made of copies: there is nothing that they could copy.
+pub(crate) fn webp_transform_of_copies(width: u32, height: u32) -> Vec<u8> {
+    let mut pen = vp8l_head(width, height);
+    pen.put(0b001, 3);
+    pen.put(0, 4);
+    pen.only_far(256);
+    (0..4).for_each(|_| pen.only_zero());
+    pen.bytes.extend([0; 16]);
+    riff(&[(b"VP8L", pen.bytes)])
+}
+
+/// A lossless WebP with `count` transforms of one kind.
+pub(crate) fn webp_transforms(width: u32, height: u32, count: usize) -> Vec<u8> {
+    riff(&[(b"VP8L", transforms(vp8l_head(width, height), count))])
+}
+
+/// The same in the alpha of a lossy WebP.
+pub(crate) fn webp_alpha_transforms(width: u16, height: u16, count: usize) -> Vec<u8> {
+    let stream = transforms(Pen::default(), count);
+    riff(&[(b"VP8X", canvas(0x10, width, height)), (b"ALPH", [&[1], &stream[..]].concat()), (b"VP8 ", vp8(width, height))])
+}
+
+/// A lossless WebP whose pixels take no bits: each is the same colour of the cache.
+pub(crate) fn webp_of_one_cached_colour(width: u32, height: u32) -> Vec<u8> {
+    let mut pen = vp8l_head(width, height);
+    // No transform; a cache of two colours; one group of codes.
+    pen.put(0, 1);
+    pen.put(1, 1);
+    pen.put(1, 4);
+    pen.put(0, 1);
+    pen.only_far(280);
+    (0..4).for_each(|_| pen.only_zero());
+    pen.bytes.extend([0; 16]);
+    riff(&[(b"VP8L", pen.bytes)])
+}
+
+/// A lossless WebP whose pixels take no bits, but for the first of a region: each is a copy of one pixel. `side`: a power of two.
+pub(crate) fn webp_of_copies(side: u32) -> Vec<u8> {
+    let mut pen = vp8l_head(side, side);
+    // No transform, no cache; regions of half the side: the first has group 0, the others group 1.
+    pen.put(0, 1);
+    pen.put(0, 1);
+    pen.put(1, 1);
+    pen.put(side.ilog2() - 1 - 2, 3);
+    pen.put(0, 1);
+    // Green is 0 or 1.
+    pen.put(0b011, 3);
+    pen.put(0, 1);
+    pen.put(1, 8);
+    (0..4).for_each(|_| pen.only_zero());
+    pen.put(0b1110, 4);
+    // Group 0: black. Group 1: copies of the pixel before.
+    (0..5).for_each(|_| pen.only_zero());
+    pen.only_far(256);
+    (0..3).for_each(|_| pen.only_zero());
+    pen.only(1);
+    pen.bytes.extend([0; 16]);
+    riff(&[(b"VP8L", pen.bytes)])
+}
+
+/// A block of deflate that holds nothing.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum EmptyBlock {
+    Stored,
+    Fixed,
+    /// With tables of its own, which an inflater builds: 12 bytes.
+    Dynamic,
+}
+
+impl EmptyBlock {
+    fn put(self, pen: &mut Pen) {
+        match self {
+            Self::Stored => {
+                pen.put(0, 3);
+                pen.align();
+                pen.put(0, 16);
+                pen.put(0xFFFF, 16);
+            }
+            Self::Fixed => pen.put(0b010, 10),
+            Self::Dynamic => {
+                pen.put(0b100, 3);
+                pen.put(0, 10);
+                // Lengths of the code for lengths, 18 of them: 18 and 0 have two bits (`11` and `10`), 1 has one (`0`).
+                pen.put(14, 4);
+                (0..18).for_each(|k| pen.put([0, 0, 2, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1][k], 3));
+                // Symbols 0 and 256 have one bit, and so has the one distance.
+                pen.put(0, 1);
+                for zeros in [138, 117] {
+                    pen.put(0b11, 2);
+                    pen.put(zeros - 11, 7);
+                }
+                pen.put(0b00, 2);
+                pen.put(1, 1);
+            }
+        }
+    }
+}
+
+/// Bytes behind so many empty blocks, as zlib has them.
+pub(crate) fn behind_blocks(block: EmptyBlock, count: usize, bytes: &[u8]) -> Vec<u8> {
+    let mut pen = Pen::default();
+    pen.put(0x0178, 16);
+    (0..count).for_each(|_| block.put(&mut pen));
+    for (k, part) in bytes.chunks(65_535).enumerate() {
+        pen.put(u32::from((k + 1) * 65_535 >= bytes.len()), 3);
+        pen.align();
+        let length = u32::try_from(part.len()).unwrap();
+        pen.put(length, 16);
+        pen.put(!length & 0xFFFF, 16);
+        pen.bytes.extend(part);
+    }
+    let (mut a, mut b) = (1_u32, 0_u32);
+    for &byte in bytes {
+        a = (a + u32::from(byte)) % 65_521;
+        b = (b + a) % 65_521;
+    }
+    pen.bytes.extend((b << 16 | a).to_be_bytes());
+    pen.bytes
+}
+
+/// An RGB PNG of zeros behind so many empty blocks.
+pub(crate) fn png_behind_blocks(side: u32, block: EmptyBlock, count: usize) -> Vec<u8> {
+    let rows = vec![0; (side * (1 + 3 * side)) as usize];
+    png(&[(b"IHDR", ihdr(side, side)), (b"IDAT", behind_blocks(block, count, &rows)), (b"IEND", vec![])])
+}
+
 fn deflated(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
     encoder.write_all(bytes).unwrap();
@@ -101,6 +303,16 @@ fn riff(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
     file
 }
 
+fn canvas(flags: u8, width: u16, height: u16) -> Vec<u8> {
+    let [width, height] = [width, height].map(|side| (u32::from(side) - 1).to_le_bytes());
+    [&[flags, 0, 0, 0], &width[..3], &height[..3]].concat()
+}
+
+/// The head of a lossy frame, and too little data.
+fn vp8(width: u16, height: u16) -> Vec<u8> {
+    [&[0x10, 2, 0, 0x9D, 0x01, 0x2A], &width.to_le_bytes()[..], &height.to_le_bytes(), &[0; 64]].concat()
+}
+
 /// Every bomb with its name and the statuses that may answer it; `code_tables` is the file of that name.
 pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u16])> {
     let row = || deflated(&[0; 1 + 3]);
@@ -115,9 +327,6 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
     let mut interlaced = ihdr(16_384, 3_000);
     interlaced[12] = 1;
     let control = [&[0; 4][..], &60_000_u32.to_be_bytes(), &60_000_u32.to_be_bytes(), &[0; 14]].concat();
-    let canvas = |flags: u8| [&[flags, 0, 0, 0], [0xFF; 6].as_slice()].concat();
-    let vp8 =
-        |width: u16, height: u16| [&[0x10, 2, 0, 0x9D, 0x01, 0x2A], &width.to_le_bytes()[..], &height.to_le_bytes(), &[0; 64]].concat();
     let frame = |vp8l: &[u8]| {
         [&[0; 6][..], &[3, 0, 0, 3, 0, 0], &[0; 4], b"VP8L", &u32::try_from(vp8l.len()).unwrap().to_le_bytes(), vp8l].concat()
     };
@@ -126,7 +335,7 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
         ("png of 60000 x 60000", png(&[(b"IHDR", ihdr(60_000, 60_000)), (b"IDAT", row()), (b"IEND", vec![])]), &[413]),
         ("png of 49 MP without data", png(&[(b"IHDR", ihdr(7_000, 7_000)), (b"IDAT", row()), (b"IEND", vec![])]), &[422]),
         ("png, interlaced, without data", png(&[(b"IHDR", interlaced), (b"IDAT", row()), (b"IEND", vec![])]), &[422]),
-        ("png with 200 MiB behind its pixel", png(&[(b"IHDR", ihdr(1, 1)), (b"IDAT", zeros.clone()), (b"IEND", vec![])]), &[200, 422]),
+        ("png with 200 MiB behind its pixel", png(&[(b"IHDR", ihdr(1, 1)), (b"IDAT", zeros.clone()), (b"IEND", vec![])]), &[422]),
         ("png with a profile of 200 MiB", one(&[(b"iCCP", named(b"name\0\0"))]), &[200]),
         ("png with a text of 200 MiB", one(&[(b"zTXt", named(b"name\0\0"))]), &[200]),
         ("png with an international text of 200 MiB", one(&[(b"iTXt", named(b"name\0\x01\0\0\0"))]), &[200]),
@@ -150,7 +359,11 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
         ("jpeg of comments", [vec![0xFF, 0xD8], segment(0xFE, &[]).repeat(500_000)].concat(), &[422]),
         ("jpeg of tables", [jpeg_head(64, 64, 0xC2), jpeg_head(8, 8, 0xC2)[73..].repeat(20_000), vec![0xFF, 0xD9]].concat(), &[422]),
         ("jpeg with EXIF in a loop", with_exif(&jpeg_scans(64, 1), &exif_loop()), &[200]),
-        ("webp with a canvas of 2^48", riff(&[(b"VP8X", canvas(0)), (b"VP8 ", vp8(16, 16))]), &[422]),
+        (
+            "webp with a canvas of 2^48",
+            riff(&[(b"VP8X", [0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF].to_vec()), (b"VP8 ", vp8(16, 16))]),
+            &[422],
+        ),
         ("webp of 16383 x 16383", riff(&[(b"VP8 ", vp8(16_383, 16_383))]), &[413]),
         ("webp, lossless, of 16384 x 16384", riff(&[(b"VP8L", [&[0x2F, 0xFF, 0xFF, 0xFF, 0x0F], [0; 64].as_slice()].concat())]), &[413]),
         ("webp of many code tables", code_tables.to_vec(), &[422]),
@@ -169,6 +382,25 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
             riff(&[&[(b"VP8X", vec![2, 0, 0, 0, 3, 0, 0, 3, 0, 0])][..], &vec![(b"ANMF", frame(&[])); 10_000]].concat()),
             &[413],
         ),
+        ("png of empty stored blocks", png_behind_blocks(1, EmptyBlock::Stored, 200_000), &[422]),
+        ("png of empty fixed blocks", png_behind_blocks(1, EmptyBlock::Fixed, 800_000), &[422]),
+        ("png of empty dynamic blocks", png_behind_blocks(1, EmptyBlock::Dynamic, 80_000), &[422]),
+        ("png of some empty stored blocks", png_behind_blocks(300, EmptyBlock::Stored, 40_000), &[200]),
+        ("png of some empty fixed blocks", png_behind_blocks(300, EmptyBlock::Fixed, 160_000), &[200]),
+        ("png of some empty dynamic blocks", png_behind_blocks(300, EmptyBlock::Dynamic, 16_000), &[200]),
+        ("png of empty data chunks", one(&vec![(b"IDAT", vec![]); 100_000]), &[422]),
+        (
+            "png with a profile behind empty blocks",
+            one(&[(b"iCCP", [b"name\0\0", &behind_blocks(EmptyBlock::Dynamic, 100_000, b"nothing")[..]].concat())]),
+            &[200],
+        ),
+        ("webp of 30 transforms", webp_transforms(16_384, 3_000, 30), &[422]),
+        ("webp of 1000 transforms", webp_transforms(16_384, 3_000, 1_000), &[422]),
+        ("webp of 1000 transforms, too large", webp_transforms(16_384, 16_384, 1_000), &[413]),
+        ("webp with an alpha of 30 transforms", webp_alpha_transforms(16_383, 3_000, 30), &[422]),
+        ("webp whose transform is made of copies", webp_transform_of_copies(16_384, 3_000), &[422]),
+        ("webp of one cached colour", webp_of_one_cached_colour(1_000, 1_000), &[200]),
+        ("webp of copies", webp_of_copies(512), &[200]),
         ("webp of many chunks", riff(&vec![(b"zzzz", vec![]); 200_000]), &[422]),
     ]
 }

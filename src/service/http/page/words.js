@@ -90,6 +90,7 @@ export const WARNINGS = {
   near_duplicate_handles: "Two handles lie almost on each other.",
   line_alpha_below_one: "Focus below 1 lets lines slip between their ends.",
   nothing_visible: "The whole picture lies outside the canvas.",
+  profile_dropped: "The picture's colour profile cannot be used: its colours may look different.",
 };
 
 export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", deform: "Bending", render: "Drawing", encode: "Writing PNG" };

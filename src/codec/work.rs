@@ -1,0 +1,182 @@
+//! The work of reading one file: how many steps this crate's own parsers have taken, and whether the result is still wanted. The library
+//! decoders are stopped through their input: the readers here fail as soon as the result is no longer wanted. Cost: one counter; the
+//! question is asked once in [`STEPS`] steps.
+
+use std::cell::Cell;
+use std::fmt;
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
+
+use zune_jpeg::zune_core::bytestream::{ZByteIoError, ZByteReaderTrait, ZCursor, ZSeekFrom};
+
+use super::CodecError;
+
+/// Steps between two questions: a step takes some nanoseconds.
+const STEPS: u64 = 1 << 16;
+/// Bytes that a decoder is given at once. Deflate makes 33 MB of so many at most, which takes 10 to 30 ms.
+const PIECE: usize = 1 << 15;
+/// Requests for input between two questions: where symbols take no bits, a decoder asks for input at every symbol and uses none.
+const REQUESTS: u32 = 1 << 10;
+
+/// One file's work, on one thread.
+pub struct Work<'a> {
+    gone: &'a dyn Fn() -> bool,
+    steps: Cell<u64>,
+    asked: Cell<u64>,
+}
+
+impl fmt::Debug for Work<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Work").field("steps", &self.steps).finish_non_exhaustive()
+    }
+}
+
+impl<'a> Work<'a> {
+    /// `gone` says that the result is no longer wanted.
+    #[must_use]
+    pub fn new(gone: &'a dyn Fn() -> bool) -> Self {
+        Self { gone, steps: Cell::new(0), asked: Cell::new(0) }
+    }
+
+    /// Steps taken so far: chunks, segments, bytes that were searched, reads from a bit stream; a decoder's requests for input, by the thousand.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps.get()
+    }
+
+    /// Counts steps.
+    pub(super) fn step(&self, count: u64) -> Result<(), CodecError> {
+        let steps = self.steps.get() + count;
+        self.steps.set(steps);
+        if steps < self.asked.get() + STEPS {
+            return Ok(());
+        }
+        self.asked.set(steps);
+        self.check()
+    }
+
+    /// Counts a decoder's requests, and asks.
+    fn requests(&self, count: u32) -> bool {
+        self.steps.set(self.steps.get() + u64::from(count));
+        self.is_gone()
+    }
+
+    /// Asks at once.
+    pub(super) fn check(&self) -> Result<(), CodecError> {
+        if self.is_gone() { Err(CodecError::GivenUp) } else { Ok(()) }
+    }
+
+    pub(super) fn is_gone(&self) -> bool {
+        (self.gone)()
+    }
+}
+
+/// Bytes in memory as a decoder reads them, piece by piece.
+pub(super) struct Pieces<'a, B> {
+    bytes: B,
+    at: usize,
+    end: usize,
+    requests: u32,
+    work: &'a Work<'a>,
+}
+
+impl<'a, B: AsRef<[u8]>> Pieces<'a, B> {
+    pub(super) const fn new(bytes: B, work: &'a Work<'a>) -> Self {
+        Self { bytes, at: 0, end: 0, requests: 0, work }
+    }
+}
+
+impl<B: AsRef<[u8]>> BufRead for Pieces<'_, B> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        self.requests += 1;
+        let bytes = self.bytes.as_ref();
+        if self.at >= self.end || self.requests >= REQUESTS {
+            if self.work.requests(std::mem::take(&mut self.requests)) {
+                return Err(io::Error::other("the picture is no longer wanted"));
+            }
+            self.end = self.at.saturating_add(PIECE).min(bytes.len());
+        }
+        Ok(bytes.get(self.at..self.end).unwrap_or_default())
+    }
+
+    fn consume(&mut self, amount: usize) {
+        self.at += amount;
+    }
+}
+
+impl<B: AsRef<[u8]>> Read for Pieces<'_, B> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let read = self.fill_buf()?.read(into)?;
+        self.consume(read);
+        Ok(read)
+    }
+}
+
+impl<B: AsRef<[u8]>> Seek for Pieces<'_, B> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let mut cursor = io::Cursor::new(self.bytes.as_ref());
+        cursor.set_position(self.at as u64);
+        let position = cursor.seek(to)?;
+        self.at = usize::try_from(position).map_err(io::Error::other)?;
+        self.end = self.at;
+        Ok(position)
+    }
+}
+
+/// The same for the JPEG decoder, which reads byte by byte and asks each time whether that was the last one.
+pub(super) struct Bytes<'a> {
+    cursor: ZCursor<&'a [u8]>,
+    requests: u32,
+    work: &'a Work<'a>,
+}
+
+impl<'a> Bytes<'a> {
+    pub(super) fn new(bytes: &'a [u8], work: &'a Work<'a>) -> Self {
+        Self { cursor: ZCursor::new(bytes), requests: 0, work }
+    }
+}
+
+impl ZByteReaderTrait for Bytes<'_> {
+    #[inline(always)]
+    fn read_byte_no_error(&mut self) -> u8 {
+        self.cursor.read_byte_no_error()
+    }
+
+    fn read_exact_bytes(&mut self, into: &mut [u8]) -> Result<(), ZByteIoError> {
+        self.cursor.read_exact_bytes(into)
+    }
+
+    fn read_bytes(&mut self, into: &mut [u8]) -> Result<usize, ZByteIoError> {
+        self.cursor.read_bytes(into)
+    }
+
+    fn peek_bytes(&mut self, into: &mut [u8]) -> Result<usize, ZByteIoError> {
+        self.cursor.peek_bytes(into)
+    }
+
+    fn peek_exact_bytes(&mut self, into: &mut [u8]) -> Result<(), ZByteIoError> {
+        self.cursor.peek_exact_bytes(into)
+    }
+
+    fn z_seek(&mut self, to: ZSeekFrom) -> Result<u64, ZByteIoError> {
+        self.cursor.z_seek(to)
+    }
+
+    #[inline(always)]
+    fn is_eof(&mut self) -> Result<bool, ZByteIoError> {
+        self.requests += 1;
+        if self.requests >= REQUESTS {
+            if self.work.requests(std::mem::take(&mut self.requests)) {
+                return Err(ZByteIoError::Generic("the picture is no longer wanted"));
+            }
+        }
+        self.cursor.is_eof()
+    }
+
+    fn z_position(&mut self) -> Result<u64, ZByteIoError> {
+        self.cursor.z_position()
+    }
+
+    fn read_remaining(&mut self, into: &mut Vec<u8>) -> Result<usize, ZByteIoError> {
+        self.cursor.read_remaining(into)
+    }
+}
