@@ -3,6 +3,8 @@
 //! seconds, and either may use the whole machine while the other is idle. A request runs at once, waits its turn for as long as the gate's patience
 //! lasts, or is refused (`queue`). No async thread ever computes, no compute thread ever waits for a client.
 //!
+//! A third gate has no threads: those who need a session's file from the store pass it while they wait for the file, before they ask for a turn.
+//!
 //! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
 //! a picture are taken by helpers, as many as no other picture wants (`crowd`).
 //!
@@ -57,6 +59,10 @@ pub enum PoolError {
 /// Uploads get a third of the time that drags get where both want the same processor, and all of it where no drag does.
 const UPLOADS_NICE: i32 = 5;
 
+/// Files of sessions that are fetched at one time: a slow store holds the memory of so many, and no worker. Fewer than the connections for files to a
+/// Redis: some of those are left to uploads.
+const FETCHES: usize = 6;
+
 /// Which gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
@@ -64,6 +70,8 @@ pub enum Work {
     Drag,
     /// Decodes, or fills tables.
     Upload,
+    /// Waits for a session's file, and computes nothing.
+    Fetch,
 }
 
 /// What a pool is made of.
@@ -84,6 +92,7 @@ pub struct Shape {
 pub struct Pool {
     drags: Arc<Gate>,
     uploads: Arc<Gate>,
+    fetches: Arc<Gate>,
     /// For what is split, while the thread that split it sleeps; one thing at a time.
     wide: Arc<Mutex<ThreadPool>>,
     crowd: Crowd,
@@ -166,6 +175,7 @@ impl Pool {
         Ok(Self {
             drags: gate("drag", drag_wait, 0)?,
             uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
+            fetches: Gate::new(Crew::default(), FETCHES, queue, upload_wait),
             wide: Arc::new(Mutex::new(wide)),
             crowd: Crowd::default(),
             workers,
@@ -177,6 +187,7 @@ impl Pool {
         match work {
             Work::Drag => &self.drags,
             Work::Upload => &self.uploads,
+            Work::Fetch => &self.fetches,
         }
     }
 
