@@ -19,7 +19,7 @@ use super::shares::{Quota, Share};
 pub enum Purpose {
     /// Files and JSON of requests, and the files that sessions in memory keep.
     Upload,
-    /// Decoded pictures.
+    /// Decoded pictures, and the files of sessions that are decoded again.
     Image,
     /// Tables of coefficients.
     Plan,

@@ -170,7 +170,7 @@ fn label(name: &'static str, value: &str) -> Labels {
     vec![(name, value.to_owned())]
 }
 
-const WORK: [(Work, &str); 2] = [(Work::Drag, "drag"), (Work::Upload, "upload")];
+const WORK: [(Work, &str); 3] = [(Work::Drag, "drag"), (Work::Upload, "upload"), (Work::Fetch, "fetch")];
 
 impl Collector for App {
     fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
@@ -190,8 +190,12 @@ impl App {
     fn write_work(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
         let loads = WORK.map(|(work, name)| (self.0.pool.load(work), label("work", name)));
         let each = |value: &dyn Fn(&super::pool::Load) -> usize| loads.each_ref().map(|(load, work)| (work.clone(), value(load) as u64));
-        sheet.gauge("workers", "Requests that run at one time, at most", &each(&|_| self.0.config.work.workers))?;
-        sheet.gauge("workers_busy", "Requests that run", &each(&|load| load.running))?;
+        // Those that wait for a file take no worker.
+        let [drag, upload, _] = each(&|_| self.0.config.work.workers);
+        sheet.gauge("workers", "Requests that run at one time, at most", &[drag, upload])?;
+        let [drag, upload, fetch] = each(&|load| load.running);
+        sheet.gauge("workers_busy", "Requests that run", &[drag, upload])?;
+        sheet.gauge("fetches", "Files of sessions that are being fetched from the store", &one(fetch.1))?;
         sheet.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue))?;
         sheet.gauge("queue_waiting", "Requests that wait", &each(&|load| load.waiting))?;
         let mut shed = Vec::new();
@@ -239,6 +243,8 @@ impl App {
         sheet.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
         sheet.bytes("store_size", "Their records, and their files where those are this process's to keep", &one(figures.bytes))?;
         sheet.counter("store_damaged", "Sessions that were left out because what was stored of them was damaged", &one(figures.damaged))?;
+        let other_version = "Records that were read and left alone because another version of the program has written them";
+        sheet.counter("store_other_version", other_version, &one(figures.other_version))?;
         sheet.counter("store_failures", "Times that the store did not do what it was asked", &one(figures.failures))
     }
 

@@ -29,6 +29,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use bytes::Bytes;
+
 use budget::{Budget, NoRoom, Purpose, Reservation, Short};
 use cache::Shelf;
 use causes::Causes;
@@ -64,6 +66,8 @@ const RETRY_MEMORY: u32 = 2;
 const RETRY_STORE: u32 = 30;
 /// Seconds after which a request that the store did not answer may come again.
 const RETRY_AWAY: u32 = 2;
+/// Seconds after which a request for a session of another version may come again: a rolling update takes minutes.
+const RETRY_OTHER_VERSION: u32 = 30;
 
 /// Everything that requests share. Cloning shares it.
 #[derive(Clone, Debug)]
@@ -83,6 +87,8 @@ struct Shared {
     images: Shelf<Image>,
     plans: Shelf<Plan>,
     setups: Shelf<Arc<Setup>>,
+    /// Keeps nothing: those who wait for one session's file share one look at the store.
+    files: Shelf<Bytes>,
     store: Arc<dyn Store>,
     lanes: Lanes,
     phases: Phases,
@@ -180,6 +186,7 @@ impl App {
             images: Shelf::new(work.image_cache_bytes),
             plans: Shelf::new(work.plan_cache_bytes),
             setups: Shelf::new(work.plan_cache_bytes / SETUP_SHARE),
+            files: Shelf::new(0),
             store,
             lanes: Lanes::default(),
             phases: Phases::default(),
@@ -424,6 +431,8 @@ impl From<StoreError> for Problem {
                 Self::new(Code::Overloaded, detail).limit(what, limit, actual).retry_after(RETRY_STORE)
             }
             StoreError::NoRoom => Self::new(Code::Overloaded, detail).retry_after(RETRY_STORE),
+            StoreError::OtherVersion => Self::new(Code::StoredByAnotherVersion, detail).retry_after(RETRY_OTHER_VERSION),
+            StoreError::Contended => Self::new(Code::Overloaded, detail).retry_after(RETRY_QUEUE),
             StoreError::Away => Self::new(Code::Overloaded, detail).retry_after(RETRY_AWAY),
         }
     }

@@ -37,6 +37,7 @@ mod request_ids;
 mod revisions;
 mod sessions;
 mod slow;
+mod slow_store;
 mod soak;
 mod socket;
 mod socket_abuse;

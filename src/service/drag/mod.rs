@@ -230,10 +230,10 @@ impl Drag {
         }
     }
 
-    /// Looks whether the session is still there. A store that does not answer has not said that it is not.
+    /// Looks whether the session is still there. A store that does not answer, or not this version of the program, has not said that it is not.
     pub async fn look(&mut self) {
         if let Err(problem) = self.app.session(self.id).await
-            && problem.code != Code::Overloaded
+            && problem.code.status() != 503
         {
             self.is_over = true;
             self.complain(None, &problem);

@@ -15,8 +15,8 @@ const AWAKE: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// Threads that end when this is dropped, each after its job.
-#[derive(Debug)]
+/// Threads that end when this is dropped, each after its job. The default has none.
+#[derive(Debug, Default)]
 pub(super) struct Crew(Arc<Shared>);
 
 #[derive(Default)]

@@ -5,6 +5,8 @@
 //! lasts, or is refused; which request is next is decided by `queue`, fairly between clients. No async thread ever computes, no compute thread ever
 //! waits for a client.
 //!
+//! A third gate has no threads: those who need a session's file from the store pass it while they wait for the file, before they ask for a turn.
+//!
 //! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
 //! a picture are taken by helpers, as many as no other picture wants (`crowd`). A helper leaves after its strip when a request waits for a thread.
 //!
@@ -59,6 +61,10 @@ pub enum PoolError {
 /// Uploads get a third of the time that drags get where both want the same processor, and all of it where no drag does.
 const UPLOADS_NICE: i32 = 5;
 
+/// Files of sessions that are fetched at one time: a slow store holds the memory of so many, and no worker. Fewer than the connections for files to a
+/// Redis: some of those are left to uploads.
+const FETCHES: usize = 6;
+
 /// Which gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
@@ -66,6 +72,8 @@ pub enum Work {
     Drag,
     /// Decodes, or fills tables.
     Upload,
+    /// Waits for a session's file, and computes nothing.
+    Fetch,
 }
 
 /// What a pool is made of.
@@ -86,6 +94,7 @@ pub struct Shape {
 pub struct Pool {
     drags: Arc<Gate>,
     uploads: Arc<Gate>,
+    fetches: Arc<Gate>,
     /// For what is split, while the thread that split it sleeps; one thing at a time.
     wide: Arc<Mutex<ThreadPool>>,
     crowd: Crowd,
@@ -174,6 +183,7 @@ impl Pool {
         Ok(Self {
             drags: gate("drag", drag_wait, 0)?,
             uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
+            fetches: Gate::new(Crew::default(), FETCHES, queue, upload_wait),
             wide: Arc::new(Mutex::new(wide)),
             crowd: Crowd::default(),
             workers,
@@ -185,6 +195,7 @@ impl Pool {
         match work {
             Work::Drag => &self.drags,
             Work::Upload => &self.uploads,
+            Work::Fetch => &self.fetches,
         }
     }
 

@@ -96,6 +96,8 @@ codes! {
     Internal = 500, "internal", "Internal error";
     /// The service has no room for the work now, or did not finish it in time.
     Overloaded = 503, "overloaded", "Overloaded";
+    /// Another version of the program has stored the session, and this one cannot read it.
+    StoredByAnotherVersion = 503, "stored_by_another_version", "Stored by another version";
 }
 
 #[cfg(test)]

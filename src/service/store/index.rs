@@ -20,9 +20,34 @@ pub(super) struct Index {
     sessions: HashMap<SessionId, Entry>,
     files: HashMap<Digest, File>,
     bytes: u64,
-    /// Expired sessions, to be told from unknown ones for one idle period. At most as many as there may be sessions.
-    graves: HashMap<SessionId, Instant>,
-    graves_by_age: VecDeque<(SessionId, Instant)>,
+    /// Sessions whose record another version of the program has written.
+    unread: HashMap<SessionId, Unread>,
+    /// Ended sessions, remembered for a while. At most as many as there may be sessions.
+    graves: HashMap<SessionId, Grave>,
+    /// In the order in which they were made.
+    graves_by_age: VecDeque<(SessionId, Grave)>,
+}
+
+/// How a session has ended, and until when that is remembered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Grave {
+    end: End,
+    until: Instant,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// It was not used for one idle period: remembered for another one.
+    Expired,
+    /// Its owner deleted it: remembered for one idle period.
+    Deleted,
+}
+
+/// A session that is kept unread.
+#[derive(Debug)]
+struct Unread {
+    bytes: u64,
+    files: Vec<Digest>,
 }
 
 #[derive(Debug)]
@@ -52,12 +77,20 @@ pub(super) enum Will {
 
 impl Index {
     pub(super) fn new(bounds: Bounds) -> Self {
-        Self { bounds, sessions: HashMap::new(), files: HashMap::new(), bytes: 0, graves: HashMap::new(), graves_by_age: VecDeque::new() }
+        Self {
+            bounds,
+            sessions: HashMap::new(),
+            files: HashMap::new(),
+            bytes: 0,
+            unread: HashMap::new(),
+            graves: HashMap::new(),
+            graves_by_age: VecDeque::new(),
+        }
     }
 
-    /// Sessions, living or not yet swept.
+    /// Sessions, living or not yet swept, or unread.
     pub(super) fn len(&self) -> usize {
-        self.sessions.len()
+        self.sessions.len() + self.unread.len()
     }
 
     /// Bytes of files and records.
@@ -84,9 +117,27 @@ impl Index {
         let until = match self.sessions.get(&id) {
             Some(entry) if !self.is_over(entry, now) => return Ok(entry),
             Some(entry) => Some(entry.used + 2 * self.bounds.idle),
-            None => self.graves.get(&id).copied(),
+            None if self.unread.contains_key(&id) => return Err(StoreError::OtherVersion),
+            None => self.graves.get(&id).filter(|grave| grave.end == End::Expired).map(|grave| grave.until),
         };
         if until.is_some_and(|until| now < until) { Err(StoreError::Expired) } else { Err(StoreError::NoSuchSession) }
+    }
+
+    /// Whether a delete of this session removes something: `false` when it has been deleted already, less than one idle period ago.
+    pub(super) fn weigh_delete(&self, id: SessionId) -> Result<bool, StoreError> {
+        let now = Instant::now();
+        let is_deleted = |grave: &Grave| grave.end == End::Deleted && now < grave.until;
+        match self.living(id, now) {
+            Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
+            Err(StoreError::NoSuchSession) if self.graves.get(&id).is_some_and(is_deleted) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Takes a session out that its owner has deleted, and remembers that.
+    pub(super) fn delete(&mut self, id: SessionId) {
+        self.remove(id);
+        self.remember(id, Grave { end: End::Deleted, until: Instant::now() + self.bounds.idle });
     }
 
     /// Looks without using.
@@ -111,12 +162,15 @@ impl Index {
 
     /// What putting the record will come to, and whether there is room for it.
     pub(super) fn weigh(&self, record: &Record, file: u64) -> Result<Will, StoreError> {
-        let old = self.living(record.id, Instant::now()).ok();
+        let old = match self.living(record.id, Instant::now()) {
+            Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
+            living => living.ok(),
+        };
         if old.is_some_and(|old| old.record.is_made_like(record)) {
             return Ok(Will::Stay);
         }
         let there = self.sessions.get(&record.id);
-        let sessions = self.sessions.len() + usize::from(there.is_none());
+        let sessions = self.len() + usize::from(there.is_none());
         if sessions > self.bounds.sessions {
             return Err(StoreError::Full { what: "sessions", limit: self.bounds.sessions as u64, actual: sessions as u64 });
         }
@@ -153,15 +207,51 @@ impl Index {
         self.insert(record, file, seq);
     }
 
-    fn insert(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) -> Option<Arc<Record>> {
-        // The new file is counted before the old one is let go: it may be the same.
-        let held = self.files.entry(record.image).or_insert_with(|| {
-            self.bytes += file;
-            File { bytes: file, sessions: 0 }
+    /// A session whose record, of so many bytes, another version of the program has written, and the files that it names. It has no end here.
+    pub(super) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
+        for (digest, len) in files {
+            self.name_file(*digest, *len);
+        }
+        self.bytes += bytes;
+        self.unread.insert(id, Unread { bytes, files: files.iter().map(|(digest, _)| *digest).collect() });
+    }
+
+    fn name_file(&mut self, digest: Digest, len: u64) {
+        let held = self.files.entry(digest).or_insert_with(|| {
+            self.bytes += len;
+            File { bytes: len, sessions: 0 }
         });
         held.sessions += 1;
+    }
+
+    fn unname_file(&mut self, digest: Digest) {
+        if let Some(file) = self.files.get_mut(&digest) {
+            file.sessions -= 1;
+            if file.sessions == 0 {
+                self.bytes -= file.bytes;
+                self.files.remove(&digest);
+            }
+        }
+    }
+
+    /// The file cannot be read any more: no unread session names it.
+    pub(super) fn lose_file(&mut self, digest: Digest) {
+        let named = self.unread.values_mut().filter_map(|unread| {
+            let place = unread.files.iter().position(|file| *file == digest)?;
+            Some(unread.files.swap_remove(place))
+        });
+        for digest in named.collect::<Vec<_>>() {
+            self.unname_file(digest);
+        }
+    }
+
+    fn insert(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) -> Option<Arc<Record>> {
+        // The new file is counted before the old one is let go: it may be the same.
+        self.name_file(record.image, file);
         let old = self.remove(record.id);
-        self.graves.remove(&record.id);
+        if self.graves.remove(&record.id).is_some() {
+            self.graves_by_age.retain(|(id, _)| *id != record.id);
+        }
         let bytes = record_bytes(&record);
         self.bytes += bytes;
         self.sessions.insert(record.id, Entry { record, bytes, seq, used: Instant::now() });
@@ -189,8 +279,12 @@ impl Index {
     /// Files that no session names any more when these have gone and one names `kept`.
     pub(super) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<(Digest, u64)> {
         let mut fewer: HashMap<Digest, usize> = HashMap::new();
-        for entry in gone.iter().filter_map(|id| self.sessions.get(id)) {
-            *fewer.entry(entry.record.image).or_default() += 1;
+        for id in gone {
+            let read = self.sessions.get(id).map(|entry| entry.record.image);
+            let unread = self.unread.get(id).map_or(&[][..], |unread| &unread.files);
+            for digest in read.iter().chain(unread) {
+                *fewer.entry(*digest).or_default() += 1;
+            }
         }
         fewer.retain(|digest, fewer| Some(*digest) != kept && self.files.get(digest).is_some_and(|file| file.sessions == *fewer));
         fewer.into_keys().map(|digest| (digest, self.files[&digest].bytes)).collect()
@@ -198,15 +292,13 @@ impl Index {
 
     /// Takes a session out, living or not.
     pub(super) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
+        if let Some(unread) = self.unread.remove(&id) {
+            self.bytes -= unread.bytes;
+            unread.files.into_iter().for_each(|digest| self.unname_file(digest));
+        }
         let entry = self.sessions.remove(&id)?;
         self.bytes -= entry.bytes;
-        if let Some(file) = self.files.get_mut(&entry.record.image) {
-            file.sessions -= 1;
-            if file.sessions == 0 {
-                self.bytes -= file.bytes;
-                self.files.remove(&entry.record.image);
-            }
-        }
+        self.unname_file(entry.record.image);
         Some(entry.record)
     }
 
@@ -225,14 +317,16 @@ impl Index {
         for &id in ended {
             let Some(used) = self.sessions.get(&id).map(|entry| entry.used) else { continue };
             self.remove(id);
-            let until = used + 2 * self.bounds.idle;
-            self.graves.insert(id, until);
-            self.graves_by_age.push_back((id, until));
+            self.remember(id, Grave { end: End::Expired, until: used + 2 * self.bounds.idle });
         }
-        self.graves.retain(|_, until| now < *until);
-        // Also those of names that have been used again since: they have another grave, or none.
+        self.graves.retain(|_, grave| now < grave.until);
         let graves = &self.graves;
-        self.graves_by_age.retain(|(id, until)| graves.get(id) == Some(until));
+        self.graves_by_age.retain(|(id, grave)| graves.get(id) == Some(grave));
+    }
+
+    fn remember(&mut self, id: SessionId, grave: Grave) {
+        self.graves.insert(id, grave);
+        self.graves_by_age.push_back((id, grave));
         while self.graves_by_age.len() > self.bounds.sessions {
             if let Some((oldest, _)) = self.graves_by_age.pop_front() {
                 self.graves.remove(&oldest);
@@ -296,5 +390,21 @@ mod tests {
             index.bury(&index.expired());
             assert_eq!((index.graves.len(), index.graves_by_age.len()), (1, 1));
         }
+    }
+
+    #[test]
+    fn no_more_deleted_sessions_are_remembered_than_there_may_be_sessions() {
+        let mut index = Index::new(Bounds { sessions: 3, ..suite::bounds() });
+        let ids: Vec<SessionId> = (0..5)
+            .map(|_| {
+                let record = suite::record(1);
+                index.put(Arc::clone(&record), 1000, Will::Create);
+                index.delete(record.id);
+                record.id
+            })
+            .collect();
+        assert_eq!((index.graves.len(), index.graves_by_age.len(), index.bytes()), (3, 3, 0));
+        let again: Vec<_> = ids.iter().map(|id| index.weigh_delete(*id)).collect();
+        assert_eq!(again, [Err(StoreError::NoSuchSession), Err(StoreError::NoSuchSession), Ok(false), Ok(false), Ok(false)]);
     }
 }

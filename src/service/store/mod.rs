@@ -9,6 +9,9 @@
 //!
 //! A record never changes: a session whose handles or picture are replaced has another one, with another revision. The time of its last use and
 //! the highest `seq` seen move by [`Store::touch`] alone, in one step. A session's name is opaque here: whose it is, is a part of it.
+//!
+//! A session whose record another version of the program has written ([`record`]) is kept: nothing but a `delete` of its owner changes it, and every
+//! other request for it is refused ([`StoreError::OtherVersion`]).
 
 pub mod file;
 mod index;
@@ -127,6 +130,12 @@ pub enum StoreError {
     /// The disk is full, or the other server's memory is.
     #[error("the session store has no room")]
     NoRoom,
+    /// Other requests changed the session each time that this one was about to.
+    #[error("other requests changed the session each time that this one was about to")]
+    Contended,
+    /// The session's record was written by another version of the program, and has something in it that this one does not know.
+    #[error("another version of the program has stored this session, and this one cannot read it")]
+    OtherVersion,
     /// The store does not do its work now; it may later. What it said is in the log: it may hold paths and addresses.
     #[error("the session store does not answer")]
     Away,
@@ -141,6 +150,8 @@ pub struct Figures {
     pub bytes: u64,
     /// Records that were left out since the process started, because they or their files were damaged.
     pub damaged: u64,
+    /// Records read since the process started that another version of the program has written.
+    pub other_version: u64,
     /// Times that the store did not do what it was asked, or had no room.
     pub failures: u64,
     /// It did not do what it was asked last.
@@ -163,8 +174,12 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// Uses the session: it lives for another idle period, and `seq` is noted when it is the highest so far. The answer holds the highest.
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session>;
 
-    /// Ends the session; the file goes with the last session that names it.
+    /// Ends the session; the file goes with the last session that names it. A session that was deleted less than one idle period ago may be deleted
+    /// again, with the same answer; otherwise there is no such session for anybody from now on.
     fn delete(&self, id: SessionId) -> Answer<'_, ()>;
+
+    /// How much memory [`Store::image`] takes beyond what the store holds, bytes, at most.
+    fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
 
     /// The file of that session's picture, if it is still the one of that digest.
     fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;

@@ -59,6 +59,8 @@ struct Live {
 struct Known {
     /// Put and not ended; it may have expired.
     live: Option<Live>,
+    /// When it was deleted.
+    deleted: Option<Moment>,
     /// One that has expired.
     dead: Option<Live>,
     /// It has been swept since, or there was nothing to sweep.
@@ -80,6 +82,10 @@ fn is_within(used: Moment, span: Duration, asked: Moment) -> Truth {
 impl Known {
     fn lives(&self, asked: Moment) -> Truth {
         self.live.as_ref().map_or(Truth::No, |live| is_within(live.used, IDLE, asked))
+    }
+
+    fn was_deleted(&self, asked: Moment) -> Truth {
+        self.deleted.map_or(Truth::No, |deleted| is_within(deleted, IDLE, asked))
     }
 
     /// The answer says that there is no such session: that must be possible, and is believed.
@@ -256,12 +262,19 @@ pub(super) async fn follows<S: Store>(
                 let answer = store.delete(id).await;
                 let asked = asked();
                 match answer {
+                    Ok(()) if all[k].lives(asked) == Truth::No => {
+                        assert_ne!(all[k].was_deleted(asked), Truth::No, "{what}: deleted what was not there: {:?}", all[k]);
+                        *seen.entry("deleted again").or_default() += 1;
+                    }
                     Ok(()) => {
-                        all[k].present(asked, &what);
-                        all[k] = Known::default();
+                        all[k] = Known { deleted: Some(asked), ..Known::default() };
                         *seen.entry("deleted").or_default() += 1;
                     }
-                    Err(error) => all[k].absent(&error, asked, &what),
+                    Err(error) => {
+                        let is_forgotten = all[k].forgets || all[k].was_deleted(asked) != Truth::Yes;
+                        assert!(is_forgotten, "{what}: {error:?}; {:?}", all[k]);
+                        all[k].absent(&error, asked, &what);
+                    }
                 }
             }
             13 | 14 => {

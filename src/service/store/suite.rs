@@ -59,7 +59,12 @@ pub(super) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     a_store_that_is_there_says_so(&open(bounds()).await).await;
     let brief = Bounds { idle: IDLE, ..bounds() };
     let (a, b) = (open(brief).await, open(brief).await);
-    tokio::join!(a_session_expires_is_told_so_for_one_period_and_is_then_forgotten(&a), use_prolongs_a_life_and_looking_does_not(&b),);
+    let c = open(brief).await;
+    tokio::join!(
+        a_session_expires_is_told_so_for_one_period_and_is_then_forgotten(&a),
+        use_prolongs_a_life_and_looking_does_not(&b),
+        a_delete_is_answered_again_for_one_period(&c)
+    );
 }
 
 /// What a store promises that has bounds of its own.
@@ -90,7 +95,7 @@ async fn a_file_goes_with_its_last_session(store: &impl Store) {
     store.delete(b.id).await.unwrap();
     assert!(!store.names(b.id.owner(), b.image));
     assert_eq!(store.image(b.id, b.image).await, Err(StoreError::NoSuchSession));
-    assert_eq!(store.delete(b.id).await, Err(StoreError::NoSuchSession));
+    assert_eq!(store.delete(b.id).await, Ok(()), "deleted again");
     assert_eq!(store.peek(b.id).await.unwrap_err(), StoreError::NoSuchSession);
     assert_eq!(store.touch(b.id, Some(1)).await.unwrap_err(), StoreError::NoSuchSession);
 }
@@ -172,6 +177,80 @@ async fn a_session_expires_is_told_so_for_one_period_and_is_then_forgotten(store
     assert_eq!(store.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
     // A name may be used again.
     assert!(matches!(store.put(made_anew(&a, 11), file(11)).await, Ok(Put::Created(_))));
+}
+
+async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
+    let (a, other) = (record(20), record(20));
+    store.put(Arc::clone(&a), file(20)).await.unwrap();
+    store.put(Arc::clone(&other), file(20)).await.unwrap();
+    for _ in 0..2 {
+        assert_eq!(store.delete(a.id).await, Ok(()));
+        store.sweep().await.unwrap();
+        assert_eq!(store.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
+    }
+    assert_eq!(store.delete(record(20).id).await, Err(StoreError::NoSuchSession), "it was never there");
+    // A name that is used again is another session, which can be deleted like the first.
+    let new = made_anew(&a, 21);
+    assert!(matches!(store.put(Arc::clone(&new), file(21)).await, Ok(Put::Created(_))));
+    assert_eq!(store.peek(a.id).await.unwrap().record, new);
+    store.delete(a.id).await.unwrap();
+    assert_eq!(store.peek(a.id).await.unwrap_err(), StoreError::NoSuchSession);
+    tokio::time::sleep(IDLE / 2).await;
+    assert_eq!(store.delete(a.id).await, Ok(()));
+    tokio::time::sleep(IDLE / 5 * 4).await;
+    assert_eq!(store.delete(a.id).await, Err(StoreError::NoSuchSession), "deleting again does not prolong it");
+}
+
+/// The record's JSON with a change, sealed with a checksum of its own.
+fn resealed(record: &Record, change: impl Fn(&str) -> String) -> Vec<u8> {
+    let bytes = super::record::write(record);
+    let (_, json) = std::str::from_utf8(&bytes).unwrap().split_once('\n').unwrap();
+    super::record::sealed(change(json).as_bytes())
+}
+
+/// Records as a later version of the program may write them. `plant` puts these bytes in the places of those sessions' records, as another process does.
+pub(super) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, plant: impl AsyncFn(S, &[(SessionId, Vec<u8>)]) -> S) {
+    let (a, b, c, neighbour) = (record(30), record(31), record(32), record(30));
+    for (record, picture) in [(&a, 30), (&b, 31), (&c, 32), (&neighbour, 30)] {
+        store.put(Arc::clone(record), file(picture)).await.unwrap();
+    }
+    store.touch(a.id, Some(7)).await.unwrap();
+    let newer = [
+        (a.id, resealed(&a, |json| json.replace("\"version\":1", "\"version\":2,\"strength\":1.5"))),
+        (b.id, resealed(&b, |json| json.replace("\"warp\":{", "\"warp\":{\"strength\":1.5,"))),
+        (c.id, resealed(&c, |json| json.replace("\"warp\":{", "\"warp\":{\"output\":{\"canvas\":\"fit\"},"))),
+    ];
+    let store = plant(store, &newer).await;
+    for (record, picture) in [(&a, 30), (&b, 31), (&c, 32)] {
+        assert_eq!(store.peek(record.id).await.unwrap_err(), StoreError::OtherVersion);
+        assert_eq!(store.touch(record.id, None).await.unwrap_err(), StoreError::OtherVersion);
+        let anew = made_anew(record, picture);
+        assert_eq!(store.put(anew, file(picture)).await.unwrap_err(), StoreError::OtherVersion, "the same");
+        assert_eq!(store.put(made_anew(record, 33), file(33)).await.unwrap_err(), StoreError::OtherVersion, "something else");
+        let revised = store.revise(record.revision, with_weights(record, 2)).await;
+        assert!(matches!(revised, Err(StoreError::OtherVersion) | Ok(None)), "{revised:?}");
+    }
+    assert!(store.figures().other_version >= 3);
+    assert_eq!(store.figures().damaged, 0);
+    // The others are as they were, and what they leave behind is not what the unread sessions need.
+    assert_eq!(store.image(neighbour.id, neighbour.image).await.unwrap(), file(30));
+    store.delete(neighbour.id).await.unwrap();
+    store.sweep().await.unwrap();
+    let store = plant(store, &[]).await;
+    // The version that has written them finds them to the bit, with their pictures and numbers.
+    let first = [(a.id, super::record::write(&a)), (b.id, super::record::write(&b))];
+    let store = plant(store, &first).await;
+    for (record, picture, seq) in [(&a, 30, Some(7)), (&b, 31, None)] {
+        let session = store.peek(record.id).await.unwrap();
+        assert_eq!((&session.record, session.seq), (record, seq));
+        assert_eq!(store.image(record.id, record.image).await.unwrap(), file(picture));
+    }
+    // Its owner may delete what is not read here.
+    for _ in 0..2 {
+        assert_eq!(store.delete(c.id).await, Ok(()));
+        assert_eq!(store.peek(c.id).await.unwrap_err(), StoreError::NoSuchSession);
+    }
+    assert!(matches!(store.put(Arc::clone(&c), file(32)).await, Ok(Put::Created(_))));
 }
 
 async fn use_prolongs_a_life_and_looking_does_not(store: &impl Store) {

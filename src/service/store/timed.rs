@@ -44,6 +44,10 @@ impl Store for Timed {
         timed(self.0.delete(id))
     }
 
+    fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+        timed(self.0.image_bytes(id, digest))
+    }
+
     fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
         timed(self.0.image(id, digest))
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::{Timing, image_key, json_unless};
+use super::{ATTEMPTS, Source, Timing, json_unless};
 use bytes::Bytes;
 
 use crate::deform::Handle;
@@ -22,7 +22,7 @@ use crate::service::pool::{Cancel, Lane, Ticket, Work};
 use crate::service::problem::{Code, Problem};
 use crate::service::session::{Place, SessionId};
 use crate::service::shares::Share;
-use crate::service::store::{Record, Session};
+use crate::service::store::{Record, Session, StoreError};
 use crate::service::telemetry::scope::stage;
 use crate::service::wire::{DragObject, MeshObject, MeshShape, Wire};
 use crate::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpError};
@@ -138,7 +138,7 @@ impl App {
     /// All that a picture of the session is made of, under a ticket. Where the session was made anew while this waited, its old file is gone: then of
     /// the session as it is now.
     pub(in crate::service) async fn warm_newest(&self, client: Client, mut record: Arc<Record>) -> Result<(Arc<Record>, Warm), Problem> {
-        loop {
+        for _ in 0..ATTEMPTS {
             match self.warm(client, &record).await {
                 Ok(warm) => return Ok((record, warm)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
@@ -151,17 +151,19 @@ impl App {
                 Err(problem) => return Err(problem),
             }
         }
+        Err(StoreError::Contended.into())
     }
 
     async fn warm(&self, client: Client, record: &Arc<Record>) -> Result<Warm, Problem> {
         let setup = self.session_setup(client, record).await?;
-        let is_warm = self.0.images.has(image_key(record))
+        let source = self.session_source(client, record).await?;
+        let is_warm = matches!(source, Source::Image(_))
             && self.0.plans.has(Key::new(record.id.owner(), setup.plan_key()))
             && setup.plan_bytes().is_some();
         let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let image = self.session_image(&ticket, record).await?;
+        let image = self.session_image(&ticket, record, source).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
         let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;

@@ -31,6 +31,8 @@ use crate::codec::{self, CodecError, Format};
 use crate::pixmap::Extent;
 use crate::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
 
+/// Attempts of a request to work on a session that others change at the same time.
+const ATTEMPTS: usize = 8;
 /// What stands for a value that takes next to nothing: nothing is kept for nothing.
 const LEAST_KEPT: u64 = 1024;
 
@@ -74,6 +76,21 @@ impl Material {
             created: SystemTime::now(),
         };
         (Arc::new(record), file, setup)
+    }
+}
+
+/// What a session's picture comes from.
+enum Source {
+    Image(Arc<Kept<Image>>),
+    File(File),
+}
+
+/// A file that was fetched from the store, with the memory that it takes.
+struct File(Arc<Kept<Bytes>>);
+
+impl AsRef<[u8]> for File {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
     }
 }
 
@@ -150,14 +167,20 @@ impl App {
         Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
-    async fn image(&self, owner: Owner, ticket: &Ticket, digest: Digest, file: Bytes) -> Result<Fetched<Image>, Problem> {
+    async fn image(
+        &self,
+        owner: Owner,
+        ticket: &Ticket,
+        digest: Digest,
+        file: impl AsRef<[u8]> + Send + 'static,
+    ) -> Result<Fetched<Image>, Problem> {
         let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
         let decode = async move {
             let theirs = app.clone();
             let decode = move |cancel: &Cancel| {
                 let gone = || cancel.is_cancelled();
                 let work = codec::Work::new(&gone);
-                let opened = codec::open(&file, &limits, &work).map_err(WarpError::from)?;
+                let opened = codec::open(file.as_ref(), &limits, &work).map_err(WarpError::from)?;
                 let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;
                 held.shrink_to(image.bytes());
@@ -175,14 +198,29 @@ impl App {
         self.0.images.get(Key::new(owner, digest), decode, lost).await
     }
 
-    /// The session's picture; decoded again from the stored file when the cache has dropped it.
-    async fn session_image(&self, ticket: &Ticket, record: &Record) -> Result<Arc<Kept<Image>>, Problem> {
-        match self.0.images.peek(image_key(record)) {
-            Some(image) => Ok(image),
-            None => {
-                let file = self.0.store.image(record.id, record.image).await?;
-                Ok(self.image(record.id.owner(), ticket, record.image, file).await?.value)
-            }
+    /// The session's picture, or the file that it is decoded from when the cache has dropped it. The store is asked here and under no ticket: a store
+    /// that is slow keeps no worker from others.
+    async fn session_source(&self, client: Client, record: &Arc<Record>) -> Result<Source, Problem> {
+        if let Some(image) = self.0.images.peek(image_key(record)) {
+            return Ok(Source::Image(image));
+        }
+        let (app, theirs) = (self.clone(), Arc::clone(record));
+        let fetch = async move {
+            let _turn = app.0.pool.admit(Work::Fetch, Lane::session(client, theirs.id)).await?;
+            let bytes = app.0.store.image_bytes(theirs.id, theirs.image).await?;
+            let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
+            let file = app.0.store.image(theirs.id, theirs.image).await?;
+            held.shrink_to((file.len() as u64).max(LEAST_KEPT));
+            Ok(Kept::new(file, held))
+        };
+        Ok(Source::File(File(self.0.files.get(shelf_key(record), fetch, lost).await?.value)))
+    }
+
+    /// The picture of its source.
+    async fn session_image(&self, ticket: &Ticket, record: &Record, source: Source) -> Result<Arc<Kept<Image>>, Problem> {
+        match source {
+            Source::Image(image) => Ok(image),
+            Source::File(file) => Ok(self.image(record.id.owner(), ticket, record.image, file).await?.value),
         }
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 
-use super::{Material, Timing, image_key, lost, resolve, shelf_key, weight};
+use super::{ATTEMPTS, Material, Timing, image_key, lost, resolve, shelf_key, weight};
 use crate::service::App;
 use crate::service::budget::Purpose;
 use crate::service::cache::{Kept, Key};
@@ -69,15 +69,16 @@ impl App {
     /// # Errors
     /// Unknown session, whatever is wrong with the handles, or no room.
     pub async fn revise(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
-        let patch = self.0.pool.run(&ticket, move |_| WarpPatch::parse(&json)).await??;
-        loop {
+        for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
+            // For as long as this computes, and not while it waits for the store.
+            let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
-            let (patch, limits, extent) = (patch.clone(), self.0.config.limits, old.extent);
-            let resolve = move |cancel: &Cancel| resolve(patch.over(base), extent, &limits, cancel);
+            let (json, limits, extent) = (json.clone(), self.0.config.limits, old.extent);
+            let resolve = move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.over(base), extent, &limits, cancel)?);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
+            drop(ticket);
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             let claim = self.0.holdings.claim_revision(&new)?;
@@ -92,6 +93,7 @@ impl App {
                 return Ok((session, setup));
             }
         }
+        Err(StoreError::Contended.into())
     }
 
     /// Puts a session into the store and counts it for its client.
@@ -150,15 +152,17 @@ impl App {
         Ok(self.0.store.peek(id).await?)
     }
 
-    /// Ends the session.
+    /// Ends the session. One that was deleted a short time ago, or that another version of the program has stored, has nothing here to forget.
     ///
     /// # Errors
     /// Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
-        let record = self.0.store.peek(id).await?.record;
+        let known = self.0.store.peek(id).await;
         self.0.store.delete(id).await?;
         self.0.holdings.ended(id);
-        self.forget(&record).await;
+        if let Ok(session) = known {
+            self.forget(&session.record).await;
+        }
         Ok(())
     }
 }
@@ -166,10 +170,74 @@ impl App {
 #[cfg(test)]
 mod tests {
     use std::net::{IpAddr, Ipv4Addr};
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
     use crate::service::client::Owner;
     use crate::service::config::Config;
+    use crate::service::problem::Code;
+    use crate::service::store::{Answer, Figures, Store};
+    use crate::warp::Digest;
+
+    /// A store on which somebody else is always faster.
+    #[derive(Debug)]
+    struct Contended(Arc<dyn Store>, AtomicUsize);
+
+    impl Store for Contended {
+        fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
+            self.0.put(record, image)
+        }
+        fn revise(&self, _: Revision, _: Arc<Record>) -> Answer<'_, Option<Session>> {
+            self.1.fetch_add(1, Ordering::Relaxed);
+            Box::pin(std::future::ready(Ok(None)))
+        }
+        fn peek(&self, id: SessionId) -> Answer<'_, Session> {
+            self.0.peek(id)
+        }
+        fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
+            self.0.touch(id, seq)
+        }
+        fn delete(&self, id: SessionId) -> Answer<'_, ()> {
+            self.0.delete(id)
+        }
+        fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+            self.0.image_bytes(id, digest)
+        }
+        fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+            self.0.image(id, digest)
+        }
+        fn names(&self, digest: Digest) -> bool {
+            self.0.names(digest)
+        }
+        fn sweep(&self) -> Answer<'_, usize> {
+            self.0.sweep()
+        }
+        fn ready(&self) -> Answer<'_, ()> {
+            self.0.ready()
+        }
+        fn figures(&self) -> Figures {
+            self.0.figures()
+        }
+    }
+
+    #[tokio::test]
+    async fn a_request_that_is_always_overtaken_is_refused_after_some_attempts() {
+        let mut app = App::new(Config::default()).unwrap();
+        let shared = Arc::get_mut(&mut app.0).unwrap();
+        let contended = Arc::new(Contended(Arc::clone(&shared.store), AtomicUsize::new(0)));
+        shared.store = Arc::clone(&contended) as Arc<dyn Store>;
+        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let mut file = std::io::Cursor::new(Vec::new());
+        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        let (session, _) = app.open(client, file.into_inner().into(), Bytes::from_static(br#"{"p": [[5, 5]]}"#)).await.unwrap();
+        let refused = app.revise(session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
+        assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
+        assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
+        // The last computation gives its turn back by itself.
+        while app.pool().load(Work::Upload).running > 0 {
+            tokio::task::yield_now().await;
+        }
+    }
 
     #[tokio::test]
     async fn a_session_that_was_made_is_answered_also_where_there_is_no_room_to_remember_its_setup() {

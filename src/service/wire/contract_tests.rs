@@ -5,7 +5,7 @@ use jsonschema::{Draft, Validator};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use super::tests::warp_object;
+use super::tests::{warp_object, written};
 use super::word::{Canvas, Metric, Word};
 use super::*;
 use crate::codec::{Compression, Format};
@@ -303,7 +303,7 @@ proptest! {
     #[test]
     fn what_is_written_is_valid(warp in warp_object()) {
         thread_local!(static SCHEMA: Validator = component(&document(), "WarpObject"));
-        let json = serde_json::to_value(Wire(&warp)).unwrap();
+        let json = written(&warp);
         prop_assert!(SCHEMA.with(|schema| schema.is_valid(&json)), "{json}");
     }
 }

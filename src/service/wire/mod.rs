@@ -17,7 +17,7 @@ mod write;
 #[cfg(test)]
 mod contract_tests;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 use crate::deform::Handle;
 use crate::geometry::Point;

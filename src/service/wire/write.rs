@@ -3,13 +3,12 @@
 
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
-use super::WarpObject;
-use super::word::{Canvas, Metric, Word};
+use super::word::{Canvas, Word};
 use crate::codec::{Compression, Format};
 use crate::deform::{Handle, Method};
 use crate::geometry::Point;
 use crate::render::{Filter, Outside};
-use crate::warp::{Folds, GridSpec, OutputSpec, RestSpec, Units};
+use crate::warp::{Folds, GridSpec, OutputSpec, Units};
 
 /// A value in its wire form: `Wire(&spec)` serialises as a client would write it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,44 +102,4 @@ impl Serialize for Wire<&OutputSpec> {
         object.serialize_entry("canvas", Canvas::Same.word())?;
         object.end()
     }
-}
-
-impl Serialize for Wire<&RestSpec> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let mut object = s.serialize_map(None)?;
-        rest_entries(self.0, &mut object)?;
-        object.end()
-    }
-}
-
-impl Serialize for Wire<&WarpObject> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let WarpObject { rest, q, folds, output } = self.0;
-        let mut object = s.serialize_map(None)?;
-        rest_entries(rest, &mut object)?;
-        if let Some(q) = q {
-            object.serialize_entry("q", &Wire(q.as_slice()))?;
-        }
-        object.serialize_entry("folds", &Wire(*folds))?;
-        object.serialize_entry("metric", Metric::Euclidean.word())?;
-        object.serialize_entry("output", &Wire(output))?;
-        object.end()
-    }
-}
-
-fn rest_entries<M: SerializeMap>(rest: &RestSpec, object: &mut M) -> Result<(), M::Error> {
-    let RestSpec { p, weights, method, alpha, point_mass, units, grid } = rest;
-    object.serialize_entry("p", &Wire(p.as_slice()))?;
-    if let Some(weights) = weights {
-        object.serialize_entry("weights", weights)?;
-    }
-    object.serialize_entry("method", &Wire(*method))?;
-    if let Some(alpha) = alpha {
-        object.serialize_entry("alpha", alpha)?;
-    }
-    if let Some(mass) = point_mass {
-        object.serialize_entry("point_mass", mass)?;
-    }
-    object.serialize_entry("units", &Wire(*units))?;
-    object.serialize_entry("grid", &Wire(*grid))
 }

@@ -9,6 +9,7 @@ pub(crate) mod picture;
 pub(crate) mod program;
 #[allow(dead_code, reason = "the store's unit tests use the rest of it")]
 pub(crate) mod redis;
+pub(crate) mod relay;
 pub(crate) mod server;
 
 pub(crate) use hand::Hand;

@@ -45,7 +45,7 @@ function toast(words) {
 }
 
 const KEYS = new Set(["unauthorized", "forbidden"]);
-const RETRIES = new Set(["network", "overloaded", "rate_limited", "timeout", "internal"]);
+const RETRIES = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
 /** What buttons and keys share. */
 const does = {

@@ -9,7 +9,7 @@ import { Mesh } from "./mesh.js";
 
 /** The hand rests when it has not moved for so long, ms. */
 const REST = 150;
-const TRANSIENT = new Set(["network", "overloaded", "rate_limited", "timeout"]);
+const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Sync {

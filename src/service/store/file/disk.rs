@@ -78,12 +78,12 @@ impl<'t> Change<'t> {
 
     /// The file, or whatever pieces of it there are.
     pub(super) fn file(&self, digest: Digest) -> Result<Vec<u8>, redb::Error> {
-        joined(&self.pieces, digest)
+        joined(&self.pieces, digest, 0)
     }
 }
 
-fn joined(pieces: &impl ReadableTable<([u8; 32], u32), &'static [u8]>, digest: Digest) -> Result<Vec<u8>, redb::Error> {
-    let mut file = Vec::new();
+fn joined(pieces: &impl ReadableTable<([u8; 32], u32), &'static [u8]>, digest: Digest, len: usize) -> Result<Vec<u8>, redb::Error> {
+    let mut file = Vec::with_capacity(len);
     for piece in pieces.range((digest.0, 0)..=(digest.0, u32::MAX))? {
         file.extend_from_slice(piece?.1.value());
     }
@@ -224,12 +224,12 @@ impl Disk {
         changed.map_err(|failed| self.fail(&database, &failed))
     }
 
-    /// The file, or whatever pieces of it there are.
-    pub(super) fn file(&self, digest: Digest) -> Result<Vec<u8>, StoreError> {
+    /// The file, or whatever pieces of it there are. It should have `len` bytes.
+    pub(super) fn file(&self, digest: Digest, len: u64) -> Result<Vec<u8>, StoreError> {
         let database = self.lock().database.clone().ok_or(StoreError::Away)?;
         let read = || {
             let pieces = database.begin_read()?.open_table(PIECES)?;
-            joined(&pieces, digest)
+            joined(&pieces, digest, usize::try_from(len).unwrap_or(0))
         };
         guarded(read).map_err(|failed| self.fail(&database, &failed))
     }

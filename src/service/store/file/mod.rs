@@ -22,7 +22,8 @@ use bytes::Bytes;
 use redb::ReadableTable as _;
 
 use super::index::{Index, Will};
-use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
+use super::record::{self, Unreadable};
+use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::service::telemetry::Scope;
@@ -43,6 +44,7 @@ struct Shared {
     writing: Mutex<HashMap<SessionId, u64>>,
     disk: Disk,
     damaged: AtomicU64,
+    other_version: AtomicU64,
 }
 
 impl fmt::Debug for FileStore {
@@ -66,7 +68,14 @@ impl FileStore {
 
     fn on(disk: Disk, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = disk.not_opened("it cannot be read; the log has more");
-        let shared = Shared { bounds, index: Mutex::new(Index::new(bounds)), writing: Mutex::default(), disk, damaged: AtomicU64::new(0) };
+        let shared = Shared {
+            bounds,
+            index: Mutex::new(Index::new(bounds)),
+            writing: Mutex::default(),
+            disk,
+            damaged: AtomicU64::new(0),
+            other_version: AtomicU64::new(0),
+        };
         shared.read_all(&mut shared.writing()).map_err(|_| not_opened)?;
         Ok(Self(Arc::new(shared)))
     }
@@ -106,24 +115,38 @@ impl Shared {
         Ok(written)
     }
 
-    /// Reads the index from the disk. What is damaged is named and left where it is; files that no session names are taken away.
+    /// Reads the index from the disk. What is damaged is named and left where it is, and so is what another version of the program has written, with
+    /// the files that it names; files that no session names are taken away.
     fn read_all(&self, written: &mut HashMap<SessionId, u64>) -> Result<(), StoreError> {
         let mut index = Index::new(self.bounds);
         written.clear();
-        let damaged = self.disk.change(|change| {
-            let mut damaged = 0;
+        let (damaged, other_version) = self.disk.change(|change| {
+            let (mut damaged, mut other_version) = (0, 0);
             let mut files: HashMap<Digest, Result<u64, &str>> = HashMap::new();
+            let mut whole = |change: &Change<'_>, digest: Digest| -> Result<Result<u64, &str>, redb::Error> {
+                Ok(match files.get(&digest) {
+                    Some(file) => *file,
+                    None => *files.entry(digest).or_insert(checked(&change.file(digest)?, digest)),
+                })
+            };
             for entry in change.records.iter()? {
                 let (name, bytes) = entry?;
                 let id = SessionId::from_bytes(&name.value());
                 let (record, file) = match record::read(bytes.value()) {
                     Ok(record) => {
-                        let file = match files.get(&record.image) {
-                            Some(file) => *file,
-                            None => *files.entry(record.image).or_insert(checked(&change.file(record.image)?, record.image)),
-                        };
+                        let file = whole(change, record.image)?;
                         let file = if record.id == id { file } else { Err("its record is another session's") };
                         (Some(record), file.map_err(str::to_owned))
+                    }
+                    Err(Unreadable::OtherVersion(why)) => {
+                        other_version += 1;
+                        tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
+                        let mut named = Vec::new();
+                        for digest in record::named_files(bytes.value()) {
+                            named.extend(whole(change, digest)?.ok().map(|len| (digest, len)));
+                        }
+                        index.restore_unread(id, bytes.value().len() as u64, &named);
+                        continue;
                     }
                     Err(why) => (None, Err(why.to_string())),
                 };
@@ -144,9 +167,10 @@ impl Shared {
             for digest in unnamed {
                 change.remove_file(digest)?;
             }
-            Ok(damaged)
+            Ok((damaged, other_version))
         })?;
         self.damaged.fetch_add(damaged, Ordering::Relaxed);
+        self.other_version.fetch_add(other_version, Ordering::Relaxed);
         let mut known = self.index();
         let old = std::mem::replace(&mut *known, index);
         known.go_on_from(old);
@@ -195,10 +219,12 @@ impl Shared {
 
     fn delete(&self, id: SessionId) -> Result<(), StoreError> {
         let mut written = self.begin()?;
-        self.index().peek(id)?;
+        if !self.index().weigh_delete(id)? {
+            return Ok(());
+        }
         self.take_away(&[id])?;
         written.remove(&id);
-        self.index().remove(id);
+        self.index().delete(id);
         Ok(())
     }
 
@@ -261,13 +287,14 @@ impl Shared {
             written.remove(&id);
             self.index().remove(id);
         }
+        self.index().lose_file(digest);
         Err(StoreError::NoSuchSession)
     }
 
     /// The file that some session names, if it is read as it was written.
     fn whole(&self, digest: Digest) -> Result<Option<Bytes>, StoreError> {
         let len = self.index().file(digest).ok_or(StoreError::NoSuchSession)?;
-        let bytes = self.disk.file(digest)?;
+        let bytes = self.disk.file(digest, len)?;
         Ok((checked(&bytes, digest) == Ok(len)).then(|| bytes.into()))
     }
 }
@@ -319,6 +346,10 @@ impl Store for FileStore {
         self.blocking(move |shared| shared.delete(id))
     }
 
+    fn image_bytes(&self, _: SessionId, digest: Digest) -> Answer<'_, u64> {
+        ready(self.0.index().file(digest).ok_or(StoreError::NoSuchSession))
+    }
+
     fn image(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
         self.blocking(move |shared| shared.file(digest))
     }
@@ -348,6 +379,7 @@ impl Store for FileStore {
             sessions: index.len() as u64,
             bytes: index.bytes(),
             damaged: self.0.damaged.load(Ordering::Relaxed),
+            other_version: self.0.other_version.load(Ordering::Relaxed),
             failures: self.0.disk.failures(),
             is_away: !self.0.disk.is_open(),
             is_unknown: false,

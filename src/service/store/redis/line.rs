@@ -1,9 +1,10 @@
-//! One connection to the server for many requests, with a bound on every wait. A connection that broke is made anew by the next request; one
-//! that cannot be made, or does not answer, is left alone for a second, in which all who ask are told so at once.
+//! One connection to the server, with a bound on every wait: for many requests at a time, or, of those for files, for one. A connection that broke is
+//! made anew by the next request. A server to which none can be made, or which does not answer, is left alone for a second, in which all who ask are
+//! told so at once. A file that does not come in time says nothing of the server, and ends its own connection alone.
 
 use std::future::Future;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex as SyncMutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use redis::aio::MultiplexedConnection;
@@ -26,10 +27,18 @@ const WAITING: usize = 1024;
 pub(super) struct Line(Arc<Shared>);
 
 struct Shared {
-    /// What it is for, for the log.
-    name: &'static str,
-    client: Client,
+    peer: Arc<Peer>,
     slot: Mutex<Slot>,
+}
+
+/// What is known of the server from one kind of requests.
+pub(super) struct Peer {
+    /// Which kind, for the log.
+    name: &'static str,
+    /// An answer that does not come in time is the server's fault, not that request's alone.
+    is_prompt: bool,
+    client: Client,
+    not_before: SyncMutex<Option<Instant>>,
     failures: AtomicU64,
     is_away: AtomicBool,
     was_heard: AtomicBool,
@@ -40,40 +49,79 @@ struct Slot {
     connection: Option<MultiplexedConnection>,
     /// Counts connections: a failure is of one of them.
     made: u64,
-    not_before: Option<Instant>,
 }
 
-impl Line {
-    pub(super) fn new(name: &'static str, address: &Address) -> Result<Self, RedisError> {
-        let client = Client::open(address.info().clone())?;
-        Ok(Self(Arc::new(Shared {
+impl Peer {
+    pub(super) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
+        Ok(Arc::new(Self {
             name,
-            client,
-            slot: Mutex::default(),
+            is_prompt,
+            client: Client::open(address.info().clone())?,
+            not_before: SyncMutex::default(),
             failures: AtomicU64::new(0),
             is_away: AtomicBool::new(false),
             was_heard: AtomicBool::new(false),
-        })))
+        }))
     }
 
     /// Requests that were not answered, or answered that there is no room.
     pub(super) fn failures(&self) -> u64 {
-        self.0.failures.load(Ordering::Relaxed)
+        self.failures.load(Ordering::Relaxed)
     }
 
     /// It did not answer what was asked last.
     pub(super) fn is_away(&self) -> bool {
-        self.0.is_away.load(Ordering::Relaxed)
+        self.is_away.load(Ordering::Relaxed)
     }
 
     /// It has answered at some time.
     pub(super) fn was_heard(&self) -> bool {
-        self.0.was_heard.load(Ordering::Relaxed)
+        self.was_heard.load(Ordering::Relaxed)
     }
 
-    /// The server was heard on another line: it is not left alone any longer.
-    pub(super) async fn relent(&self) {
-        self.0.slot.lock().await.not_before = None;
+    /// The server was heard by others: it is not left alone any longer.
+    pub(super) fn relent(&self) {
+        *self.not_before() = None;
+    }
+
+    fn not_before(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.not_before.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_left_alone(&self) -> bool {
+        self.not_before().is_some_and(|not_before| Instant::now() < not_before)
+    }
+
+    fn leave_alone(&self) {
+        *self.not_before() = Some(Instant::now() + PAUSE);
+    }
+
+    /// Told once, until it is back.
+    fn away(&self, why: &str) {
+        self.failures.fetch_add(1, Ordering::Relaxed);
+        if !self.is_away.swap(true, Ordering::Relaxed) {
+            tracing::error!("the session store is away ({}): {why}", self.name);
+        }
+    }
+
+    fn is_here(&self) {
+        self.was_heard.store(true, Ordering::Relaxed);
+        if self.is_away() && self.is_away.swap(false, Ordering::Relaxed) {
+            tracing::info!("the session store is back ({})", self.name);
+        }
+    }
+}
+
+impl Line {
+    pub(super) fn new(peer: &Arc<Peer>) -> Self {
+        Self(Arc::new(Shared { peer: Arc::clone(peer), slot: Mutex::default() }))
+    }
+
+    /// Ends the connection. Only while nothing is asked.
+    pub(super) fn close(&self) {
+        if let Ok(mut slot) = self.0.slot.try_lock() {
+            slot.connection = None;
+        }
     }
 
     /// What the server says to `ask` within `patience`. A connection that turns out to be broken, as after a pause in which the server was started
@@ -88,8 +136,8 @@ impl Line {
             let (made, connection) = self.connection().await?;
             used.store(made, Ordering::Relaxed);
             match ask(connection).await {
-                Err(error) if error.is_connection_dropped() => {
-                    self.lose(made, None).await;
+                Err(error) if is_broken(&error) => {
+                    self.lose(made).await;
                     let (made, connection) = self.connection().await?;
                     used.store(made, Ordering::Relaxed);
                     Ok((made, ask(connection).await))
@@ -99,14 +147,16 @@ impl Line {
         });
         match asked.await {
             Ok(Ok((_, Ok(answer)))) => {
-                self.is_here();
+                self.0.peer.is_here();
                 Ok(answer)
             }
             Ok(Ok((made, Err(error)))) => Err(self.fail(made, &error).await),
             Ok(Err(away)) => Err(away),
             Err(_) => {
-                self.away(&format!("no answer within {patience:?}"));
-                self.lose(used.into_inner(), Some(Instant::now() + PAUSE)).await;
+                self.0.peer.away(&format!("no answer within {patience:?}"));
+                if self.lose(used.into_inner()).await && self.0.peer.is_prompt {
+                    self.0.peer.leave_alone();
+                }
                 Err(StoreError::Away)
             }
         }
@@ -118,8 +168,8 @@ impl Line {
         if let Some(connection) = &slot.connection {
             return Ok((slot.made, connection.clone()));
         }
-        if slot.not_before.is_some_and(|not_before| Instant::now() < not_before) {
-            self.0.failures.fetch_add(1, Ordering::Relaxed);
+        if self.0.peer.is_left_alone() {
+            self.0.peer.failures.fetch_add(1, Ordering::Relaxed);
             return Err(StoreError::Away);
         }
         drop(slot);
@@ -133,12 +183,12 @@ impl Line {
         if let Some(connection) = &slot.connection {
             return Ok((slot.made, connection.clone()));
         }
-        if slot.not_before.is_some_and(|not_before| Instant::now() < not_before) {
+        if self.0.peer.is_left_alone() {
             return Err(StoreError::Away);
         }
         // Waits for answers are bounded by who asks.
         let config = AsyncConnectionConfig::new().set_connection_timeout(None).set_response_timeout(None).set_pipeline_buffer_size(WAITING);
-        let why = match timeout(CONNECT, self.0.client.get_multiplexed_async_connection_with_config(&config)).await {
+        let why = match timeout(CONNECT, self.0.peer.client.get_multiplexed_async_connection_with_config(&config)).await {
             Ok(Ok(connection)) => {
                 slot.made += 1;
                 slot.connection = Some(connection.clone());
@@ -147,52 +197,42 @@ impl Line {
             Ok(Err(error)) => error.to_string(),
             Err(_) => format!("no connection within {CONNECT:?}"),
         };
-        slot.not_before = Some(Instant::now() + PAUSE);
+        self.0.peer.leave_alone();
         drop(slot);
-        self.away(&why);
+        self.0.peer.away(&why);
         Err(StoreError::Away)
     }
 
-    /// That connection is not used again, and no other one is made before that time.
-    async fn lose(&self, made: u64, not_before: Option<Instant>) {
+    /// That connection is not used again. `false`: it had been lost before.
+    async fn lose(&self, made: u64) -> bool {
         let mut slot = self.0.slot.lock().await;
-        if slot.made == made && slot.connection.take().is_some() {
-            slot.not_before = not_before;
-        }
+        slot.made == made && slot.connection.take().is_some()
     }
 
     /// What an error means. A server that is full goes on answering; any other one may have become another server's replica, or be starting.
     async fn fail(&self, made: u64, error: &RedisError) -> StoreError {
         let text = error.to_string();
+        let failures = &self.0.peer.failures;
         if text.contains("OOM") {
-            self.0.failures.fetch_add(1, Ordering::Relaxed);
+            failures.fetch_add(1, Ordering::Relaxed);
             tracing::warn!("the session store has no room: {text}");
             return StoreError::NoRoom;
         }
         // What somebody else has put under one key is no outage of all of them.
         if text.contains("WRONGTYPE") || error.kind() == ErrorKind::UnexpectedReturnType {
-            self.0.failures.fetch_add(1, Ordering::Relaxed);
+            failures.fetch_add(1, Ordering::Relaxed);
             tracing::error!("the session store holds something else under a session's key: {text}");
             return StoreError::Away;
         }
-        self.away(&text);
-        let not_before = if error.is_connection_dropped() { None } else { Some(Instant::now() + PAUSE) };
-        self.lose(made, not_before).await;
+        self.0.peer.away(&text);
+        if self.lose(made).await && !is_broken(&error) {
+            self.0.peer.leave_alone();
+        }
         StoreError::Away
     }
+}
 
-    /// Told once, until it is back.
-    fn away(&self, why: &str) {
-        self.0.failures.fetch_add(1, Ordering::Relaxed);
-        if !self.0.is_away.swap(true, Ordering::Relaxed) {
-            tracing::error!("the session store is away ({}): {why}", self.0.name);
-        }
-    }
-
-    fn is_here(&self) {
-        self.0.was_heard.store(true, Ordering::Relaxed);
-        if self.is_away() && self.0.is_away.swap(false, Ordering::Relaxed) {
-            tracing::info!("the session store is back ({})", self.0.name);
-        }
-    }
+/// The connection was closed, perhaps in the middle of an answer.
+fn is_broken(error: &RedisError) -> bool {
+    error.is_connection_dropped() || error.kind() == ErrorKind::Parse
 }

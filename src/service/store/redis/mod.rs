@@ -1,10 +1,11 @@
 //! Sessions on a Redis or Valkey that several processes share: what one answers, the others see at once. Every operation is one script on the
 //! server (`script.rs` has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
-//! its `maxmemory`. A picture's file is kept once a session.
+//! its `maxmemory`. A picture's file is kept once a session, and transferred on a connection of its own (`files.rs`).
 //!
 //! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
 //! period, with numbers that rise in this process alone and are told to the server when it is back (`owed.rs`); everything else is refused.
 
+mod files;
 mod line;
 mod owed;
 mod script;
@@ -22,14 +23,16 @@ use bytes::Bytes;
 use redis::{Cmd, FromRedisValue};
 use tokio::task::JoinSet;
 
-use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, record};
+use super::record::{self, Unreadable};
+use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::service::client::Owner;
 use crate::service::session::{Revision, SessionId};
 use crate::service::telemetry::Scope;
 use crate::warp::Digest;
-use line::Line;
+use files::Files;
+use line::{Line, Peer};
 use owed::{Debt, Owed};
-use script::{number, said};
+use script::{Replaces, number, said};
 use warm::{Known, Memory, Warm};
 
 /// Longest wait for an answer.
@@ -38,6 +41,10 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const IMPATIENCE: Duration = Duration::from_millis(200);
 /// Longest wait for a file.
 const PATIENCE_FOR_FILES: Duration = Duration::from_secs(10);
+/// Attempts to put a session that others replace at the same time.
+const PUTS: usize = 8;
+/// A file is held by the buffer that it comes in, which grows by doubling, and by itself.
+const COPIES: u64 = 3;
 /// Sessions whose numbers are told at one time, once the server hears.
 const TOLD_AT_ONCE: usize = 64;
 /// Longest wait of those who ask whether the server is there, and how long its answer is believed.
@@ -49,15 +56,17 @@ pub struct RedisStore(Arc<Shared>);
 
 struct Shared {
     idle: Duration,
+    peer: Arc<Peer>,
     line: Line,
-    /// Files take longer than records, and would hold them up.
-    files: Line,
+    files_peer: Arc<Peer>,
+    files: Files,
     memory: Memory,
     owed: Owed,
     /// A server that made a drag wait is not asked by drags before.
     spared: Mutex<Option<Instant>>,
     seen: Mutex<Option<(Instant, bool)>>,
     damaged: AtomicU64,
+    other_version: AtomicU64,
 }
 
 impl fmt::Debug for RedisStore {
@@ -72,16 +81,21 @@ impl RedisStore {
     /// # Errors
     /// The client library does not take the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
-        let line = |name| Line::new(name, address).map_err(|e| NotOpened { what: address.to_string(), why: e.to_string() });
+        let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
+        let peer = Peer::new("records", address, true).map_err(not_opened)?;
+        let files_peer = Peer::new("files", address, false).map_err(not_opened)?;
         Ok(Self(Arc::new(Shared {
             idle: bounds.idle,
-            line: line("records")?,
-            files: line("files")?,
+            line: Line::new(&peer),
+            peer,
+            files: Files::new(&files_peer),
+            files_peer,
             memory: Memory::new(bounds.idle, bounds.bytes),
             owed: Owed::default(),
             spared: Mutex::default(),
             seen: Mutex::default(),
             damaged: AtomicU64::new(0),
+            other_version: AtomicU64::new(0),
         })))
     }
 }
@@ -101,47 +115,70 @@ impl Shared {
         if said == said::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
     }
 
-    /// The record, if it is whole and of that session.
-    fn whole(&self, id: SessionId, bytes: &[u8]) -> Option<Arc<Record>> {
+    /// The record, if it is whole and of that session. A damaged one is no session.
+    ///
+    /// # Errors
+    /// Another version of the program has written it.
+    fn whole(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
         let why = match record::read(bytes) {
-            Ok(record) if record.id == id => return Some(record),
-            Ok(_) => "it is another session's".to_owned(),
-            Err(why) => why.to_string(),
+            Ok(record) if record.id == id => return Ok(Some(record)),
+            Ok(_) => Unreadable::Damaged("it is another session's"),
+            Err(why) => why,
         };
-        self.damaged.fetch_add(1, Ordering::Relaxed);
-        tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
-        None
+        // What is remembered of it is not so any more.
+        self.memory.forget(id);
+        match why {
+            Unreadable::Damaged(why) => {
+                self.damaged.fetch_add(1, Ordering::Relaxed);
+                tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
+                Ok(None)
+            }
+            Unreadable::OtherVersion(why) => {
+                // The requests that are refused for it are logged one by one.
+                if self.other_version.fetch_add(1, Ordering::Relaxed) == 0 {
+                    tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
+                }
+                Err(StoreError::OtherVersion)
+            }
+        }
     }
 
     async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
-        // A file that is there need not be sent.
-        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &script::same(&record, self.idle)).await?;
-        if said == said::HERE {
-            match self.whole(record.id, &bytes) {
-                Some(same) => return self.same(same, &seq),
-                None => self.run::<i64>(PATIENCE, &script::delete(record.id)).await.map(drop)?,
+        for _ in 0..PUTS {
+            // A file that is there need not be sent, and what cannot be read is not replaced.
+            let (said, bytes, seq, revision): (i64, Vec<u8>, String, String) =
+                self.run(PATIENCE, &script::same(&record, self.idle)).await?;
+            let old = if said == said::NOTHING { None } else { self.whole(record.id, &bytes)? };
+            if said == said::HERE
+                && let Some(old) = old
+            {
+                return self.same(old, &seq);
+            }
+            self.files_peer.relent();
+            // 4 MB a second.
+            let patience = PATIENCE + Duration::from_micros(image.len() as u64 / 4);
+            let replaces = Replaces { revision, is_whole: old.is_some() };
+            let transaction = script::put(&record, &image, &replaces, self.idle);
+            let ask = |mut connection| {
+                let transaction = &transaction;
+                async move { transaction.query_async(&mut connection).await }
+            };
+            let ((said, seq),): ((i64, String),) = self.files.ask(patience, |_| image.len(), ask).await?;
+            match (said, old) {
+                (said::OTHER, _) => {}
+                // The file alone was missing.
+                (said::HERE, Some(old)) => return self.same(old, &seq),
+                (_, old) => {
+                    self.memory.learn(Arc::clone(&record), None);
+                    let session = self.session(record, None, self.idle);
+                    return Ok(match old {
+                        Some(old) => Put::Replaced(session, old),
+                        None => Put::Created(session),
+                    });
+                }
             }
         }
-        self.files.relent().await;
-        // 4 MB a second.
-        let patience = PATIENCE + Duration::from_micros(image.len() as u64 / 4);
-        let transaction = script::put(&record, &image, self.idle);
-        let ask = |mut connection| {
-            let transaction = &transaction;
-            async move { transaction.query_async(&mut connection).await }
-        };
-        let ((said, bytes, seq),): ((i64, Vec<u8>, String),) = self.files.ask(patience, ask).await?;
-        if said == said::HERE {
-            let same = self.whole(record.id, &bytes).ok_or(StoreError::Away)?;
-            return self.same(same, &seq);
-        }
-        self.memory.learn(Arc::clone(&record), None);
-        let old = if said == said::OTHER { self.whole(record.id, &bytes) } else { None };
-        let session = self.session(record, None, self.idle);
-        Ok(match old {
-            Some(old) => Put::Replaced(session, old),
-            None => Put::Created(session),
-        })
+        Err(StoreError::Contended)
     }
 
     fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
@@ -233,7 +270,7 @@ impl Shared {
                 (Arc::clone(&warm.record), known.seq)
             }
             _ => {
-                let record = self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?;
+                let record = self.whole(id, &bytes)?.ok_or(StoreError::NoSuchSession)?;
                 self.memory.learn(Arc::clone(&record), seq);
                 (record, seq)
             }
@@ -282,7 +319,7 @@ impl Shared {
             _ => {
                 // What is remembered is not so any more.
                 self.memory.forget(id);
-                self.whole(id, &bytes).ok_or(StoreError::NoSuchSession)?
+                self.whole(id, &bytes)?.ok_or(StoreError::NoSuchSession)?
             }
         };
         // Higher ones may have been seen here while the server did not answer.
@@ -291,9 +328,13 @@ impl Shared {
     }
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let said: i64 = self.run(PATIENCE, &script::delete(id)).await?;
+        let said: i64 = self.run(PATIENCE, &script::delete(id, self.idle)).await?;
         let gone = self.gone(id, said);
         if said == said::HERE { Ok(()) } else { Err(gone) }
+    }
+
+    async fn image_bytes(&self, id: SessionId) -> Result<u64, StoreError> {
+        Ok(COPIES * self.run::<u64>(PATIENCE, &script::file_bytes(id)).await?)
     }
 
     async fn image(&self, id: SessionId, digest: Digest) -> Result<Bytes, StoreError> {
@@ -302,7 +343,8 @@ impl Shared {
             let command = &command;
             async move { command.query_async(&mut connection).await }
         };
-        let file: Option<Vec<u8>> = self.files.ask(PATIENCE_FOR_FILES, ask).await?;
+        let file: Option<Vec<u8>> =
+            self.files.ask(PATIENCE_FOR_FILES, |file: &Option<Vec<u8>>| file.as_ref().map_or(0, Vec::len), ask).await?;
         let file = Bytes::from(file.ok_or(StoreError::NoSuchSession)?);
         let theirs = file.clone();
         let found = tokio::task::spawn_blocking(move || Digest::of(&theirs)).await.map_err(|_| StoreError::Away)?;
@@ -346,6 +388,10 @@ impl Store for RedisStore {
         Box::pin(self.0.delete(id))
     }
 
+    fn image_bytes(&self, id: SessionId, _: Digest) -> Answer<'_, u64> {
+        Box::pin(self.0.image_bytes(id))
+    }
+
     fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
         Box::pin(self.0.image(id, digest))
     }
@@ -376,9 +422,10 @@ impl Store for RedisStore {
             sessions,
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
-            failures: self.0.line.failures() + self.0.files.failures(),
-            is_away: self.0.line.is_away(),
-            is_unknown: !self.0.line.was_heard(),
+            other_version: self.0.other_version.load(Ordering::Relaxed),
+            failures: self.0.peer.failures() + self.0.files_peer.failures(),
+            is_away: self.0.peer.is_away(),
+            is_unknown: !self.0.peer.was_heard(),
         }
     }
 }

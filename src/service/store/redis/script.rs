@@ -6,6 +6,8 @@
 //! | `mlswarp:{NAME}:session` | hash: `record`, `made` (digest of what it was made from), `revision`, `life` (when), `seq` | one idle period |
 //! | `mlswarp:{NAME}:file` | its picture's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | nothing: a session of that name was there | two idle periods |
+//! | `mlswarp:{NAME}:deleted` | nothing: a session of that name was deleted | one idle period |
+//! | `mlswarp:{NAME}:upload` | a file, inside of the transaction that puts it | |
 //!
 //! NAME is owner and session as hexadecimal digits. Numbers (`seq`) have twenty digits, so that they compare as texts. A server that is full
 //! refuses a script's first write when that could take memory; a script that only prolongs a life begins with what takes none.
@@ -20,34 +22,44 @@ use crate::service::store::{Record, StoreError};
 
 /// What a script says first.
 pub(super) mod said {
+    pub(in super::super) const NOTHING: i64 = 0;
     pub(in super::super) const EXPIRED: i64 = 1;
     pub(in super::super) const HERE: i64 = 2;
     pub(in super::super) const OTHER: i64 = 3;
 }
 
-/// ARGV idle, made. Uses a session that was made from the same and is whole.
+/// ARGV idle, made. Uses a session that was made from the same and is whole. Says also what is there otherwise.
 const SAME: &str = r"
-local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq')
-if is[1] ~= ARGV[2] or redis.call('EXISTS', KEYS[2]) == 0 then return {0, '', ''} end
-redis.call('PEXPIRE', KEYS[1], ARGV[1])
-redis.call('PEXPIRE', KEYS[2], ARGV[1])
-redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
-return {2, is[2], is[3] or ''}";
+local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq', 'revision')
+if not (is[1] or is[2] or is[4]) then return {0, '', '', ''} end
+local said = 3
+if is[1] == ARGV[2] and redis.call('EXISTS', KEYS[2]) == 1 then
+  redis.call('PEXPIRE', KEYS[1], ARGV[1])
+  redis.call('PEXPIRE', KEYS[2], ARGV[1])
+  redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
+  said = 2
+end
+return {said, is[2] or '', is[3] or '', is[4] or ''}";
 
-/// ARGV idle, made, record, revision, life. The file has been set in the same transaction.
+/// KEYS[4]: the file, set in the same transaction. ARGV idle, made, record, revision, life; the revision that may be replaced (none: no session), and
+/// whether its record can be read. Another revision may be one that this program cannot read: it stays, and so does its file.
 const PUT: &str = r"
-local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq')
-if is[1] == ARGV[2] then
+local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision')
+if (is[3] or '') ~= ARGV[6] then
+  redis.call('DEL', KEYS[4])
+  return {3, ''}
+end
+redis.call('RENAME', KEYS[4], KEYS[2])
+if is[1] == ARGV[2] and ARGV[7] == '1' then
   redis.call('PEXPIRE', KEYS[1], ARGV[1])
   redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
-  return {2, is[2], is[3] or ''}
+  return {2, is[2] or ''}
 end
 redis.call('DEL', KEYS[1])
 redis.call('HSET', KEYS[1], 'made', ARGV[2], 'record', ARGV[3], 'revision', ARGV[4], 'life', ARGV[5])
 redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('SET', KEYS[3], '', 'PX', 2 * ARGV[1])
-if not is[1] then return {0, '', ''} end
-return {3, is[2], ''}";
+return {0, ''}";
 
 /// ARGV idle, seq, and what is known already: revision, life, seq. A record that is known is not sent again.
 const TOUCH: &str = r"
@@ -83,9 +95,14 @@ redis.call('PEXPIRE', KEYS[2], ARGV[1])
 redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
 return {2, is[2] or ''}";
 
+/// KEYS[4]: the session was deleted before. ARGV idle.
 const DELETE: &str = r"
-if redis.call('EXISTS', KEYS[1]) == 0 then return redis.call('EXISTS', KEYS[3]) end
+if redis.call('EXISTS', KEYS[1]) == 0 then
+  if redis.call('EXISTS', KEYS[3]) == 1 then return 1 end
+  return 2 * redis.call('EXISTS', KEYS[4])
+end
 redis.call('DEL', KEYS[1], KEYS[2], KEYS[3])
+redis.call('SET', KEYS[4], '', 'PX', ARGV[1])
 return 2";
 
 /// What is known here of a session, and may not be known there.
@@ -118,8 +135,17 @@ fn life(created: SystemTime) -> String {
 }
 
 fn script(script: &str, id: SessionId, idle: Duration) -> Cmd {
+    script_with(script, id, None, idle)
+}
+
+/// `fourth`: the script has this key too.
+fn script_with(script: &str, id: SessionId, fourth: Option<&str>, idle: Duration) -> Cmd {
     let mut command = redis::cmd("EVAL");
-    command.arg(script).arg(3).arg(key(id, "session")).arg(key(id, "file")).arg(key(id, "grave")).arg(millis(idle));
+    command.arg(script).arg(3 + usize::from(fourth.is_some())).arg(key(id, "session")).arg(key(id, "file")).arg(key(id, "grave"));
+    if let Some(fourth) = fourth {
+        command.arg(key(id, fourth));
+    }
+    command.arg(millis(idle));
     command
 }
 
@@ -134,12 +160,21 @@ pub(super) fn same(record: &Record, idle: Duration) -> Cmd {
     command
 }
 
+/// What a record may replace: nothing, or this revision.
+pub(super) struct Replaces {
+    /// As the server has it; empty for nothing.
+    pub(super) revision: String,
+    /// Its record can be read.
+    pub(super) is_whole: bool,
+}
+
 /// The file and the record, both or neither.
-pub(super) fn put(record: &Record, file: &[u8], idle: Duration) -> Pipeline {
-    let mut command = script(PUT, record.id, idle);
+pub(super) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Duration) -> Pipeline {
+    let mut command = script_with(PUT, record.id, Some("upload"), idle);
     command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record.created));
+    command.arg(&replaces.revision).arg(u8::from(replaces.is_whole));
     let mut transaction = redis::pipe();
-    transaction.atomic().cmd("SET").arg(key(record.id, "file")).arg(file).arg("PX").arg(millis(idle)).ignore();
+    transaction.atomic().cmd("SET").arg(key(record.id, "upload")).arg(file).arg("PX").arg(millis(idle)).ignore();
     transaction.add_command(command);
     transaction
 }
@@ -166,8 +201,15 @@ pub(super) fn revise(old: &str, new: &Record, idle: Duration) -> Cmd {
     command
 }
 
-pub(super) fn delete(id: SessionId) -> Cmd {
-    script(DELETE, id, Duration::ZERO)
+pub(super) fn delete(id: SessionId, idle: Duration) -> Cmd {
+    script_with(DELETE, id, Some("deleted"), idle)
+}
+
+/// How long the file is; 0 when it is not there.
+pub(super) fn file_bytes(id: SessionId) -> Cmd {
+    let mut command = redis::cmd("STRLEN");
+    command.arg(key(id, "file"));
+    command
 }
 
 pub(super) fn file(id: SessionId) -> Cmd {

@@ -201,7 +201,8 @@ async fn another_process_sees_the_session_its_numbers_and_its_handles_at_once() 
 
     other.delete(a.id).await.unwrap();
     assert_eq!(one.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
-    assert_eq!(server.say("DBSIZE"), ":0\r\n", "nothing of it is left");
+    assert_eq!(one.delete(a.id).await, Ok(()), "deleted again, by another process");
+    assert_eq!(server.say("DBSIZE"), ":1\r\n", "nothing is left but that it was deleted");
 }
 
 #[tokio::test]
@@ -322,6 +323,122 @@ async fn damaged_records_are_left_out_and_may_be_made_anew() {
     assert!(other.peek(whole.id).await.is_ok());
     assert!(matches!(other.put(Arc::clone(&a), file(1)).await, Ok(Put::Created(_))));
     assert_eq!(other.touch(a.id, None).await.unwrap().record, a);
+}
+
+fn session_key(id: SessionId) -> String {
+    format!("mlswarp:{{{}}}:session", record::hex(&id.to_bytes()))
+}
+
+#[tokio::test]
+async fn what_another_version_has_stored_is_kept() {
+    let server = Redis::start(&[]);
+    let mut there = redis::Client::open(server.address()).unwrap().get_connection().unwrap();
+    let planted = Mutex::new(&mut there);
+    suite::what_another_version_has_stored_is_kept(store_of(&server, bounds()), async |store, records: &[(SessionId, Vec<u8>)]| {
+        for (id, bytes) in records {
+            let revision = match record::read(bytes) {
+                Ok(record) => record.revision,
+                Err(_) => Revision::random(),
+            };
+            let mut command = redis::cmd("HSET");
+            command.arg(session_key(*id)).arg("record").arg(bytes).arg("revision").arg(record::hex(revision.as_bytes()));
+            command.exec(&mut **planted.lock().unwrap()).unwrap();
+        }
+        store
+    })
+    .await;
+}
+
+/// Between the look at what is there and the transfer of a file another process may have put a session that this one cannot read.
+#[tokio::test]
+async fn a_file_that_comes_too_late_changes_nothing() {
+    let server = Redis::start(&[]);
+    let store = store_of(&server, bounds());
+    let a = suite::record(1);
+    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    let late = made_anew(&a, 2);
+    let mut there = redis::Client::open(server.address()).unwrap().get_connection().unwrap();
+    for revision in ["", "0123456789abcdef0123456789abcdef"] {
+        let replaces = Replaces { revision: revision.to_owned(), is_whole: true };
+        let ((said, _),): ((i64, String),) = script::put(&late, &file(2), &replaces, store.0.idle).query(&mut there).unwrap();
+        assert_eq!(said, said::OTHER);
+        assert_eq!(store.peek(a.id).await.unwrap().record, a);
+        assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+    }
+    assert_eq!(server.say("DBSIZE"), ":3\r\n", "nothing of it is left");
+}
+
+/// Several processes put different pictures under one name: each is told that it did, and one of them is there.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn one_of_those_who_put_at_the_same_time_is_there() {
+    let server = Redis::start(&[]);
+    let base = suite::record(0);
+    let puts = (0..6).map(|picture| {
+        let (store, record) = (store_of(&server, bounds()), made_anew(&base, picture));
+        tokio::spawn(async move { store.put(Arc::clone(&record), file(picture)).await.map(|_| record) })
+    });
+    let mut put = Vec::new();
+    for done in futures_util::future::join_all(puts).await {
+        put.push(done.unwrap().unwrap());
+    }
+    let store = store_of(&server, bounds());
+    let there = store.peek(base.id).await.unwrap().record;
+    assert!(put.contains(&there));
+    assert_eq!(Digest::of(&store.image(there.id, there.image).await.unwrap()), there.image);
+}
+
+/// A way to the server that closes so many connections in the middle of a file.
+async fn way_that_breaks(server: &Redis, breaks: Arc<AtomicU64>) -> RedisStore {
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = format!("redis://{}", listener.local_addr().unwrap());
+    let there = server.address().replace("redis://", "");
+    tokio::spawn(async move {
+        while let Ok((near, _)) = listener.accept().await {
+            let (far, breaks) = (tokio::net::TcpStream::connect(&there).await.unwrap(), Arc::clone(&breaks));
+            tokio::spawn(async move {
+                let (mut near, mut far) = (near.into_split(), far.into_split());
+                let asking = tokio::spawn(async move { tokio::io::copy(&mut near.0, &mut far.1).await });
+                let (mut bytes, mut all) = (vec![0; 1 << 16], 0);
+                while let Ok(n @ 1..) = far.0.read(&mut bytes).await {
+                    all += n;
+                    let is_last = |left: u64| left.checked_sub(1);
+                    if all > 1 << 20 && breaks.fetch_update(Ordering::Relaxed, Ordering::Relaxed, is_last).is_ok() {
+                        break;
+                    }
+                    if near.1.write_all(&bytes[..n]).await.is_err() {
+                        break;
+                    }
+                }
+                asking.abort();
+            });
+        }
+    });
+    let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+    RedisStore::new(&address, bounds()).unwrap()
+}
+
+/// A transfer that is given up, and a connection that is closed in the middle of a file.
+#[tokio::test]
+async fn a_transfer_that_breaks_is_not_in_the_way_of_the_next() {
+    let server = Redis::start(&[]);
+    let breaks = Arc::<AtomicU64>::default();
+    let store = way_that_breaks(&server, Arc::clone(&breaks)).await;
+    let large = Bytes::from(vec![9; 4 << 20]);
+    let a = Arc::new(Record { image: Digest::of(&large), ..(*suite::record(0)).clone() });
+    store.put(Arc::clone(&a), large.clone()).await.unwrap();
+    for _ in 0..20 {
+        // Whoever waits for it leaves at some moment.
+        let _ = tokio::time::timeout(Duration::from_millis(3), store.image(a.id, a.image)).await;
+    }
+    assert_eq!(store.image(a.id, a.image).await.unwrap(), large);
+    for _ in 0..3 {
+        breaks.store(1, Ordering::Relaxed);
+        let (one, other) = tokio::join!(store.image(a.id, a.image), store.image(a.id, a.image));
+        assert_eq!((one.unwrap(), other.unwrap()), (large.clone(), large.clone()));
+        assert_eq!(breaks.load(Ordering::Relaxed), 0, "a connection was closed");
+    }
+    assert_eq!((store.figures().failures, store.figures().is_away), (0, false));
 }
 
 #[tokio::test]
