@@ -534,11 +534,11 @@ mod tests {
         let (shelf, budget) = (Shelf::new(1 << 20), budget());
         let long = std::time::Duration::from_secs(600);
         let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
-        let admit = || pool.admit(Work::Upload, Lane::Client(Client::default()));
+        let admit = || pool.admit(Work::Upload, Lane::client(Client::default()));
         let build = || {
             let (pool, built) = (pool.clone(), kept(&budget, 7));
             async move {
-                let ticket = pool.admit(Work::Upload, Lane::Client(Client::default())).await?;
+                let ticket = pool.admit(Work::Upload, Lane::client(Client::default())).await?;
                 let until_cancelled = |cancel: &Cancel| {
                     while !cancel.is_cancelled() {
                         std::thread::yield_now();

@@ -206,8 +206,8 @@ mod tests {
         fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
             self.0.image(id, digest)
         }
-        fn names(&self, digest: Digest) -> bool {
-            self.0.names(digest)
+        fn names(&self, owner: Owner, digest: Digest) -> bool {
+            self.0.names(owner, digest)
         }
         fn sweep(&self) -> Answer<'_, usize> {
             self.0.sweep()
@@ -230,7 +230,7 @@ mod tests {
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
         let (session, _) = app.open(client, file.into_inner().into(), Bytes::from_static(br#"{"p": [[5, 5]]}"#)).await.unwrap();
-        let refused = app.revise(session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
+        let refused = app.revise(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
         // The last computation gives its turn back by itself.
