@@ -98,7 +98,9 @@ pub enum DeformError {
         limit: usize,
     },
     /// The handles lie so close to each other that more pairs would have to be compared than are.
-    #[error("the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; send fewer or shorter lines")]
+    #[error(
+        "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; send fewer or shorter lines"
+    )]
     TooManyNeighbours {
         /// The limit.
         limit: u64,

@@ -462,7 +462,8 @@ mod tests {
         for degrees in [0.0_f64, 11.0, 45.0, 90.0, 130.0] {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let turned = |x: f64, y: f64| (400.0 + x * cos - y * sin, 400.0 + x * sin + y * cos);
-            let mut handles: Vec<Handle> = (0..60).map(|k| f64::from(k) - 30.0).map(|y| line(turned(-150.0, y), turned(150.0, y))).collect();
+            let mut handles: Vec<Handle> =
+                (0..60).map(|k| f64::from(k) - 30.0).map(|y| line(turned(-150.0, y), turned(150.0, y))).collect();
             handles.push(line(turned(0.0, -12.5), turned(1.0, 14.5)));
             let at = turned(10.0, 20.0);
             handles.push(dot(at.0, at.1));
@@ -491,9 +492,20 @@ mod tests {
             ("parallel lines along x", bundle(0.0, 0.01)),
             ("parallel lines between two directions", bundle(std::f64::consts::PI / 16.0, 0.01)),
             ("parallel lines far apart", bundle(std::f64::consts::PI / 16.0, 0.5)),
-            ("a star", half().map(|k| f64::from(k).sin_cos()).map(|(s, c)| line((500.0 + 9.0 * c, 500.0 + 9.0 * s), (500.0 + 400.0 * c, 500.0 + 400.0 * s))).collect()),
+            (
+                "a star",
+                half()
+                    .map(|k| f64::from(k).sin_cos())
+                    .map(|(s, c)| line((500.0 + 9.0 * c, 500.0 + 9.0 * s), (500.0 + 400.0 * c, 500.0 + 400.0 * s)))
+                    .collect(),
+            ),
             ("all cross", half().map(|k| f64::from(k) / 5000.0).map(|t| line((0.0, 400.0 * t), (400.0, 400.0 * (1.0 - t)))).collect()),
-            ("points beside lines", (0..N / 3).flat_map(|k| [dot(200.0 + share(k), 3.0), line((0.0, 0.01 * f64::from(k)), (400.0, 5.0 + 0.01 * f64::from(k)))]).collect()),
+            (
+                "points beside lines",
+                (0..N / 3)
+                    .flat_map(|k| [dot(200.0 + share(k), 3.0), line((0.0, 0.01 * f64::from(k)), (400.0, 5.0 + 0.01 * f64::from(k)))])
+                    .collect(),
+            ),
         ];
         for (name, handles) in sets {
             let (elements, extent) = elements_of(handles);
@@ -503,7 +515,13 @@ mod tests {
             let (n, found) = (elements.len() as u64, &search.found);
             eprintln!(
                 "{name}: {} elements, {} comparisons of points, {} work, {} meetings, {} near, {:.1} ms, {:?}",
-                n, search.compared, search.work, found.touching.len(), found.near.len(), began.elapsed().as_secs_f64() * 1e3, outcome
+                n,
+                search.compared,
+                search.work,
+                found.touching.len(),
+                found.near.len(),
+                began.elapsed().as_secs_f64() * 1e3,
+                outcome
             );
             assert!(search.compared <= n * (9 + 25) * CROWD as u64, "{name}: {}", search.compared);
             assert!(search.work <= MOST_WORK + 2 * COMPARISON, "{name}: {}", search.work);

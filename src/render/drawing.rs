@@ -79,7 +79,8 @@ impl Drawing {
                 self.extend(&strip, &mut scratch);
             }
             for (row, out) in strip.clone().zip(out.chunks_exact_mut(width * pixel)) {
-                let line = if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
+                let line =
+                    if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
                 self.paint(source, channels, line, &scratch, out);
             }
         }

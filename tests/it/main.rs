@@ -42,3 +42,4 @@ mod support;
 mod tls;
 mod traces;
 mod watchers;
+mod work;

@@ -21,13 +21,13 @@ const WRITE: Duration = Duration::from_millis(800);
 const DEADLINES: [&str; 6] = ["--header-timeout", "600ms", "--body-timeout", "900ms", "--write-timeout", "800ms"];
 
 /// A client that drags from one connection and must get every answer, until it is told to stop.
-struct Healthy {
+pub(crate) struct Healthy {
     stop: Arc<AtomicBool>,
     client: tokio::task::JoinHandle<Vec<Duration>>,
 }
 
 impl Healthy {
-    async fn begin(address: SocketAddr) -> Self {
+    pub(crate) async fn begin(address: SocketAddr) -> Self {
         let client = reqwest::Client::new();
         let opened = client.post(format!("http://{address}/sessions")).multipart(form(&photo(128, 96), r#"{"p": [[20, 20], [100, 24]]}"#));
         let id = opened.send().await.unwrap().json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
@@ -49,7 +49,7 @@ impl Healthy {
         Self { stop, client }
     }
 
-    async fn end(self, meanwhile: &str) {
+    pub(crate) async fn end(self, meanwhile: &str) {
         self.stop.store(true, Ordering::Relaxed);
         let mut waits = self.client.await.unwrap();
         waits.sort_unstable();
