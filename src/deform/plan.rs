@@ -254,3 +254,55 @@ fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::deform::{Falloff, Handle, Handles};
+
+    fn field(count: u32) -> (Field, Pose) {
+        let place = |k: u32| Point::new(f64::from(k % 10) * 31.0 + 3.3, f64::from(k / 10) * 17.0 + 5.1);
+        let moved = |k: u32| Handle::Point(place(k) + Vec2::new(3.0, f64::from(k % 3)));
+        let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
+        let field = Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+        let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
+        (field, pose)
+    }
+
+    #[test]
+    fn what_nobody_waits_for_is_given_up_at_the_next_look() {
+        let (field, pose) = field(100);
+        // Two pieces of a table.
+        let grid = Grid::with_counts(300.0, 200.0, 200, 100);
+        let plan = Plan::of_grid(&field, &grid);
+        assert!(plan.bytes() as usize > PIECE_BYTES);
+        let works: [(&str, usize, &(dyn Fn(Gone<'_>) -> bool + Sync)); 3] = [
+            ("filling", grid.len() / LANES, &|gone| Plan::of_grid_unless(&field, &grid, gone).is_none()),
+            ("posing", 2, &|gone| plan.pose_unless(&grid, &pose, gone).is_none()),
+            ("without a table", grid.len() / LANES, &|gone| pose_without_table(&field, &grid, &pose, gone).is_none()),
+        ];
+        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        for (name, looks, work) in works {
+            for after in [0, 1, looks / 2, looks - 1] {
+                let asked = AtomicUsize::new(0);
+                let gave_up = one.install(|| work(&|| asked.fetch_add(1, Ordering::Relaxed) >= after));
+                assert!(gave_up, "{name}, after {after} of {looks}");
+                assert_eq!(asked.into_inner(), after + 1, "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_table_of_several_pieces_has_no_seam() {
+        let (field, pose) = field(100);
+        let grid = Grid::with_counts(300.0, 200.0, 200, 100);
+        let (displacement, _) = Plan::of_grid(&field, &grid).displace(&pose);
+        for (k, d) in displacement.iter().enumerate() {
+            let v = vertex(&grid, 200, k);
+            let want = to_f32(field.map(&pose, v) - v);
+            assert!((d[0] - want[0]).abs() < 1e-3 && (d[1] - want[1]).abs() < 1e-3, "vertex {k}: {d:?} {want:?}");
+        }
+    }
+}

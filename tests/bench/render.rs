@@ -1,5 +1,5 @@
 //! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth mesh of 100 x 100 vertices and two that fold, each
-//! level that the machine has, on 1 and 2 threads (bands in parallel); and how time grows with the pixels.
+//! level that the machine has, on 1 and 2 threads (bands in parallel); what lies outside painted with the edge; and how time grows with the pixels.
 //!
 //! `cargo bench --bench render [-- FILTER]`; a filter is a part of a table's title.
 //! `render --paired DIR` writes sources, dense maps and our pictures of the cases of `cases` there, `index.json` naming them, and then times
@@ -22,10 +22,10 @@ use std::sync::Arc;
 
 use harness::pictures::{FULL_HD, Folded, SMALL, UHD, VERTICES, bytes, extent, mesh, options, photograph, size, tiles};
 use harness::{Contender, Goal, Report, dense, inside, paired, pool};
-use mlswarp::geometry::Mesh;
+use mlswarp::geometry::{Grid, Mesh};
 use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Extent};
-use mlswarp::render::{Renderer, Source};
+use mlswarp::render::{Outside, RenderOptions, Renderer, Source};
 use rayon::prelude::*;
 
 /// Bands of a picture that two threads share.
@@ -56,6 +56,12 @@ fn tables() {
             table(&mut report, &title, extent, channels, folded);
         }
     }
+    for chaotic in [false, true] {
+        let title = format!("outside: edge, {} border", if chaotic { "chaotic" } else { "smooth" });
+        if harness::wanted(&title) {
+            edge(&mut report, &title, chaotic);
+        }
+    }
     if harness::wanted("growth") {
         growth(&mut report);
     }
@@ -77,11 +83,49 @@ fn table(report: &mut Report, title: &str, extent: Extent, channels: Channels, f
     report.line(&format!("{share:.2} % of the cells fold; {:.2} ns a pixel.\n", medians[0] * 1e9 / extent.pixels() as f64));
 }
 
+/// Most pixels lie outside of the posed picture and get the colour of its border, which is smooth or jumps to and fro across the target.
+fn edge(report: &mut Report, title: &str, chaotic: bool) {
+    let extent = extent(SMALL);
+    let source = Arc::new(Source::new(photograph(extent, Channels::Rgba)));
+    let side = f64::from(SMALL.0);
+    let (columns, rows) = (2 * VERTICES, VERTICES);
+    let grid = Grid::with_counts(side, side, columns, rows);
+    let mut random = 1_u32;
+    let mut share = || {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(random >> 8) / f64::from(1 << 24)
+    };
+    // Each column is one place: no cell covers anything.
+    let places: Vec<[f64; 2]> = (0..columns).map(|_| [side * share(), side * share()]).collect();
+    let displacement = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j))).map(|(i, j)| {
+        let v = grid.vertex(i, j);
+        let to = if chaotic { places[i as usize] } else { [0.3 * v.x, 0.3 * v.y] };
+        [(to[0] - v.x) as f32, (to[1] - v.y) as f32]
+    });
+    let mesh = Mesh::new(grid, displacement.collect());
+    let one = pool(1);
+    let mut drawings = [Outside::Transparent, Outside::Edge].map(|outside| {
+        let options = RenderOptions { outside, ..options(extent) };
+        Drawing { options, ..Drawing::new(&source, &mesh, extent, Level::detect(), 1) }
+    });
+    let bare = drawings[0].bare();
+    let [transparent, edge] = &mut drawings;
+    let mut contenders =
+        vec![inside(&one, "transparent outside, 1 thread", || transparent.draw()), inside(&one, "edge outside, 1 thread", || edge.draw())];
+    let medians = report.table(title, 11, &mut contenders);
+    let cost = (medians[1] - medians[0]) * 1e9 / bare as f64;
+    report.line(&format!(
+        "{bare} of {} pixels lie outside; {cost:.0} ns more for each of them than for a transparent one.\n",
+        extent.pixels()
+    ));
+}
+
 /// One picture, drawn again and again into one buffer.
 struct Drawing<'a> {
     source: &'a Arc<Source>,
     mesh: &'a Mesh,
     extent: Extent,
+    options: RenderOptions,
     level: Level,
     bands: u32,
     out: Vec<u8>,
@@ -89,11 +133,17 @@ struct Drawing<'a> {
 
 impl<'a> Drawing<'a> {
     fn new(source: &'a Arc<Source>, mesh: &'a Mesh, extent: Extent, level: Level, bands: u32) -> Self {
-        Self { source, mesh, extent, level, bands, out: Vec::new() }
+        Self { source, mesh, extent, options: options(extent), level, bands, out: Vec::new() }
+    }
+
+    /// Pixels that nothing is painted on.
+    fn bare(&mut self) -> usize {
+        self.draw();
+        self.out.chunks_exact(4).filter(|pixel| pixel[3] == 0).count()
     }
 
     fn draw(&mut self) {
-        let renderer = Renderer::with_level(Arc::clone(self.source), self.mesh, options(self.extent), self.level);
+        let renderer = Renderer::with_level(Arc::clone(self.source), self.mesh, self.options, self.level);
         let row = self.extent.width() as usize * renderer.channels().count();
         self.out.resize(row * self.extent.height() as usize, 0);
         if self.bands == 1 {

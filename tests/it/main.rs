@@ -48,3 +48,4 @@ mod tls;
 mod traces;
 mod warnings;
 mod watchers;
+mod work;

@@ -1,0 +1,241 @@
+//! Work that nobody waits for any more, and the sets of handles that cost the most: the program is sent both, and an innocent client drags meanwhile.
+//! Its p99 and the time for which a worker stays busy after its client has left are printed beside the bar (`--nocapture`); asserted is only that the
+//! work ends long before it would be done.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use reqwest::{Client, RequestBuilder, Response};
+use serde_json::{Value, json};
+
+use crate::slow::Healthy;
+use crate::support::program::Program;
+use crate::support::server::form;
+use crate::support::{Server, photo};
+
+/// Work ends within this after its last client has left or at its deadline: what the service promises, on an idle machine.
+const BAR: Duration = Duration::from_millis(50);
+/// What a busy machine and a program without optimisation may make of that.
+const COARSE: Duration = Duration::from_secs(2);
+/// The work takes several times `COARSE` when it is not stopped.
+const SIDES: (u32, u32) = (640, 400);
+
+struct Victim {
+    program: Program,
+    client: Client,
+}
+
+impl Victim {
+    fn start(options: &[&str]) -> Self {
+        Self {
+            program: Program::start(&[&["--workers", "2", "--log", "off,mlswarp::service::http::server=info"], options].concat()),
+            client: Client::new(),
+        }
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.program.address
+    }
+
+    fn post(&self, path: &str) -> RequestBuilder {
+        self.client.post(format!("http://{}{path}", self.address()))
+    }
+
+    /// Requests that decode, fill tables or weigh rows now.
+    async fn busy(&self) -> u64 {
+        let text = self.client.get(format!("http://{}/metrics", self.address())).send().await.unwrap().text().await.unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix("mlswarp_workers_busy{work=\"upload\"} ")).unwrap();
+        line.parse().unwrap()
+    }
+
+    /// Waits until as many requests are worked on; how long that took.
+    async fn until_busy(&self, workers: u64, what: &str) -> Duration {
+        let began = Instant::now();
+        while self.busy().await != workers {
+            assert!(began.elapsed() < Duration::from_secs(60), "{what}: never {workers} busy");
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        began.elapsed()
+    }
+
+    /// Sends a request, leaves while it is worked on, and waits until no worker is busy.
+    async fn leaves(&self, what: &str, request: RequestBuilder) {
+        let well = Healthy::begin(self.address()).await;
+        let sending = tokio::spawn(request.send());
+        self.until_busy(1, what).await;
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        assert!(!sending.is_finished() && self.busy().await == 1, "{what}: too little work to leave it: {:?}", sending.await);
+        sending.abort();
+        let busy = self.until_busy(0, what).await;
+        eprintln!("{what}: busy for {:.1} ms after its client left, bar {BAR:?}", busy.as_secs_f64() * 1e3);
+        assert!(busy < COARSE, "{what}: {busy:?}");
+        well.end(what).await;
+    }
+
+    async fn session(&self, warp: &Value) -> String {
+        let response = self.post("/sessions").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string())).send().await.unwrap();
+        assert_eq!(response.status(), 201);
+        response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    }
+}
+
+/// So many segments, and an exponent for which they are weighed by quadrature: a tenth of a millisecond a vertex and more.
+fn slow_lines(count: u32) -> Vec<[[f64; 2]; 2]> {
+    let line = |k: u32| {
+        let (x, y) = (f64::from(k % 20) * 30.0 + 10.25, f64::from(k / 20) * 35.0 + 8.75);
+        [[x, y], [x + 21.0, y + f64::from(k % 7) * 3.0]]
+    };
+    (0..count).map(line).collect()
+}
+
+fn moved(lines: &[[[f64; 2]; 2]]) -> Vec<[[f64; 2]; 2]> {
+    lines.iter().map(|line| line.map(|[x, y]| [x + 2.0, y - 3.0])).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn work_ends_when_its_client_leaves() {
+    // 25,000 vertices of 200 columns: a table of 60 MB, as large as may be.
+    let victim = Victim::start(&["--max-plan-bytes", "64MiB"]);
+    let lines = slow_lines(100);
+    let warp = |cell: f64| json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": cell}});
+    let picture = photo(SIDES.0, SIDES.1);
+    victim.leaves("a plan at the byte limit", victim.post("/warp").multipart(form(&picture, warp(3.2).to_string()))).await;
+    victim.leaves("a grid without a table", victim.post("/warp").multipart(form(&picture, warp(1.0).to_string()))).await;
+    // A session is made without posing anything; its table would not fit.
+    let id = victim.session(&json!({"p": lines, "alpha": 1.3, "grid": "pixel"})).await;
+    let q = json!({"q": moved(&lines)});
+    victim.leaves("a drag without a table", victim.post(&format!("/sessions/{id}/warp")).json(&q)).await;
+    let mesh = victim.post(&format!("/sessions/{id}/mesh")).header("accept", "application/octet-stream");
+    victim.leaves("a mesh without a table", mesh.json(&q)).await;
+    let places: Vec<[f64; 2]> = (0..40_000_u32).map(|k| [f64::from(k % 200) * 3.2, f64::from(k / 200) * 2.0]).collect();
+    let points = json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "points": places, "extent": [SIDES.0, SIDES.1]});
+    victim.leaves("many places", victim.post("/points").json(&points)).await;
+    let points = json!({"q": moved(&lines), "points": places});
+    victim.leaves("many places of a session", victim.post(&format!("/sessions/{id}/points")).json(&points)).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_shared_plan_is_finished_for_the_client_that_stays_and_stops_with_the_last() {
+    let victim = Victim::start(&["--max-plan-bytes", "64MiB"]);
+    let lines = slow_lines(60);
+    let (picture, warp) =
+        (photo(SIDES.0, SIDES.1), json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 6.4}}).to_string());
+    // Each with a connection of its own.
+    let send =
+        || tokio::spawn(Client::new().post(format!("http://{}/warp", victim.address())).multipart(form(&picture, warp.clone())).send());
+    let first = send();
+    victim.until_busy(1, "the first").await;
+    let (second, third) = (send(), send());
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    assert!(!first.is_finished(), "too little work to leave it");
+    first.abort();
+    third.abort();
+    let answer = second.await.unwrap().unwrap();
+    assert_eq!(answer.status(), 200, "{:?}", answer.text().await);
+    victim.until_busy(0, "nobody").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn work_ends_at_its_deadline() {
+    let victim = Victim::start(&["--max-plan-bytes", "64MiB", "--request-timeout", "700ms"]);
+    let lines = slow_lines(100);
+    let warp = json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 3.2}});
+    let request = victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()));
+    let answer = request.send().await.unwrap();
+    let busy = victim.until_busy(0, "the deadline").await;
+    assert!(answer.status().is_client_error() || answer.status().is_server_error(), "{}", answer.status());
+    eprintln!("busy for {:.1} ms after the deadline, bar {BAR:?}", busy.as_secs_f64() * 1e3);
+    assert!(busy < COARSE, "{busy:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn newer_drags_do_not_stop_the_plan_that_all_of_them_need() {
+    let server = Server::start(&["--workers", "1"]).await;
+    let lines = slow_lines(60);
+    let id = server.session(&photo(SIDES.0, SIDES.1), &json!({"p": lines, "alpha": 1.3, "grid": {"cell": 8}})).await;
+    server.app.forget_caches();
+    let built = || server.app.counters().plans_built;
+    let before = built();
+    let drag = |seq: u64| tokio::spawn(server.post(&format!("/sessions/{id}/warp")).json(&json!({"seq": seq, "q": moved(&lines)})).send());
+    let mut drags = vec![drag(1)];
+    // One after the other while the plan is built: the only worker stays with the build, and the newest drag gets the picture.
+    for seq in 2..20 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        drags.push(drag(seq));
+    }
+    let mut statuses = Vec::new();
+    for drag in drags {
+        statuses.push(drag.await.unwrap().unwrap().status().as_u16());
+    }
+    assert_eq!(statuses.pop(), Some(200), "{statuses:?}");
+    assert!(statuses.iter().all(|status| [200, 409].contains(status)), "{statuses:?}");
+    assert_eq!(built() - before, 1);
+}
+
+/// A problem or not: how a request was answered, and how long that took.
+async fn answered(what: &str, request: RequestBuilder) -> Response {
+    let began = Instant::now();
+    let answer = request.send().await.unwrap();
+    eprintln!("{what}: {} after {:.1} ms", answer.status(), began.elapsed().as_secs_f64() * 1e3);
+    answer
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn handles_that_crowd_keep_nobody_waiting() {
+    let victim = Victim::start(&[]);
+    let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+    let lines = |line: &dyn Fn(f64) -> [[f64; 2]; 2]| (0..5000).map(|k| json!(line(f64::from(k)))).collect::<Vec<_>>();
+    let sets: [(&str, Vec<Value>, u16); 6] = [
+        ("10,000 points within 1 px", (0..10_000).map(|k| json!([100.0 + 0.7 * share(k), 100.0 + 0.7 * share(k ^ 0x5bd1)])).collect(), 200),
+        ("10,000 points at one place", (0..10_000).map(|_| json!([3, 4])).collect(), 200),
+        ("10,000 points of one x", (0..10_000).map(|k| json!([7, 400.0 * share(k)])).collect(), 200),
+        ("5,000 parallel lines", lines(&|k| [[0.0, 0.01 * k], [400.0, 80.0 + 0.01 * k]]), 200),
+        (
+            "5,000 rays",
+            lines(&|k| [[300.0 + 9.0 * k.cos(), 300.0 + 9.0 * k.sin()], [300.0 + 200.0 * k.cos(), 300.0 + 200.0 * k.sin()]]),
+            200,
+        ),
+        ("5,000 lines that all cross", lines(&|k| [[0.0, 0.08 * k], [400.0, 400.0 - 0.08 * k]]), 413),
+    ];
+    let well = Healthy::begin(victim.address()).await;
+    for (name, p, status) in sets {
+        let body = json!({"p": p, "q": p, "points": [[50, 50]], "extent": [640, 400]});
+        let answer = answered(name, victim.post("/points").json(&body)).await;
+        assert_eq!(answer.status().as_u16(), status, "{name}: {}", answer.text().await.unwrap());
+    }
+    well.end("handles that crowd").await;
+}
+
+/// Handles along the border whose targets jump to and fro across the picture: the border crosses it as often.
+fn chaotic(count: u32) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
+    let (width, height) = (f64::from(SIDES.0), f64::from(SIDES.1));
+    // No two of them at one place, also not at the corners.
+    let rest = |k: u32| match (k % 4, f64::from(k) / f64::from(count)) {
+        (0, t) => [width * t, 0.0],
+        (1, t) => [width * t, height],
+        (2, t) => [0.0, height * t],
+        (_, t) => [width, height * t],
+    };
+    let noise = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+    (
+        (0..count).map(rest).collect(),
+        (0..count).map(|k| [3.0 * width * (noise(k) - 0.5), 3.0 * height * (noise(k ^ 0x5bd1) - 0.5)]).collect(),
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_chaotic_border_is_painted_and_is_given_up_when_its_client_leaves() {
+    let victim = Victim::start(&[]);
+    let (p, q) = chaotic(396);
+    let well = Healthy::begin(victim.address()).await;
+    for (name, outside) in [("a chaotic border, transparent outside", "transparent"), ("a chaotic border, its edge outside", "edge")] {
+        let warp = json!({"p": p, "q": q, "alpha": 2, "grid": {"cell": 4}, "output": {"outside": outside, "compression": "none"}});
+        let answer = answered(name, victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()))).await;
+        assert_eq!(answer.status(), 200);
+        assert!(!answer.bytes().await.unwrap().is_empty());
+    }
+    well.end("chaotic borders").await;
+    let warp = json!({"p": p, "q": q, "alpha": 2, "grid": {"cell": 4}, "output": {"outside": "edge", "format": "jpeg", "width": 4000}});
+    let request = victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()));
+    victim.leaves("a large picture with a chaotic border", request).await;
+}
