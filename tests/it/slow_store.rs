@@ -64,7 +64,7 @@ async fn cold_drags_that_wait_for_their_files_keep_nobody_else_waiting() {
     for drag in cold {
         png(drag.await.unwrap().unwrap()).await;
     }
-    assert_eq!((relay.held(), server.app.budget().taken_for(mlswarp::service::budget::Purpose::Upload)), (2, 0));
+    assert_eq!(relay.held(), 2);
     server.is_well().await;
 }
 
@@ -97,7 +97,7 @@ async fn a_file_is_in_the_account_while_it_is_fetched() {
     let id = server.session(&file, &json!({"p": [[2, 2]]})).await;
     server.app.forget_caches();
     let budget = server.app.budget();
-    assert_eq!(budget.taken_for(Purpose::Image), 0);
+    eventually("no picture is held", || budget.taken_for(Purpose::Image) == 0).await;
     relay.hold(Some("GET"));
     let cold = drag(&server, &id);
     eventually("the file is asked for", || relay.held() == 1).await;
@@ -107,7 +107,7 @@ async fn a_file_is_in_the_account_while_it_is_fetched() {
     server.app.forget_caches();
     eventually("nothing is left of it", || budget.taken_for(Purpose::Image) == 0).await;
     // Where there is no room for it, it is not asked for.
-    let rest = budget.take(Purpose::Frame, budget.total() - budget.taken() - 1024).unwrap();
+    let rest = budget.take(Purpose::Frame, budget.total() / 8 * 7 - budget.taken() - file.len() as u64).unwrap();
     relay.hold(Some("GET"));
     problem(drag(&server, &id).await.unwrap().unwrap(), 503, "overloaded").await;
     assert_eq!(relay.held(), 1);
