@@ -1,9 +1,10 @@
-//! How many sessions each client keeps, and how many bytes of their files and records: what a store holds of a session cannot be taken back before
-//! it ends, so each client has a limit below the store's.
+//! How many sessions each client keeps, and how many bytes of their files and records: what a store holds of a session cannot be taken
+//! back before it ends, so each client has a limit below the store's.
 //!
-//! Counted are the sessions that were made through this process since it started, for the client that made them last. Nothing of this is stored: an
-//! address is written nowhere. What other replicas make, and what a store kept from before a restart, is bounded by the store's own limits alone. A
-//! session ends here when it is deleted or found to be gone, and otherwise when it has not been used through this process for one idle period.
+//! Counted are the sessions that were made through this process since it started, for the client that made them last. Nothing of this is
+//! stored: an address is written nowhere. What other replicas make, and what a store kept from before a restart, is bounded by the
+//! store's own limits alone. A session ends here when it is deleted or found to be gone, and otherwise when it has not been used through
+//! this process for one idle period.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

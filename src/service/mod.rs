@@ -237,7 +237,8 @@ impl App {
     /// Takes memory that counts for a client, and makes room for it as [`App::reserve`].
     ///
     /// # Errors
-    /// As [`App::reserve`]; [`Code::Overloaded`] for a client that does not read its answers, [`Code::RateLimited`] for one whose requests take too much.
+    /// As [`App::reserve`]; [`Code::Overloaded`] for a client that does not read its answers, [`Code::RateLimited`] for one whose
+    /// requests take too much.
     pub fn reserve_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
         self.giving_way(|| self.0.budget.take_for(purpose, share, bytes))
     }

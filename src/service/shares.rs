@@ -1,5 +1,5 @@
-//! Memory that one client may hold: answers that it has not read, however slowly it reads, and requests that it is sending, however slowly it
-//! sends. Neither can be taken back, so each has a limit for every client.
+//! Memory that one client may hold: answers that it has not read, however slowly it reads, and requests that it is sending, however
+//! slowly it sends. Neither can be taken back, so each has a limit for every client.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -36,7 +36,7 @@ pub struct Share {
 }
 
 impl Shares {
-    /// At most so many bytes of one client.
+    /// `limit`: bytes that one client may hold.
     #[must_use]
     pub fn new(quota: Quota, limit: u64) -> Self {
         Self { quota, limit, held: Mutex::default() }
@@ -73,7 +73,10 @@ impl Share {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// Takes so much more for something that has `own` already; alone it may be larger than the share. What is held instead when it may not.
+    /// Takes `more` bytes for something that has `own` already; alone it may be larger than the share.
+    ///
+    /// # Errors
+    /// What the client holds: there is no room for more.
     pub(super) fn take(&self, own: u64, more: u64) -> Result<(), u64> {
         let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || held <= own);
         self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)

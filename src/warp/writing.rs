@@ -79,7 +79,8 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
         self.warp.writer.strips()
     }
 
-    /// Takes strips until none is left, nobody listens, or the watch says that this thread goes. True for the one call that handed over the last piece.
+    /// Takes strips until none is left, nobody listens, or the watch says that this thread goes. True for the one call that handed over
+    /// the last piece.
     pub fn work(&self, watch: &dyn Watch) -> bool {
         let Warp { renderer, writer, .. } = &*self.warp;
         let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();

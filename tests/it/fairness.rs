@@ -1,5 +1,5 @@
-//! What one client can take from the others: the table in `deploy/README.md`, a test for each of its rows. Clients without keys are told apart by their
-//! addresses; on Linux all of 127.0.0.0/8 is the loopback. The tests count answers and their order; times are printed.
+//! What one client can take from the others: the table in `deploy/README.md`, a test for each of its rows. Clients without keys are told
+//! apart by their addresses; on Linux all of 127.0.0.0/8 is the loopback. The tests count answers and their order; times are printed.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -92,7 +92,7 @@ struct Flood {
 }
 
 impl Flood {
-    /// So many at a time; `ask` makes the n-th request of a task.
+    /// `at_once` requests at a time; `ask` makes the n-th request of a task.
     fn start(at_once: usize, ask: impl Fn(usize, u64) -> RequestBuilder + Clone + Send + 'static) -> Self {
         let (answered, over) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
         let task = |task: usize| {
@@ -136,7 +136,7 @@ async fn meanwhile(what: &str, number: usize, flood: &Flood, ask: impl AsyncFn(u
     let others = flood.answered() - before;
     times.sort_unstable();
     let p99 = times[(number * 99).div_ceil(100) - 1];
-    println!("{what}: {number} of {} answers; median {:.0?}, p99 {p99:.0?}", number + others, times[number / 2]);
+    eprintln!("{what}: {number} of {} answers; median {:.0?}, p99 {p99:.0?}", number + others, times[number / 2]);
     others
 }
 
@@ -243,7 +243,7 @@ async fn many_sockets_do_not_starve_the_socket_of_another_address() {
     assert!(others <= 4 * 40, "{others} frames of sixteen sockets beside 40 of one");
 }
 
-/// Row: places in the queue. Whoever has most of them makes room.
+/// Row: places in the queue. The client that has most of them makes room.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_full_queue_makes_room_at_the_cost_of_the_client_that_has_most() {
     let server = Server::start(&["--workers", "1", "--queue", "4"]).await;
@@ -412,7 +412,7 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
         assert!(server.app.request_share(one.who()).held() <= limit);
     }
     let taken = server.app.budget().taken_for(Purpose::Upload);
-    println!("{} uploads are held, {refused} were refused; {taken} bytes are taken, {limit} is the limit", held.len() - refused);
+    eprintln!("{} uploads are held, {refused} were refused; {taken} bytes are taken, {limit} is the limit", held.len() - refused);
     assert!(refused >= 6 && held.len() - refused >= 2);
     // Uploads and drags of others have their own part.
     for n in 0..5 {

@@ -87,8 +87,9 @@ pub(super) struct DoorsArgs {
     /// Most connections of one address (one /64 of IPv6) that is no trusted proxy.
     #[arg(long, env = "MLSWARP_MAX_CONNECTIONS_PER_ADDRESS", value_name = "N", default_value = "512", global = true)]
     max_connections_per_address: String,
-    /// Most that one client may take of what cannot be taken back, in percent: of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for
-    /// uploads; above it 429. A client is the name of a key, or where there are no keys an address (one /64 of IPv6). 100 = no limit.
+    /// Most that one client may take of what cannot be taken back, in percent: of `--max-sessions`, `--store-bytes`, `--max-sockets` and
+    /// the memory for uploads; above it 429. A client is the name of a key, or where there are no keys an address (one /64 of IPv6). 100
+    /// = no limit.
     #[arg(long, env = "MLSWARP_MAX_CLIENT_SHARE", value_name = "PERCENT", default_value = "50", global = true)]
     max_client_share: String,
     /// Longest time from a request's head to its answer's head.

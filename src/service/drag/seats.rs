@@ -43,8 +43,8 @@ pub struct Seat {
 }
 
 impl Seats {
-    /// `most` sockets in all, `of_client` of one client. So many `frames` of one client stand before the pool at one time: its others wait here, in order
-    /// of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
+    /// `most` sockets in all, `of_client` of one client. At most `frames` frames of one client stand before the pool at one time: its others
+    /// wait here, in order of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
     #[must_use]
     pub fn new(most: usize, of_client: u64, frames: usize) -> Self {
         Self(Arc::new(Hall {

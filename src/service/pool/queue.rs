@@ -1,16 +1,18 @@
 //! The queue before the workers: which request gets the next turn, and which one is refused. It decides at three levels:
 //!
-//! 1. Between clients ([`Tenant`]): the one that has used the least worker time lately goes first. Worker time is the time for which a client's
-//!    requests have held turns, including those that run now; what was used counts half after each [`HALF_LIFE`]. A client with a few large requests
-//!    therefore gets no more of the workers than one with many small ones. While no other client waits, a client has all turns.
+//! 1. Between clients ([`Tenant`]): the one that has used the least worker time lately goes first. Worker time is the time for which a
+//!    client's requests have held turns, including those that run now; what was used counts half after each [`HALF_LIFE`]. A client with
+//!    a few large requests therefore gets no more of the workers than one with many small ones. While no other client waits, a client has
+//!    all turns.
 //! 2. Between the lanes of a client (its sessions, and its requests without a session): they take turns.
-//! 3. Inside a lane: in a session's the newest request first, because the newest pose is the one that its user wants to see; otherwise the oldest.
+//! 3. Inside a lane: in a session's the newest request first, because the newest pose is the one that its user wants to see; otherwise
+//!    the oldest.
 //!
-//! A turn is never taken back before its request has ended. So that long requests of one client cannot hold all turns against the others, there is
-//! [`SPARE`] turn more than workers. Only a client that has no turn gets it.
+//! A turn is never taken back before its request has ended. So that long requests of one client cannot hold all turns against the others,
+//! there is one turn ([`SPARE`]) more than workers. Only a client that has no turn gets it.
 //!
-//! A full queue makes room for a newcomer by refusing the oldest request of the longest lane: of the client that has most requests waiting, or of
-//! the newcomer's own.
+//! A full queue makes room for a newcomer by refusing the oldest request of the longest lane: of the client that has most requests
+//! waiting, or of the newcomer's own.
 //!
 //! There is no clock and there are no threads here: times are handed in.
 
@@ -22,7 +24,7 @@ use crate::service::session::SessionId;
 
 /// Turns beyond the number of workers.
 pub(super) const SPARE: usize = 1;
-/// Worker time counts half after so many seconds.
+/// Seconds after which worker time counts half.
 const HALF_LIFE: f64 = 10.0;
 /// A client without requests that has used fewer seconds than this is not remembered.
 const NEGLIGIBLE: f64 = 0.01;
@@ -439,7 +441,7 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    /// Clients that always have requests waiting, of so many ms each, at `turns` turns; the worker time that each gets in a minute.
+    /// Clients that always have requests waiting, each of a given number of ms, at `turns` turns; the worker time that each gets in a minute.
     fn minute(turns: usize, costs: &[(u8, u32)]) -> BTreeMap<u8, u32> {
         let (mut queue, start) = (Queue::new(turns, 1000), Instant::now());
         let mut running: Vec<(u32, u8, u32)> = Vec::new();
@@ -472,7 +474,7 @@ mod tests {
             for costs in [&[(1, 2000), (2, 5)][..], &[(1, 500), (2, 20), (3, 20)], &[(1, 7), (2, 9)]] {
                 let got = minute(turns, costs);
                 let (least, most) = (got.values().min().unwrap(), got.values().max().unwrap());
-                println!("{turns} turns, (client, ms a request) {costs:?}: worker time in a minute {got:?} ms");
+                eprintln!("{turns} turns, (client, ms a request) {costs:?}: worker time in a minute {got:?} ms");
                 assert!(got.len() == costs.len() && *most <= *least * 3 / 2, "{turns} turns, {costs:?}: {got:?}");
             }
         }
@@ -504,8 +506,8 @@ mod tests {
     }
 
     proptest! {
-        /// Arrivals, ends and departures in any order: never more than are allowed, every request is called or refused exactly once, and no request
-        /// waits while there is a turn for it.
+        /// Arrivals, ends and departures in any order: never more than are allowed, every request is called or refused exactly once, and
+        /// no request waits while there is a turn for it.
         #[test]
         fn everyone_is_accounted_for(steps in prop::collection::vec((0_u8..4, 0_u8..6), 1..400), turns in 1_usize..4, most in 0_usize..8) {
             let mut queue: Queue<u32> = Queue::new(turns, most);

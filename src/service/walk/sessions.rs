@@ -131,8 +131,8 @@ impl App {
     /// Drops what was made for a record that is no session's any more.
     async fn forget(&self, record: &Record) {
         let setup = self.0.setups.remove(shelf_key(record));
-        // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the same size
-        // and handles, if there is one, builds them again.
+        // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the
+        // same size and handles, if there is one, builds them again.
         let owner = record.id.owner();
         if !self.0.store.names(owner, record.image) {
             self.0.images.remove(image_key(record));
