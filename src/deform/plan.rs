@@ -277,8 +277,9 @@ mod tests {
         // Two pieces of a table.
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
         let plan = Plan::of_grid(&field, &grid);
-        assert!(plan.bytes() as usize > PIECE_BYTES);
-        let works: [(&str, usize, &(dyn Fn(Gone<'_>) -> bool + Sync)); 3] = [
+        assert!(plan.bytes() > PIECE_BYTES as u64);
+        type GivesUp<'a> = &'a (dyn Fn(Gone<'_>) -> bool + Sync);
+        let works: [(&str, usize, GivesUp<'_>); 3] = [
             ("filling", grid.len() / LANES, &|gone| Plan::of_grid_unless(&field, &grid, gone).is_none()),
             ("posing", 2, &|gone| plan.pose_unless(&grid, &pose, gone).is_none()),
             ("without a table", grid.len() / LANES, &|gone| pose_without_table(&field, &grid, &pose, gone).is_none()),

@@ -206,36 +206,34 @@ async fn handles_that_crowd_keep_nobody_waiting() {
     well.end("handles that crowd").await;
 }
 
-/// Handles along the border whose targets jump to and fro across the picture: the border crosses it as often.
-fn chaotic(count: u32) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
+/// Handles at both ends of each column of a grid, and one target for both: no cell covers anything, and the border jumps to and fro across the picture.
+fn chaotic(columns: u32) -> Value {
     let (width, height) = (f64::from(SIDES.0), f64::from(SIDES.1));
-    // No two of them at one place, also not at the corners.
-    let rest = |k: u32| match (k % 4, f64::from(k) / f64::from(count)) {
-        (0, t) => [width * t, 0.0],
-        (1, t) => [width * t, height],
-        (2, t) => [0.0, height * t],
-        (_, t) => [width, height * t],
-    };
-    let noise = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
-    (
-        (0..count).map(rest).collect(),
-        (0..count).map(|k| [3.0 * width * (noise(k) - 0.5), 3.0 * height * (noise(k ^ 0x5bd1) - 0.5)]).collect(),
-    )
+    let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+    let ends = |k: u32| [0.0, height].map(|y| [width * f64::from(k) / f64::from(columns - 1), y]);
+    let p: Vec<[f64; 2]> = (0..columns).flat_map(ends).collect();
+    let q: Vec<[f64; 2]> = (0..columns).flat_map(|k| [[width * share(k), height * share(k ^ 0x5bd1)]; 2]).collect();
+    json!({"p": p, "q": q, "alpha": 2, "grid": {"columns": columns, "rows": 2}})
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_chaotic_border_is_painted_and_is_given_up_when_its_client_leaves() {
     let victim = Victim::start(&[]);
-    let (p, q) = chaotic(396);
+    let request = |columns: u32, output: Value| {
+        let mut warp = chaotic(columns);
+        warp["output"] = output;
+        victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()))
+    };
     let well = Healthy::begin(victim.address()).await;
-    for (name, outside) in [("a chaotic border, transparent outside", "transparent"), ("a chaotic border, its edge outside", "edge")] {
-        let warp = json!({"p": p, "q": q, "alpha": 2, "grid": {"cell": 4}, "output": {"outside": outside, "compression": "none"}});
-        let answer = answered(name, victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()))).await;
-        assert_eq!(answer.status(), 200);
-        assert!(!answer.bytes().await.unwrap().is_empty());
+    for columns in [200, 2000] {
+        for outside in ["transparent", "edge"] {
+            let name = format!("a border that jumps to and fro {columns} times, {outside} outside");
+            let answer = answered(&name, request(columns, json!({"outside": outside, "compression": "none"}))).await;
+            assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
+            assert!(!answer.bytes().await.unwrap().is_empty());
+        }
     }
     well.end("chaotic borders").await;
-    let warp = json!({"p": p, "q": q, "alpha": 2, "grid": {"cell": 4}, "output": {"outside": "edge", "format": "jpeg", "width": 4000}});
-    let request = victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()));
-    victim.leaves("a large picture with a chaotic border", request).await;
+    let large = request(2000, json!({"outside": "edge", "format": "jpeg", "width": 4000}));
+    victim.leaves("a large picture with a chaotic border", large).await;
 }
