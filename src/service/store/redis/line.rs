@@ -225,7 +225,7 @@ impl Line {
             return StoreError::Away;
         }
         self.0.peer.away(&text);
-        if self.lose(made).await && !is_broken(&error) {
+        if self.lose(made).await && !is_broken(error) {
             self.0.peer.leave_alone();
         }
         StoreError::Away
