@@ -1,6 +1,7 @@
 //! Byte-weighted LRU shelves with one build for many waiting requests: decoded pictures by the digest of their file, plans by everything
 //! that their coefficients depend on, both for each owner of keys: what one owner has sent is never found by another. What is kept holds
-//! its reservation of the account of memory, also when it was taken off the shelf and someone still uses it. An entry larger than its shelf is used but not kept.
+//! its reservation of the account of memory, also when it was taken off the shelf and someone still uses it. An entry larger than its
+//! shelf is used but not kept.
 //!
 //! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left: that takes
 //! it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new build.
