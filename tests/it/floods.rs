@@ -1,5 +1,5 @@
-//! Floods of HTTP/2 frames against the program: a client that only costs work is ended or slowed down, memory stays bounded, and an innocent client
-//! gets every answer. How fast it gets them is printed beside how fast it gets them without the flood (`--nocapture`), not asserted.
+//! Floods of HTTP/2 frames against the program: the connection is closed or slowed down, memory stays bounded, and an innocent client gets
+//! every answer. How fast it gets them is printed beside how fast it gets them without the flood (`--nocapture`), not asserted.
 
 use std::time::{Duration, Instant};
 
@@ -31,11 +31,11 @@ const ENHANCE_YOUR_CALM: u32 = 0xb;
 enum End {
     /// The server ended the connection, with this error where it said one.
     Closed { error: Option<u32> },
-    /// Everything was read, and so many pings and settings were acknowledged.
+    /// Everything was read; the number of pings and settings that were acknowledged.
     Read { acknowledged: u32 },
 }
 
-/// Sends `opening` and then so many batches, and reads what comes.
+/// Sends `opening` and then `batches` batches, and reads what comes.
 async fn flood(program: &Program, opening: &[u8], batches: u32, batch: &impl Fn(u32) -> Vec<u8>) -> End {
     let Frames { mut reader, mut write } = Frames::open(program.address, 65535).await;
     let reading = tokio::spawn(async move {
@@ -94,7 +94,8 @@ async fn endured<T>(name: &str, options: &[&str], attack: impl AsyncFnOnce(&Prog
     let p99 = innocent.end(name).await;
     let (grown, busy) = (program.resident().saturating_sub(memory), program.busy() - busy);
     eprintln!(
-        "{name}: the innocent client's p99 {:.1} ms (bar: {:.1} ms without the flood); the program was busy for {:.2} s in {:.2} s and grew by {grown} MiB",
+        "{name}: the innocent client's p99 {:.1} ms (bar: {:.1} ms without the flood); \
+         the program was busy for {:.2} s in {:.2} s and grew by {grown} MiB",
         ms(p99),
         ms(bar),
         busy.as_secs_f64(),

@@ -1,5 +1,5 @@
-//! `GET /problems/{code}`: what the `type` of a problem document leads to, that is, the section of `api/problems.md` about the code, as HTML or as
-//! JSON. The file uses little of Markdown (paragraphs, code, bold, blocks of JSON; tested), so little is read here.
+//! `GET /problems/{code}`: what the `type` of a problem document leads to, that is, the section of `api/problems.md` about the code, as HTML
+//! or as JSON. The file uses little of Markdown (paragraphs, code, bold, blocks of JSON; tested), so little is read here.
 
 use std::fmt::Write as _;
 use std::sync::LazyLock;
