@@ -112,8 +112,8 @@ impl Mesh {
         Some(folded)
     }
 
-    /// Whether a posed cell has a part of the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the
-    /// convex hull of its corners, which a cell without folds that is convex fills exactly. Costs one vertex as a rule, at most a look at every cell.
+    /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the convex
+    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell.
     #[must_use]
     pub fn intersects_picture(&self) -> bool {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
@@ -134,8 +134,8 @@ impl Mesh {
     }
 }
 
-/// Whether the convex hull of four points and the rectangle from the origin to `far` have more than a border in common: no line along an edge of
-/// either separates them.
+/// Whether the convex hull of four points and the rectangle from the origin to `far` have more than a border in common: no line along an
+/// edge of either separates them.
 fn overlaps(corners: [Point; 4], far: Point) -> bool {
     let range = |values: [f64; 4]| values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     let apart = |(a, b): (f64, f64), (c, d): (f64, f64)| b <= c || d <= a;

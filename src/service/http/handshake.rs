@@ -24,7 +24,8 @@ const KEY: usize = 16;
 /// The answer to a request that opens a WebSocket; pages of these other sites may open one.
 ///
 /// # Errors
-/// What to answer instead: 405 to another method than GET, 426 to who asks for something else, 400 to who asks wrongly, 403 to a page of another site.
+/// What to answer instead: 405 to another method than GET, 426 to a request for something else, 400 to a malformed one, 403 to a page of
+/// another site.
 pub(super) fn accept(request: &Request, others: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.method() != Method::GET {

@@ -1,4 +1,5 @@
-//! The host that a request names: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and one that this listener serves.
+//! The host that a request names: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and one that this listener
+//! serves.
 
 use axum::extract::Request;
 use axum::http::Version;

@@ -1,5 +1,5 @@
-//! A stream from which only so many bytes may be read until a whole message has come. It counts what is on the wire: the WebSocket library
-//! counts payloads alone, and accepts any number of empty fragments.
+//! A stream with a limit on the bytes that are read for one message. It counts what is on the wire: the WebSocket library counts payloads
+//! alone, and accepts any number of empty fragments.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
