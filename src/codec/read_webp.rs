@@ -5,7 +5,7 @@
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
 use super::work::{Pieces, Work};
 use super::{CodecError, vp8l};
 use crate::pixmap::{Channels, Extent, Samples};
@@ -202,8 +202,7 @@ impl<'a> WebPFile<'a> {
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
             return Err(bad("two headers that disagree"));
         }
-        let mut out = room::<u8>(len)?;
-        out.resize(usize::try_from(len).map_err(|_| bad("larger than memory"))?, 0);
+        let mut out = zeros::<u8>(len, work)?;
         decoder.read_image(&mut out).map_err(bad)?;
         Ok(Samples::Eight(out))
     }
