@@ -27,6 +27,9 @@ enum Coding<'a> {
     Lossless(&'a [u8], bool),
 }
 
+/// What is coded as VP8L, and its width and height where the stream does not say them.
+type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
+
 /// A WebP whose chunks have been walked.
 #[derive(Debug)]
 pub(super) struct WebPFile<'a> {
@@ -125,8 +128,7 @@ impl<'a> WebPFile<'a> {
         Ok(file)
     }
 
-    /// What is coded as VP8L, and its size where the stream does not say it.
-    fn lossless_stream(&self) -> Option<(&'a [u8], Option<(u32, u32)>)> {
+    fn lossless_stream(&self) -> Option<Stream<'a>> {
         match self.coding {
             Coding::Lossless(vp8l, _) => Some((vp8l, None)),
             Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {

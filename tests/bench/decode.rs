@@ -1,7 +1,15 @@
 //! The longest time for which a decoder does not ask whether its picture is still wanted, on constructed files at the limits on pixels, sides and
 //! bytes of a request: the table "How long a decoder runs on" in deploy/README.md. `cargo bench --bench decode`.
 
-#![allow(missing_docs, unreachable_pub, dead_code, clippy::print_stdout, clippy::cast_possible_truncation, reason = "a program")]
+#![allow(
+    missing_docs,
+    unreachable_pub,
+    dead_code,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    reason = "a program, and the files of a test"
+)]
 
 #[path = "../it/support/bombs.rs"]
 mod bombs;

@@ -170,7 +170,7 @@ fn png_damage_is_an_error() {
 /// The bounds on data hold what encoders write at their worst, and little more.
 #[test]
 fn png_data_is_bounded_by_the_picture() {
-    let rows: Vec<u8> = (0..100 * 301_usize).map(|n| if n.is_multiple_of(301) { 0 } else { (n * n >> 3) as u8 }).collect();
+    let rows: Vec<u8> = (0..100 * 301_usize).map(|n| if n.is_multiple_of(301) { 0 } else { ((n * n) >> 3) as u8 }).collect();
     let of = |chunks: Vec<Vec<u8>>| {
         let chunks: Vec<_> = chunks.into_iter().map(|data| (b"IDAT", data)).collect();
         let file = [&[(b"IHDR", bombs::ihdr(100, 100))], &chunks[..], &[(b"IEND", vec![])]].concat();
