@@ -119,6 +119,18 @@ pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
     Ok(samples)
 }
 
+/// `len` samples of zero. Memory is touched for the first time here, which takes as long as some decoders: the question is asked meanwhile.
+pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+    const PART: usize = 1 << 22;
+    let mut samples = room(len)?;
+    let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));
+    while samples.len() < len {
+        work.check()?;
+        samples.resize(len.min(samples.len() + PART), T::default());
+    }
+    Ok(samples)
+}
+
 /// Samples of a picture.
 pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
     pixels.saturating_mul(channels.count() as u64)

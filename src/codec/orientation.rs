@@ -2,7 +2,7 @@
 //! IFD 0 (EXIF 2.32, 4.6.5) and applied once. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity, never an
 //! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
 
-use super::decode::room;
+use super::decode::zeros;
 use super::{CodecError, Work};
 
 const ORIENTATION_TAG: u16 = 0x0112;
@@ -101,8 +101,7 @@ impl Orientation {
     }
 
     fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
-        let mut upright = room(stored.len() as u64)?;
-        upright.resize(stored.len(), T::default());
+        let mut upright = zeros(stored.len() as u64, work)?;
         let from = stored.as_chunks::<N>().0;
         let into = upright.as_chunks_mut::<N>().0;
         let height = from.len() / width;

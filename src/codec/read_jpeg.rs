@@ -7,7 +7,7 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::CodecError;
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
 use super::work::{Bytes, Work};
 use crate::pixmap::{Channels, Extent, Samples};
 
@@ -228,8 +228,7 @@ impl<'a> JpegFile<'a> {
             return Err(bad("two headers that disagree"));
         }
         let len = sample_count(self.extent.pixels(), Channels::Rgb);
-        let mut out = room::<u8>(len)?;
-        out.resize(width * height * Channels::Rgb.count(), 0);
+        let mut out = zeros::<u8>(len, work)?;
         if decoder.output_buffer_size() != Some(out.len()) {
             return Err(bad("another colour space than RGB"));
         }

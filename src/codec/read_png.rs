@@ -6,25 +6,27 @@ use std::borrow::Cow;
 use std::io::Read;
 
 use super::CodecError;
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
 use super::work::{Pieces, Work};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 pub(super) const NAME: &str = "PNG";
 const SIGNATURE: usize = 8;
-/// Length, kind and checksum of a chunk.
-const CHUNK_FRAME: u64 = 12;
 
 /// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
 const MAX_INFLATION: u64 = 1032;
 
-/// What the data may take at most for each byte of filtered rows, heads and checksums of its chunks included. Deflate without any gain takes
-/// 9/8 at most (fixed codes); the rest is for encoders that write stored blocks or chunks of some 20 bytes.
+/// What the data may take at most for each byte of filtered rows. Deflate without any gain takes 9/8 (fixed codes); the rest is for encoders
+/// that write stored blocks of a few bytes.
 const DATA_PER_BYTE: u64 = 2;
-/// The same for each row: an encoder may flush each row (5 bytes), and end its chunk there (12).
-const DATA_PER_ROW: u64 = 32;
-/// The same for a picture of any size. A chunk for each byte of a small picture is found in test suites.
+/// The same for each row: an encoder may flush each row, which takes 5 bytes, or some blocks of their own.
+const DATA_PER_ROW: u64 = 16;
+/// The same for a picture of any size.
 const FREE_DATA: u64 = 64 << 10;
+/// Data chunks, beside one for each row: encoders have buffers of some KiB, and the smallest that are known of half a KiB.
+const BYTES_PER_CHUNK: u64 = 512;
+/// Data chunks for a picture of any size: test suites have small pictures with a chunk for each byte.
+const FREE_CHUNKS: u64 = 4096;
 
 /// What a deflated profile may take at most: stored, with as much to spare as the data of a picture has.
 const MAX_DEFLATED_ICC: usize = MAX_ICC + (64 << 10);
@@ -178,9 +180,12 @@ impl<'a> PngFile<'a> {
             return Err(bad(format!("{} bytes of data cannot hold the picture", self.idat_bytes)));
         }
         let most = raw.saturating_mul(DATA_PER_BYTE).saturating_add(rows * DATA_PER_ROW).saturating_add(FREE_DATA);
-        let data = self.idat_bytes + CHUNK_FRAME * self.idat_chunks;
-        if data > most {
-            return Err(bad(format!("{data} bytes of data chunks for a picture that takes at most {most}")));
+        if self.idat_bytes > most {
+            return Err(bad(format!("{} bytes of data for a picture that takes at most {most}", self.idat_bytes)));
+        }
+        let most = rows + raw / BYTES_PER_CHUNK + FREE_CHUNKS;
+        if self.idat_chunks > most {
+            return Err(bad(format!("{} chunks of data for a picture that takes at most {most}", self.idat_chunks)));
         }
         Ok(())
     }
@@ -244,8 +249,9 @@ impl<'a> PngFile<'a> {
         let mut row = room::<u8>(line as u64)?;
         row.resize(line, 0);
         let per_pixel = self.channels().count();
-        let mut out = room::<T>(sample_count(self.extent.pixels(), self.channels()))?;
+        let len = sample_count(self.extent.pixels(), self.channels());
         if !self.interlaced {
+            let mut out = room::<T>(len)?;
             for _ in 0..height {
                 work.check()?;
                 reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
@@ -253,7 +259,7 @@ impl<'a> PngFile<'a> {
             }
             return Ok(out);
         }
-        out.resize(out.capacity().min(width * height * per_pixel), T::default());
+        let mut out = zeros::<T>(len, work)?;
         let mut pixels = room::<T>((width * per_pixel) as u64)?;
         for (first_column, first_row, column_step, row_step) in ADAM7 {
             let columns = width.saturating_sub(first_column).div_ceil(column_step);

@@ -5,7 +5,7 @@
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count};
+use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
 use super::work::{Pieces, Work};
 use super::{CodecError, vp8l};
 use crate::pixmap::{Channels, Extent, Samples};
@@ -26,6 +26,9 @@ enum Coding<'a> {
     /// VP8L.
     Lossless(&'a [u8], bool),
 }
+
+/// What is coded as VP8L, and its width and height where the stream does not say them.
+type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 
 /// A WebP whose chunks have been walked.
 #[derive(Debug)]
@@ -125,8 +128,7 @@ impl<'a> WebPFile<'a> {
         Ok(file)
     }
 
-    /// What is coded as VP8L, and its size where the stream does not say it.
-    fn lossless_stream(&self) -> Option<(&'a [u8], Option<(u32, u32)>)> {
+    fn lossless_stream(&self) -> Option<Stream<'a>> {
         match self.coding {
             Coding::Lossless(vp8l, _) => Some((vp8l, None)),
             Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {
@@ -202,8 +204,7 @@ impl<'a> WebPFile<'a> {
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
             return Err(bad("two headers that disagree"));
         }
-        let mut out = room::<u8>(len)?;
-        out.resize(usize::try_from(len).map_err(|_| bad("larger than memory"))?, 0);
+        let mut out = zeros::<u8>(len, work)?;
         decoder.read_image(&mut out).map_err(bad)?;
         Ok(Samples::Eight(out))
     }

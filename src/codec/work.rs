@@ -133,6 +133,11 @@ impl<'a> Bytes<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &'a Work<'a>) -> Self {
         Self { cursor: ZCursor::new(bytes), requests: 0, work }
     }
+
+    fn ask(&mut self) -> Result<(), ZByteIoError> {
+        let gone = self.work.requests(std::mem::take(&mut self.requests));
+        if gone { Err(ZByteIoError::Generic("the picture is no longer wanted")) } else { Ok(()) }
+    }
 }
 
 impl ZByteReaderTrait for Bytes<'_> {
@@ -142,6 +147,8 @@ impl ZByteReaderTrait for Bytes<'_> {
     }
 
     fn read_exact_bytes(&mut self, into: &mut [u8]) -> Result<(), ZByteIoError> {
+        // Heads of segments: a scan behind one may pass over the whole picture in a few bytes.
+        self.ask()?;
         self.cursor.read_exact_bytes(into)
     }
 
@@ -165,9 +172,7 @@ impl ZByteReaderTrait for Bytes<'_> {
     fn is_eof(&mut self) -> Result<bool, ZByteIoError> {
         self.requests += 1;
         if self.requests >= REQUESTS {
-            if self.work.requests(std::mem::take(&mut self.requests)) {
-                return Err(ZByteIoError::Generic("the picture is no longer wanted"));
-            }
+            self.ask()?;
         }
         self.cursor.is_eof()
     }

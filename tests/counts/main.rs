@@ -14,7 +14,7 @@
     reason = "a program that is started by a script"
 )]
 
-#[allow(dead_code, reason = "other tests use the rest of it")]
+#[allow(dead_code, clippy::unwrap_used, reason = "of a test, which uses the rest of it")]
 #[path = "../it/support/bombs.rs"]
 mod bombs;
 #[path = "../bench/sets.rs"]

@@ -167,6 +167,40 @@ fn png_damage_is_an_error() {
     assert!(matches!(decode(&no_palette, &Limits::default()), Err(CodecError::Bad { .. })));
 }
 
+/// The bounds on data hold what encoders write at their worst, and little more.
+#[test]
+fn png_data_is_bounded_by_the_picture() {
+    let rows: Vec<u8> = (0..100 * 301_usize).map(|n| if n.is_multiple_of(301) { 0 } else { ((n * n) >> 3) as u8 }).collect();
+    let of = |chunks: Vec<Vec<u8>>| {
+        let chunks: Vec<_> = chunks.into_iter().map(|data| (b"IDAT", data)).collect();
+        let file = [&[(b"IHDR", bombs::ihdr(100, 100))], &chunks[..], &[(b"IEND", vec![])]].concat();
+        decode(&bombs::png(&file), &Limits::default())
+    };
+    let plain = made::deflate(&rows);
+    let pixels = of(vec![plain.clone()]).unwrap().pixmap;
+    // Flushed after every row, stored in chunks of 16 bytes, and a chunk for each byte.
+    let mut flushed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::none());
+    for row in rows.chunks(301) {
+        std::io::Write::write_all(&mut flushed, row).unwrap();
+        std::io::Write::flush(&mut flushed).unwrap();
+    }
+    let flushed = flushed.finish().unwrap();
+    let of_sixteen: Vec<Vec<u8>> = flushed.chunks(16).map(<[u8]>::to_vec).collect();
+    let small = &bombs::behind_blocks(bombs::EmptyBlock::Stored, 0, &[0; 32 * 97]);
+    let singles = small.iter().map(|&byte| (b"IDAT", vec![byte]));
+    let single = [vec![(b"IHDR", bombs::ihdr(32, 32))], singles.collect(), vec![(b"IEND", vec![])]].concat();
+    assert!(decode(&bombs::png(&single), &Limits::default()).is_ok());
+    assert_eq!(of(vec![flushed]).unwrap().pixmap, pixels);
+    assert_eq!(of(of_sixteen).unwrap().pixmap, pixels);
+    // Twice the rows, 16 bytes for each and 64 KiB: 127,336.
+    let behind = |blocks: usize| of(vec![bombs::behind_blocks(bombs::EmptyBlock::Stored, blocks, &rows)]);
+    assert_eq!(behind(19_000).unwrap().pixmap, pixels);
+    let refused = |result: Result<Decoded, CodecError>| assert!(matches!(result, Err(CodecError::Bad { .. })), "{result:?}");
+    refused(behind(20_000));
+    refused(of([vec![vec![]; 5_000], vec![plain.clone()]].concat()));
+    refused(of(vec![[&plain[..], &[0; 100_000]].concat()]));
+}
+
 /// What deflate yields beyond the last row is dropped as it comes.
 #[test]
 fn png_data_beyond_the_picture_takes_no_memory() {

@@ -144,21 +144,20 @@ pub(crate) fn webp_of_one_cached_colour(width: u32, height: u32) -> Vec<u8> {
     riff(&[(b"VP8L", pen.bytes)])
 }
 
-/// A lossless WebP whose pixels take no bits, but for the first of a region: each is a copy of one pixel. `side`: a power of two.
+/// A lossless WebP whose pixels take no bits, but for the first of a region: each is a copy of one pixel. `side`: 512 or a multiple of it.
 pub(crate) fn webp_of_copies(side: u32) -> Vec<u8> {
     let mut pen = vp8l_head(side, side);
-    // No transform, no cache; regions of half the side: the first has group 0, the others group 1.
-    pen.put(0, 1);
-    pen.put(0, 1);
+    // No transform, no cache; regions of 256: the first has group 0, the others group 1.
+    pen.put(0, 2);
     pen.put(1, 1);
-    pen.put(side.ilog2() - 1 - 2, 3);
+    pen.put(8 - 2, 3);
     pen.put(0, 1);
     // Green is 0 or 1.
     pen.put(0b011, 3);
     pen.put(0, 1);
     pen.put(1, 8);
     (0..4).for_each(|_| pen.only_zero());
-    pen.put(0b1110, 4);
+    (0..(side / 256).pow(2)).for_each(|region| pen.put(u32::from(region > 0), 1));
     // Group 0: black. Group 1: copies of the pixel before.
     (0..5).for_each(|_| pen.only_zero());
     pen.only_far(256);
@@ -290,7 +289,7 @@ pub(crate) fn jpeg_scans(side: u16, scans: usize) -> Vec<u8> {
     file
 }
 
-fn riff(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
+pub(crate) fn riff(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
     let mut file = b"RIFF\0\0\0\0WEBP".to_vec();
     for (name, data) in chunks {
         file.extend_from_slice(&name[..]);
@@ -303,7 +302,7 @@ fn riff(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
     file
 }
 
-fn canvas(flags: u8, width: u16, height: u16) -> Vec<u8> {
+pub(crate) fn canvas(flags: u8, width: u16, height: u16) -> Vec<u8> {
     let [width, height] = [width, height].map(|side| (u32::from(side) - 1).to_le_bytes());
     [&[flags, 0, 0, 0], &width[..3], &height[..3]].concat()
 }
