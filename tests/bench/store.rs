@@ -13,10 +13,10 @@ use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
-use mlswarp::service::client::Owner;
-use mlswarp::service::session::{Revision, SessionId};
-use mlswarp::service::store::{Bounds, Place, Record, Store, open};
 use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
+use mlswarp_server::client::Owner;
+use mlswarp_server::session::{Revision, SessionId};
+use mlswarp_server::store::{Bounds, Place, Record, Store, open};
 
 const SESSIONS: usize = 1000;
 const FILE: usize = 300 << 10;

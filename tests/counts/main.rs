@@ -61,7 +61,7 @@ fn listed(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn files(folder: &Path) {
-    let kept = |name: &str| listed(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz").join(name).join("image"));
+    let kept = |name: &str| listed(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fuzz").join(name).join("image"));
     for path in kept("seeds").into_iter().chain(kept("found")) {
         std::fs::copy(&path, folder.join(path.file_name().expect("a file"))).expect("a copy");
     }

@@ -32,9 +32,9 @@ fn fuzz(name: &str) {
     let began = Instant::now();
     let run = |what: &str, input: &[u8]| {
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| target(input))) {
-            let kept = format!("{}/tests/artefacts/fuzz-{name}", env!("CARGO_MANIFEST_DIR"));
+            let kept = format!("{}/../../tests/artefacts/fuzz-{name}", env!("CARGO_MANIFEST_DIR"));
             // Whether or not it can be kept, the test fails.
-            let _ = std::fs::create_dir_all(format!("{}/tests/artefacts", env!("CARGO_MANIFEST_DIR")));
+            let _ = std::fs::create_dir_all(format!("{}/../../tests/artefacts", env!("CARGO_MANIFEST_DIR")));
             let _ = std::fs::write(&kept, input);
             println!("{name}: {what} breaks a law; the input is kept as {kept}");
             std::panic::resume_unwind(panic);
@@ -78,7 +78,7 @@ fn records_are_read_as_they_were_written_or_not_at_all() {
     for (name, seed) in files("seeds/record") {
         let text = String::from_utf8_lossy(&seed[1..]);
         let kept = if seed[0] == b'1' { format!("{:08x}\n{text}", crc32fast::hash(text.as_bytes())) } else { text.into_owned() };
-        assert!(mlswarp::service::store::record::read(kept.as_bytes()).is_ok(), "the seed {name} is a record");
+        assert!(mlswarp_server::store::record::read(kept.as_bytes()).is_ok(), "the seed {name} is a record");
     }
     fuzz("record");
 }

@@ -184,7 +184,7 @@ pub(crate) fn mend(bytes: &mut [u8]) {
 
 /// The files of a folder beside this one, in the order of their names.
 pub(crate) fn files(folder: &str) -> Vec<(String, Vec<u8>)> {
-    let folder = format!("{}/tests/fuzz/{folder}", env!("CARGO_MANIFEST_DIR"));
+    let folder = format!("{}/../../tests/fuzz/{folder}", env!("CARGO_MANIFEST_DIR"));
     let entries = std::fs::read_dir(folder).expect("a folder of this repository");
     let read = |entry: std::io::Result<std::fs::DirEntry>| {
         let path = entry.expect("a folder of this repository").path();

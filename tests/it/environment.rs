@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use clap::{Arg, CommandFactory as _, Parser as _};
-use mlswarp::service::config::{Cli, Config};
+use mlswarp_server::config::{Cli, Config};
 
 use crate::support::program::{Program, mlswarp};
 
@@ -19,7 +19,7 @@ const HEAD: &str = "\
 ";
 
 fn path() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("deploy/env.example")
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../deploy/env.example")
 }
 
 /// Every option that has a variable.

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use mlswarp::service::budget::Purpose;
-use mlswarp::service::client::{Client as Who, Owner};
-use mlswarp::service::pool::{Lane, Work};
+use mlswarp_server::budget::Purpose;
+use mlswarp_server::client::{Client as Who, Owner};
+use mlswarp_server::pool::{Lane, Work};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use mlswarp::codec::{self, Limits as ImageLimits};
 use mlswarp::deform::Method;
 use mlswarp::pixmap::{Pixmap, Samples};
-use mlswarp::service::wire::WarpObject;
 use mlswarp::warp::{Image, Limits, OutputSpec, Posed, Setup, Warp};
+use mlswarp_server::wire::WarpObject;
 
 use crate::support::picture::decoded;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use mlswarp::service::http::{Access, paths};
+use mlswarp_server::http::{Access, paths};
 use reqwest::Method;
 use serde_json::Value;
 

@@ -3,9 +3,9 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
-use mlswarp::service::budget::Purpose;
-use mlswarp::service::client::Client;
-use mlswarp::service::pool::{Lane, Ticket, Work};
+use mlswarp_server::budget::Purpose;
+use mlswarp_server::client::Client;
+use mlswarp_server::pool::{Lane, Ticket, Work};
 use reqwest::Response;
 use serde_json::json;
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mlswarp::service::pool::{Lane, Work};
+use mlswarp_server::pool::{Lane, Work};
 use reqwest::Method;
 use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, TRANSFER_ENCODING, UPGRADE};
 use serde_json::{Value, json};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
-use mlswarp::service::pool::{Lane, Work};
+use mlswarp_server::pool::{Lane, Work};
 use opentelemetry_proto::tonic::trace::v1::Span;
 use reqwest::Client;
 use serde_json::{Value, json};

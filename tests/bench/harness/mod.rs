@@ -244,7 +244,7 @@ impl Drop for Report {
         if std::thread::panicking() || !filter().is_empty() {
             return;
         }
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bench/results");
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/bench/results");
         let text = self.text.trim_end().to_owned() + "\n";
         let written = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(folder.join(format!("{}.md", self.name)), text));
         if let Err(error) = written {

@@ -38,7 +38,7 @@ pub fn tiles(extent: Extent) -> Pixmap {
 }
 
 fn astronaut() -> image::DynamicImage {
-    let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/astronaut.png")).expect("the photograph is there");
+    let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/astronaut.png")).expect("the photograph is there");
     image::load_from_memory(&file).expect("a PNG")
 }
 

@@ -7,9 +7,9 @@ use axum::body::Body;
 use axum::http::Request;
 use clap::Parser as _;
 use http_body_util::BodyExt as _;
-use mlswarp::service::App;
-use mlswarp::service::config::Cli;
-use mlswarp::service::http::router;
+use mlswarp_server::App;
+use mlswarp_server::config::Cli;
+use mlswarp_server::http::router;
 use tokio::runtime::{Builder, Runtime};
 use tower::ServiceExt as _;
 

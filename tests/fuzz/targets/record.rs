@@ -1,8 +1,8 @@
 //! Any bytes as what a store has kept. An odd first byte has the checksum made for what follows, so that the form behind it is met. What is read is
 //! written and read again to the same, and its handles are what a request could have asked for.
 
-use mlswarp::service::store::record::{read, write};
 use mlswarp::warp::{Limits, Setup};
+use mlswarp_server::store::record::{read, write};
 
 pub(super) fn keep(bytes: &[u8]) {
     let Some((first, rest)) = bytes.split_first() else { return };

@@ -4,10 +4,10 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::service::App;
-use mlswarp::service::client::{Client, Owner};
-use mlswarp::service::drag::{Drag, Form, PreviewWidth, Said, Wishes};
-use mlswarp::service::session::SessionId;
+use mlswarp_server::App;
+use mlswarp_server::client::{Client, Owner};
+use mlswarp_server::drag::{Drag, Form, PreviewWidth, Said, Wishes};
+use mlswarp_server::session::SessionId;
 use tokio::runtime::Runtime;
 
 use super::{assert_is_problem, multipart};

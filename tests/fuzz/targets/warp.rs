@@ -4,9 +4,9 @@
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
-use mlswarp::service::problem::Problem;
-use mlswarp::service::wire::{DragObject, PointsObject, WarpObject};
 use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp, WarpError};
+use mlswarp_server::problem::Problem;
+use mlswarp_server::wire::{DragObject, PointsObject, WarpObject};
 
 use super::assert_is_problem;
 

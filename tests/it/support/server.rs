@@ -3,9 +3,9 @@
 use std::net::SocketAddr;
 
 use clap::Parser as _;
-use mlswarp::service::App;
-use mlswarp::service::config::{Cli, Config};
-use mlswarp::service::http::server::{listen, serve};
+use mlswarp_server::App;
+use mlswarp_server::config::{Cli, Config};
+use mlswarp_server::http::server::{listen, serve};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
@@ -20,8 +20,8 @@ pub(crate) fn config(options: &[&str]) -> Config {
 }
 
 /// As which client the requests of a test are counted.
-pub(crate) fn this_client() -> mlswarp::service::client::Client {
-    mlswarp::service::client::Client { address: std::net::Ipv4Addr::LOCALHOST.into(), ..Default::default() }
+pub(crate) fn this_client() -> mlswarp_server::client::Client {
+    mlswarp_server::client::Client { address: std::net::Ipv4Addr::LOCALHOST.into(), ..Default::default() }
 }
 
 /// A running server and a client.

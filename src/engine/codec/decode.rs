@@ -1,0 +1,163 @@
+//! Bytes to an upright picture. Order: header, limits on its numbers, completeness of the file's structure, memory, pixels.
+//! The three decoders are other people's code fed with hostile bytes, so they run behind their own limits and inside
+//! `catch_unwind`: a panic there is a damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the
+//! decoder; a second picture only when the orientation swaps the sides.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::probe::Parsed;
+use super::{CodecError, Format, Header, Limits, Work};
+use crate::pixmap::{Channels, Pixmap, Samples};
+
+/// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
+pub(super) const MAX_ICC: usize = 1 << 20;
+
+/// The most that a profile takes, inflated and as it will be written back.
+pub const PROFILE_BYTES: u64 = 2 * MAX_ICC as u64;
+
+/// An upright picture and what must travel with it.
+#[derive(Debug, Clone)]
+pub struct Decoded {
+    /// The upright pixels.
+    pub pixmap: Pixmap,
+    /// The file's ICC profile when it describes RGB, to be written back.
+    pub icc: Option<Vec<u8>>,
+    /// The file has a profile that is not kept.
+    pub profile_dropped: bool,
+}
+
+/// A file whose header has passed the limits.
+#[derive(Debug)]
+pub struct Opened<'a> {
+    parsed: Parsed<'a>,
+    header: Header,
+    work: &'a Work<'a>,
+}
+
+/// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads what else decides on the
+/// memory that decoding takes.
+///
+/// # Errors
+/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::GivenUp`].
+pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<Opened<'a>, CodecError> {
+    let mut parsed = Parsed::new(bytes, work)?;
+    limits.check(parsed.header().extent)?;
+    if let Parsed::WebP(file) = &mut parsed {
+        file.read_codes(work)?;
+    }
+    let header = parsed.header();
+    Ok(Opened { parsed, header, work })
+}
+
+/// Opens and decodes a file; ends early when `gone` says that the picture is no longer wanted.
+///
+/// # Errors
+/// Those of [`open`] and [`Opened::decode`].
+pub fn decode(bytes: &[u8], limits: &Limits, gone: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
+    open(bytes, limits, &Work::new(gone))?.decode()
+}
+
+impl Opened<'_> {
+    /// What the header says. `decode_bytes` is exact here where [`super::probe`] knows no more than a bound.
+    #[must_use]
+    pub const fn header(&self) -> Header {
+        self.header
+    }
+
+    /// The picture.
+    ///
+    /// # Errors
+    /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
+    /// file's end are ignored. [`CodecError::GivenUp`].
+    pub fn decode(&self) -> Result<Decoded, CodecError> {
+        let Self { parsed, header, work } = self;
+        // What ends because its input is withheld calls it damage.
+        let wanted = |error| if work.is_gone() { CodecError::GivenUp } else { error };
+        let samples = contained(header.format, || match parsed {
+            Parsed::Png(file) => file.samples(header.decode_bytes, work),
+            Parsed::Jpeg(file) => file.samples(work),
+            Parsed::WebP(file) => file.samples(work),
+        })
+        .map_err(wanted)?;
+
+        let orientation = parsed.orientation();
+        let width = parsed.stored().width() as usize;
+        let upright = match (samples, header.channels) {
+            (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Eight),
+            (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Eight),
+            (Samples::Sixteen(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Sixteen),
+            (Samples::Sixteen(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Sixteen),
+        }?;
+
+        let (has_profile, icc) = match parsed {
+            Parsed::Png(file) => (file.has_profile(), file.icc(work)),
+            Parsed::Jpeg(file) => (file.has_profile(), file.icc()),
+            Parsed::WebP(file) => (file.has_profile(), file.icc()),
+        };
+        work.check()?;
+        let profile_dropped = has_profile && icc.is_none();
+        Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc, profile_dropped })
+    }
+}
+
+/// A decoder that panics has met a damaged file.
+fn contained<T>(format: Format, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
+    catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
+}
+
+/// The allocator refused. How much it had left is not known, so the limit reads 0.
+pub(super) const fn no_room(asked: u64) -> CodecError {
+    CodecError::TooLarge { what: "image_bytes", limit: 0, actual: asked }
+}
+
+/// An empty vector with room for `len` samples.
+pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
+    let refused = no_room(len.saturating_mul(size_of::<T>() as u64));
+    let mut samples = Vec::new();
+    let len = usize::try_from(len).map_err(|_| refused.clone())?;
+    samples.try_reserve_exact(len).map_err(|_| refused)?;
+    Ok(samples)
+}
+
+/// `len` samples of zero. Memory is touched for the first time here, which takes as long as some decoders: the question is asked meanwhile.
+pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+    const PART: usize = 1 << 22;
+    let mut samples = room(len)?;
+    let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));
+    while samples.len() < len {
+        work.check()?;
+        samples.resize(len.min(samples.len() + PART), T::default());
+    }
+    Ok(samples)
+}
+
+/// Samples of a picture.
+pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
+    pixels.saturating_mul(channels.count() as u64)
+}
+
+/// A profile is kept when it is one (ICC.1, 7.2: its length in its first four bytes, `acsp` at byte 36), of sane size, and for RGB.
+pub(super) fn keep_rgb_profile(profile: Vec<u8>) -> Option<Vec<u8>> {
+    let length = profile.first_chunk().map(|length| u32::from_be_bytes(*length));
+    let is_one = length.is_some_and(|length| length as usize == profile.len()) && profile.get(36..40) == Some(b"acsp");
+    (is_one && profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decoder_that_panics_has_met_a_damaged_file() {
+        let given_up = contained::<()>(Format::WebP, || panic!("on purpose")).unwrap_err();
+        assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
+        assert_eq!(contained(Format::Png, || Ok(7)), Ok(7));
+    }
+
+    /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.
+    #[test]
+    fn a_palette_of_no_whole_colours_is_a_damaged_file() {
+        let file = include_bytes!("../../../tests/fuzz/found/image/png-palette-not-of-threes");
+        assert!(matches!(decode(file, &Limits::default(), &|| false), Err(CodecError::Bad { format: "PNG", .. })));
+    }
+}

@@ -1,0 +1,642 @@
+//! Byte-weighted LRU shelves with one build for many waiting requests: decoded pictures by the digest of their file, plans by everything
+//! that their coefficients depend on, both for each owner of keys: what one owner has sent is never found by another. What is kept holds
+//! its reservation of the account of memory, also when it was taken off the shelf and someone still uses it. An entry larger than its
+//! shelf is used but not kept.
+//!
+//! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left: that takes
+//! it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new build.
+
+use std::collections::HashMap;
+use std::convert::Infallible;
+use std::future::Future;
+use std::ops::Deref;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use lru::LruCache;
+use mlswarp::warp::Digest;
+use tokio::sync::{oneshot, watch};
+
+use super::budget::Reservation;
+use super::client::Owner;
+use super::problem::Problem;
+use super::telemetry::Scope;
+
+/// What a value is found by. Owners share nothing: a hit would tell one of them what another has sent. Without keys there is one owner,
+/// and one cache.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Key {
+    owner: Owner,
+    digest: Digest,
+}
+
+impl Key {
+    /// Of everything that the value depends on.
+    #[must_use]
+    pub const fn new(owner: Owner, digest: Digest) -> Self {
+        Self { owner, digest }
+    }
+}
+
+/// A value and the memory that it takes.
+#[derive(Debug)]
+pub struct Kept<V> {
+    value: V,
+    held: Reservation,
+}
+
+impl<V> Kept<V> {
+    /// `held` is what the value weighs.
+    pub const fn new(value: V, held: Reservation) -> Self {
+        Self { value, held }
+    }
+}
+
+impl<V> Deref for Kept<V> {
+    type Target = V;
+
+    fn deref(&self) -> &V {
+        &self.value
+    }
+}
+
+/// A value and whether this very call built it.
+#[derive(Debug)]
+pub struct Fetched<V> {
+    /// The value.
+    pub value: Arc<Kept<V>>,
+    /// It was not there before and nobody else was building it.
+    pub built: bool,
+}
+
+/// What has happened at a shelf so far, and what is on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Use {
+    /// Looks that found the value.
+    pub hits: u64,
+    /// Values that were built.
+    pub built: u64,
+    /// Values that made room for others.
+    pub evicted: u64,
+    /// Bytes on the shelf.
+    pub bytes: u64,
+    /// Values on the shelf.
+    pub values: u64,
+}
+
+type Outcome<V> = Option<Result<Arc<Kept<V>>, Problem>>;
+
+/// Every request that waits for a build holds this. When the last one drops it, the build learns that and stops.
+type Interest = Arc<oneshot::Sender<Infallible>>;
+
+tokio::task_local! {
+    static RETAINED: Retained;
+}
+
+/// Keeps builds going that were begun within [`Retained::during`], also after the request that began them was given up: a newer request of the same
+/// session takes the place of an older one and needs the same values, but may still be waiting for a worker. They stop when this is dropped too.
+#[derive(Clone, Debug, Default)]
+pub struct Retained(Arc<Mutex<Vec<Interest>>>);
+
+impl Retained {
+    /// Keeps the builds going that `work` waits for.
+    pub fn during<F: Future>(&self, work: F) -> impl Future<Output = F::Output> {
+        RETAINED.scope(self.clone(), work)
+    }
+
+    fn retain(&self, interest: &Interest) {
+        let mut interests = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Closed: the build has ended.
+        interests.retain(|interest| !interest.is_closed());
+        interests.push(Arc::clone(interest));
+    }
+}
+
+#[derive(Debug)]
+struct Entries<V> {
+    kept: LruCache<Key, Arc<Kept<V>>>,
+    bytes: u64,
+    building: HashMap<Key, Pending<V>>,
+}
+
+/// A build under way, for requests that want the same value.
+#[derive(Debug)]
+struct Pending<V> {
+    outcome: watch::Receiver<Outcome<V>>,
+    /// Dead when all who waited have left: the build is being stopped.
+    interest: Weak<oneshot::Sender<Infallible>>,
+}
+
+impl<V> Pending<V> {
+    /// Joins those who wait, unless the build is being stopped.
+    fn join(&self) -> Option<(watch::Receiver<Outcome<V>>, Interest)> {
+        Some((self.outcome.clone(), self.interest.upgrade()?))
+    }
+}
+
+#[derive(Debug)]
+struct Shared<V> {
+    capacity: u64,
+    entries: Mutex<Entries<V>>,
+    hits: AtomicU64,
+    built: AtomicU64,
+    evicted: AtomicU64,
+}
+
+/// A cache of built values. Cloning shares it.
+#[derive(Debug)]
+pub struct Shelf<V>(Arc<Shared<V>>);
+
+impl<V> Clone for Shelf<V> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+/// The building side: those who wait learn of its end when it is dropped, whatever the outcome.
+struct Building<V> {
+    shelf: Shelf<V>,
+    key: Key,
+    told: watch::Sender<Outcome<V>>,
+    interest: Weak<oneshot::Sender<Infallible>>,
+    /// Resolves when the last request that waited has left.
+    abandoned: oneshot::Receiver<Infallible>,
+}
+
+impl<V> Drop for Building<V> {
+    fn drop(&mut self) {
+        let mut entries = self.shelf.lock();
+        // A build that was stopped may have been replaced by a new one.
+        if entries.building.get(&self.key).is_some_and(|pending| pending.interest.ptr_eq(&self.interest)) {
+            entries.building.remove(&self.key);
+        }
+    }
+}
+
+impl<V> Entries<V> {
+    fn remove(&mut self, key: Key) -> Option<Arc<Kept<V>>> {
+        let value = self.kept.pop(&key)?;
+        self.bytes -= value.held.bytes();
+        Some(value)
+    }
+}
+
+impl<V> Shelf<V> {
+    /// Holds `capacity` bytes.
+    #[must_use]
+    pub fn new(capacity: u64) -> Self {
+        let entries = Entries { kept: LruCache::unbounded(), bytes: 0, building: HashMap::new() };
+        let none = || AtomicU64::new(0);
+        Self(Arc::new(Shared { capacity, entries: Mutex::new(entries), hits: none(), built: none(), evicted: none() }))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Entries<V>> {
+        // Nothing panics half-way through a change.
+        self.0.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What has happened so far.
+    #[must_use]
+    pub fn usage(&self) -> Use {
+        let entries = self.lock();
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Use {
+            hits: read(&self.0.hits),
+            built: read(&self.0.built),
+            evicted: read(&self.0.evicted),
+            bytes: entries.bytes,
+            values: entries.kept.len() as u64,
+        }
+    }
+
+    /// The value is there. It counts as used: whoever asks wants it soon.
+    #[must_use]
+    pub fn has(&self, key: Key) -> bool {
+        self.lock().kept.get(&key).is_some()
+    }
+
+    /// The value goes before all others when room is needed, unless it is used again.
+    pub fn demote(&self, key: Key) {
+        self.lock().kept.demote(&key);
+    }
+
+    /// The value of `key`, if it is there.
+    #[must_use]
+    pub fn peek(&self, key: Key) -> Option<Arc<Kept<V>>> {
+        let value = self.lock().kept.get(&key).cloned();
+        self.0.hits.fetch_add(value.is_some().into(), Ordering::Relaxed);
+        value
+    }
+
+    /// Takes the value of `key` off the shelf.
+    pub fn remove(&self, key: Key) -> Option<Arc<Kept<V>>> {
+        self.lock().remove(key)
+    }
+
+    /// Drops everything, as if it had been evicted.
+    pub fn clear(&self) {
+        let mut entries = self.lock();
+        entries.bytes = 0;
+        // Dropped when the lock is free again.
+        let _kept = std::mem::replace(&mut entries.kept, LruCache::unbounded());
+        drop(entries);
+    }
+
+    /// Something could give way.
+    #[must_use]
+    pub fn is_any_idle(&self) -> bool {
+        self.lock().kept.iter().any(|(_, value)| Arc::strong_count(value) == 1)
+    }
+
+    /// Takes the value off that was used least recently of those that nobody uses now. False when there is none.
+    pub fn give_way(&self) -> bool {
+        let mut entries = self.lock();
+        let idle = entries.kept.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
+        let gone = idle.and_then(|key| entries.remove(key));
+        drop(entries);
+        self.0.evicted.fetch_add(gone.is_some().into(), Ordering::Relaxed);
+        gone.is_some()
+    }
+
+    /// Puts a value that was built on the shelf.
+    fn put(&self, key: Key, value: Arc<Kept<V>>) {
+        let bytes = value.held.bytes();
+        if bytes > self.0.capacity {
+            return;
+        }
+        let mut gone = Vec::new();
+        let mut entries = self.lock();
+        gone.extend(entries.remove(key));
+        while entries.bytes + bytes > self.0.capacity {
+            let Some((_, value)) = entries.kept.pop_lru() else { break };
+            entries.bytes -= value.held.bytes();
+            self.0.evicted.fetch_add(1, Ordering::Relaxed);
+            gone.push(value);
+        }
+        entries.bytes += bytes;
+        entries.kept.put(key, value);
+        drop(entries);
+    }
+}
+
+impl<V: Send + Sync + 'static> Shelf<V> {
+    /// The value of `key`; `build` runs when it is not there and nobody else builds it.
+    ///
+    /// # Errors
+    /// Those of the build; they are told to everyone who waits and then forgotten. `lost` makes the error of a build that was torn down.
+    pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
+    where
+        B: Future<Output = Result<Kept<V>, Problem>> + Send + 'static,
+    {
+        let (mut outcome, interest, begun) = {
+            let mut entries = self.lock();
+            if let Some(value) = entries.kept.get(&key).cloned() {
+                self.0.hits.fetch_add(1, Ordering::Relaxed);
+                return Ok(Fetched { value, built: false });
+            }
+            match entries.building.get(&key).and_then(Pending::join) {
+                Some((outcome, interest)) => (outcome, interest, None),
+                None => {
+                    let (told, outcome) = watch::channel(None);
+                    let (interest, abandoned) = oneshot::channel();
+                    let interest = Arc::new(interest);
+                    let weak = || Arc::downgrade(&interest);
+                    entries.building.insert(key, Pending { outcome: outcome.clone(), interest: weak() });
+                    let building = Building { shelf: self.clone(), key, told, interest: weak(), abandoned };
+                    (outcome, interest, Some(building))
+                }
+            }
+        };
+        let _ = RETAINED.try_with(|retained| retained.retain(&interest));
+        let built = begun.is_some();
+        match begun {
+            Some(building) => drop(tokio::spawn(Scope::current().wrap(building.finish(build)))),
+            None => drop(build),
+        }
+        // The sender goes without a word when the build was torn down.
+        let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
+        let value = outcome.ok().flatten().ok_or_else(lost)??;
+        drop(interest);
+        Ok(Fetched { value, built })
+    }
+}
+
+impl<V> Building<V> {
+    async fn finish(mut self, build: impl Future<Output = Result<Kept<V>, Problem>>) {
+        let outcome = tokio::select! {
+            biased;
+            outcome = build => outcome.map(Arc::new),
+            _ = &mut self.abandoned => return,
+        };
+        if let Ok(value) = &outcome {
+            self.shelf.0.built.fetch_add(1, Ordering::Relaxed);
+            self.shelf.put(self.key, Arc::clone(value));
+        }
+        self.told.send_replace(Some(outcome));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::{Budget, Purpose};
+    use crate::client::Client;
+    use crate::pool::{Cancel, Lane, Pool, Shape, Work};
+    use crate::problem::Code;
+    use futures_util::FutureExt as _;
+    use tokio::sync::{Semaphore, mpsc};
+
+    const KEY: Key = key(1);
+
+    const fn key(n: u8) -> Key {
+        Key::new(Owner::ANYBODY, Digest([n; 32]))
+    }
+
+    fn budget() -> Budget {
+        Budget::new(1 << 30)
+    }
+
+    fn kept(budget: &Budget, bytes: u64) -> Result<Kept<u64>, Problem> {
+        Ok(Kept::new(bytes, budget.take(Purpose::Plan, bytes).unwrap()))
+    }
+
+    fn lost() -> Problem {
+        Problem::new(Code::Internal, "lost")
+    }
+
+    async fn put(shelf: &Shelf<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<Kept<u64>> {
+        let built = kept(budget, bytes);
+        shelf.get(self::key(key), async { built }, lost).await.unwrap().value
+    }
+
+    #[tokio::test]
+    async fn many_requests_share_one_build() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let requests = (0..16).map(|_| {
+            let built = kept(&budget, 7);
+            shelf.get(KEY, async { built }, lost)
+        });
+        let fetched = futures_util::future::try_join_all(requests).await.unwrap();
+        assert!(fetched.iter().all(|f| **f.value == 7));
+        assert_eq!(fetched.iter().filter(|f| f.built).count(), 1);
+        assert_eq!(shelf.usage(), Use { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
+        assert_eq!(budget.taken(), 7);
+        assert!(shelf.lock().building.is_empty());
+    }
+
+    #[tokio::test]
+    async fn owners_share_neither_values_nor_builds() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let owner = |n: u8| Key::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
+        let requests = [owner(1), owner(2), owner(1), KEY].map(|key| {
+            let built = kept(&budget, 7);
+            shelf.get(key, async { built }, lost)
+        });
+        let fetched = futures_util::future::try_join_all(requests).await.unwrap();
+        assert_eq!(fetched.iter().map(|f| f.built).collect::<Vec<_>>(), [true, true, false, true]);
+        assert_eq!((shelf.usage().bytes, budget.taken()), (21, 21), "what two have is there twice, and counted twice");
+        shelf.remove(owner(1));
+        assert!(!shelf.has(owner(1)) && shelf.has(owner(2)) && shelf.has(KEY));
+    }
+
+    #[tokio::test]
+    async fn a_builder_that_leaves_serves_those_who_wait() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let gate = Arc::new(Semaphore::new(0));
+        let build = {
+            let (gate, built) = (Arc::clone(&gate), kept(&budget, 7));
+            async move {
+                let _ = gate.acquire().await;
+                built
+            }
+        };
+        let first = tokio::spawn({
+            let shelf = shelf.clone();
+            async move { shelf.get(KEY, build, lost).await.map(|f| f.built) }
+        });
+        tokio::task::yield_now().await;
+        let second = tokio::spawn({
+            let (shelf, built) = (shelf.clone(), kept(&budget, 8));
+            async move { shelf.get(KEY, async { built }, lost).await.map(|f| **f.value) }
+        });
+        tokio::task::yield_now().await;
+        first.abort();
+        tokio::task::yield_now().await;
+        gate.add_permits(1);
+        assert_eq!(second.await.unwrap(), Ok(7));
+    }
+
+    /// A build that never ends by itself, and says so when it begins and when it is dropped.
+    fn endless(said: &mpsc::UnboundedSender<&'static str>) -> impl Future<Output = Result<Kept<u64>, Problem>> + Send + use<> {
+        struct Dropped(mpsc::UnboundedSender<&'static str>);
+        impl Drop for Dropped {
+            fn drop(&mut self) {
+                let _ = self.0.send("dropped");
+            }
+        }
+        let dropped = Dropped(said.clone());
+        async move {
+            let _ = dropped.0.send("began");
+            std::future::pending().await
+        }
+    }
+
+    #[tokio::test]
+    async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
+        let shelf = Shelf::new(1 << 20);
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let wait = || {
+            let (shelf, build) = (shelf.clone(), endless(&said));
+            tokio::spawn(async move { shelf.get(KEY, build, lost).await })
+        };
+        let first = wait();
+        assert_eq!(hears.recv().await, Some("began"));
+        let others = [wait(), wait()];
+        // Builds that are not needed are dropped at once.
+        assert_eq!([hears.recv().await, hears.recv().await], [Some("dropped"); 2]);
+        for left in [first].into_iter().chain(others) {
+            assert!(hears.try_recv().is_err(), "one still waits");
+            left.abort();
+            assert!(left.await.unwrap_err().is_cancelled());
+        }
+        assert_eq!(hears.recv().await, Some("dropped"));
+        while !shelf.lock().building.is_empty() {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(shelf.usage(), Use::default());
+    }
+
+    #[tokio::test]
+    async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let mut abandoned = Box::pin(shelf.get(KEY, endless(&said), lost));
+        assert!((&mut abandoned).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("began"));
+        // One thread: the task of the build cannot have seen it when the next request comes.
+        drop(abandoned);
+        assert!(!shelf.lock().building.is_empty());
+        let gate = Arc::new(Semaphore::new(0));
+        let (opens, built) = (Arc::clone(&gate), kept(&budget, 7));
+        let next = async move {
+            let _ = opens.acquire().await;
+            built
+        };
+        let mut next = Box::pin(shelf.get(KEY, next, lost));
+        assert!((&mut next).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("dropped"));
+        // The old build has gone, and has left the new one's entry alone: a third request shares it.
+        let mut third = Box::pin(shelf.get(KEY, async { Err(lost()) }, lost));
+        assert!((&mut third).now_or_never().is_none());
+        gate.add_permits(1);
+        assert_eq!((next.await.map(|f| (**f.value, f.built)), third.await.map(|f| (**f.value, f.built))), (Ok((7, true)), Ok((7, false))));
+        assert!(shelf.lock().building.is_empty());
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn whoever_stays_gets_the_value_while_others_come_and_leave() {
+        let (shelf, budget) = (Shelf::new(0), budget());
+        for round in 0..2000_u32 {
+            let wait = || {
+                let (shelf, built) = (shelf.clone(), kept(&budget, 7));
+                let build = async move {
+                    tokio::task::yield_now().await;
+                    built
+                };
+                tokio::spawn(async move { shelf.get(KEY, build, lost).await.map(|f| **f.value) })
+            };
+            let leaves = wait();
+            if round % 3 == 0 {
+                tokio::task::yield_now().await;
+            }
+            leaves.abort();
+            let stays = wait();
+            assert_eq!(stays.await.unwrap(), Ok(7), "round {round}");
+            let _ = leaves.await;
+        }
+    }
+
+    #[tokio::test]
+    async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
+        let shelf = Shelf::new(1 << 20);
+        let (said, mut hears) = mpsc::unbounded_channel();
+        let retained = Retained::default();
+        let mut waits = Box::pin(retained.during(shelf.get(KEY, endless(&said), lost)));
+        assert!((&mut waits).now_or_never().is_none());
+        assert_eq!(hears.recv().await, Some("began"));
+        drop(waits);
+        tokio::task::yield_now().await;
+        assert!(hears.try_recv().is_err());
+        drop(retained);
+        assert_eq!(hears.recv().await, Some("dropped"));
+    }
+
+    #[tokio::test]
+    async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let long = std::time::Duration::from_secs(600);
+        let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
+        let admit = || pool.admit(Work::Upload, Lane::client(Client::default()));
+        let build = || {
+            let (pool, built) = (pool.clone(), kept(&budget, 7));
+            async move {
+                let ticket = pool.admit(Work::Upload, Lane::client(Client::default())).await?;
+                let until_cancelled = |cancel: &Cancel| {
+                    while !cancel.is_cancelled() {
+                        std::thread::yield_now();
+                    }
+                };
+                pool.run(&ticket, until_cancelled).await?;
+                built
+            }
+        };
+        let ticket = admit().await.unwrap();
+        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        assert!((&mut waits).now_or_never().is_none());
+        while pool.load(Work::Upload).waiting == 0 {
+            tokio::task::yield_now().await;
+        }
+        drop(waits);
+        while pool.load(Work::Upload).waiting == 1 {
+            tokio::task::yield_now().await;
+        }
+        drop(ticket);
+        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        assert!((&mut waits).now_or_never().is_none());
+        while pool.running() == 0 {
+            tokio::task::yield_now().await;
+        }
+        drop(waits);
+        // The only turn comes back.
+        drop(admit().await.unwrap());
+    }
+
+    #[tokio::test]
+    async fn the_least_recently_used_goes_first_and_a_newcomer_is_kept() {
+        let (shelf, budget) = (Shelf::new(4 << 10), budget());
+        for key in 0..4 {
+            put(&shelf, &budget, key, 1024).await;
+        }
+        for key in 1..4 {
+            assert!(shelf.peek(self::key(key)).is_some());
+        }
+        put(&shelf, &budget, 9, 1024).await;
+        assert!(shelf.has(key(9)), "the newcomer is kept");
+        assert!(!shelf.has(key(0)), "the oldest has gone");
+        assert_eq!(shelf.usage(), Use { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
+        assert_eq!(budget.taken(), 4096);
+        shelf.remove(key(9));
+        assert_eq!((shelf.usage().bytes, budget.taken()), (3072, 3072));
+        shelf.clear();
+        assert_eq!((shelf.usage().bytes, budget.taken()), (0, 0));
+    }
+
+    #[tokio::test]
+    async fn what_is_wanted_stays_and_what_was_used_once_goes() {
+        let (shelf, budget) = (Shelf::new(3 << 10), budget());
+        for key in 0..3 {
+            put(&shelf, &budget, key, 1024).await;
+        }
+        assert!(shelf.has(key(0)));
+        shelf.demote(key(2));
+        put(&shelf, &budget, 8, 1024).await;
+        put(&shelf, &budget, 9, 1024).await;
+        let there = [0, 1, 2].map(|key| shelf.lock().kept.contains(&self::key(key)));
+        assert_eq!(there, [true, false, false]);
+    }
+
+    #[tokio::test]
+    async fn an_entry_larger_than_the_shelf_is_used_but_not_kept() {
+        let (shelf, budget) = (Shelf::new(4 << 10), budget());
+        put(&shelf, &budget, 2, 1024).await;
+        let large = put(&shelf, &budget, 1, 1 << 20).await;
+        assert_eq!(**large, 1 << 20);
+        assert!(!shelf.has(KEY) && shelf.has(key(2)));
+        assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, on the shelf or not");
+        drop(large);
+        assert_eq!(budget.taken(), 1024);
+    }
+
+    #[tokio::test]
+    async fn what_is_in_use_does_not_give_way() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let used = put(&shelf, &budget, 1, 100).await;
+        put(&shelf, &budget, 2, 10).await;
+        assert!(shelf.give_way());
+        assert_eq!((shelf.has(KEY), budget.taken()), (true, 100));
+        assert!(!shelf.give_way());
+        drop(used);
+        assert!(shelf.give_way());
+        assert_eq!(budget.taken(), 0);
+    }
+
+    #[tokio::test]
+    async fn a_build_that_fails_or_panics_is_told_and_forgotten() {
+        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let no = Problem::new(Code::BadImage, "no");
+        let theirs = no.clone();
+        assert_eq!(shelf.get(KEY, async { Err(theirs) }, lost).await.unwrap_err(), no);
+        assert_eq!(shelf.get(KEY, async { panic!("on purpose") }, lost).await.unwrap_err(), lost());
+        assert_eq!(**put(&shelf, &budget, 1, 3).await, 3);
+    }
+}

@@ -1,0 +1,68 @@
+//! The program: `mlswarp` serves, `mlswarp warp` bends one picture offline, `mlswarp health` asks a running server.
+//! Exit codes: 0 done, 1 failed, 2 the command line or the environment has mistakes.
+
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[expect(unsafe_code, reason = "the C library is asked to give memory back")]
+mod heap;
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+mod heap {
+    /// Other allocators give memory back by themselves.
+    pub(crate) const fn give_back() {}
+}
+
+use std::fmt::Display;
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use mlswarp_server::config::{Cli, Command, Config};
+use mlswarp_server::http::server;
+use mlswarp_server::{health, offline, telemetry};
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(said) => {
+            // Help and the version are printed the same way; there is nobody to tell when that fails.
+            let _ = said.print();
+            return ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(2));
+        }
+    };
+    let command = cli.command.unwrap_or(Command::Serve);
+    let resolved = if matches!(command, Command::Serve) { cli.options.resolve_to_serve() } else { cli.options.resolve() };
+    let config = match resolved {
+        Ok(config) => config,
+        Err(mistakes) => {
+            eprintln!("{mistakes}");
+            return ExitCode::from(2);
+        }
+    };
+    run(command, config)
+}
+
+fn run(command: Command, config: Config) -> ExitCode {
+    match command {
+        Command::Serve => {
+            telemetry::start(&config);
+            heap::give_back();
+            exit(server::run(config).map_err(|e| format!("error: {e}")))
+        }
+        Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),
+        Command::Warp { image, warp, out } => exit(match offline::run(&config, &image, &warp, &out) {
+            Ok(summary) => {
+                eprintln!("{summary}");
+                Ok(())
+            }
+            Err(problem) => Err(offline::complaint(&problem)),
+        }),
+    }
+}
+
+fn exit(done: Result<(), impl Display>) -> ExitCode {
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}

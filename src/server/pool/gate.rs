@@ -1,0 +1,138 @@
+//! The way to one crew: a request runs, waits for as long as it makes sense, or is sent away.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use super::PoolError;
+use super::crew::Crew;
+use super::queue::{Arrival, Lane, Queue};
+use crate::client::Tenant;
+
+/// Who is told when its turn has come; dropped when it is sent away.
+type Waiter = oneshot::Sender<Turn>;
+
+/// A crew and the queue before it.
+#[derive(Debug)]
+pub(super) struct Gate {
+    pub(super) crew: Crew,
+    queue: Mutex<Queue<Waiter>>,
+    /// Longest wait.
+    patience: Duration,
+    full: AtomicU64,
+    late: AtomicU64,
+}
+
+/// What a gate knows of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Load {
+    /// Requests that run.
+    pub running: usize,
+    /// Requests that wait.
+    pub waiting: usize,
+    /// Requests that were sent away so far because the queue was full.
+    pub full: u64,
+    /// Requests that were sent away so far because their turn did not come in time.
+    pub late: u64,
+}
+
+/// A client's right to run, passed on when it is dropped.
+#[derive(Debug)]
+pub(super) struct Turn(Option<(Arc<Gate>, Tenant)>);
+
+/// Someone who waits; leaves the queue when dropped.
+struct Place<'a> {
+    gate: &'a Gate,
+    lane: Lane,
+    id: u64,
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.gate.lock().leave(self.lane, self.id);
+    }
+}
+
+impl Gate {
+    pub(super) fn new(crew: Crew, turns: usize, queue: usize, patience: Duration) -> Arc<Self> {
+        let queue = Mutex::new(Queue::new(turns, queue));
+        Arc::new(Self { crew, queue, patience, full: AtomicU64::new(0), late: AtomicU64::new(0) })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Queue<Waiter>> {
+        // Nothing panics half-way through a change.
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn is_full(&self) -> bool {
+        self.lock().is_full()
+    }
+
+    pub(super) fn refuses(&self, lane: Lane) -> bool {
+        self.lock().refuses(lane)
+    }
+
+    pub(super) fn load(&self) -> Load {
+        let queue = self.lock();
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Load { running: queue.running(), waiting: queue.waiting(), full: count(&self.full), late: count(&self.late) }
+    }
+
+    /// Waits for a turn. Dropping the future leaves the queue.
+    pub(super) async fn enter(self: &Arc<Self>, lane: Lane) -> Result<Turn, PoolError> {
+        let mut called = None;
+        let arrival = self.lock().arrive(lane, Instant::now(), || {
+            let (waiter, turn) = oneshot::channel();
+            called = Some(turn);
+            waiter
+        });
+        let id = match arrival {
+            Arrival::Runs => return Ok(Turn(Some((Arc::clone(self), lane.tenant())))),
+            Arrival::Refused => {
+                self.full.fetch_add(1, Ordering::Relaxed);
+                return Err(PoolError::Full);
+            }
+            Arrival::Waits(id) => id,
+            // Dropped outside the lock, which tells whoever waited there.
+            Arrival::Replaces(id, _sent_away) => {
+                self.full.fetch_add(1, Ordering::Relaxed);
+                id
+            }
+        };
+        let place = Place { gate: self, lane, id };
+        let Some(called) = called else { return Err(PoolError::Full) };
+        let turn = match tokio::time::timeout(self.patience, called).await {
+            Ok(turn) => turn.map_err(|_| PoolError::Full),
+            Err(_) => {
+                self.late.fetch_add(1, Ordering::Relaxed);
+                Err(PoolError::Late { patience: self.patience })
+            }
+        };
+        drop(place);
+        turn
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        let Some((gate, tenant)) = self.0.take() else { return };
+        let mut ended = Some(tenant);
+        loop {
+            let called = {
+                let (mut queue, now) = (gate.lock(), Instant::now());
+                if let Some(tenant) = ended.take() {
+                    queue.end(tenant, now);
+                }
+                queue.call(now)
+            };
+            let Some((tenant, waiter)) = called else { return };
+            if let Err(mut unheard) = waiter.send(Self(Some((Arc::clone(&gate), tenant)))) {
+                // It has left this moment: its turn ends here, and not by being dropped.
+                unheard.0 = None;
+                ended = Some(tenant);
+            }
+        }
+    }
+}

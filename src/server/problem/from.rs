@@ -1,0 +1,150 @@
+//! Every error of the warp, with the code and the pointer that the contract gives it. No `_` arm: a new error is a compile error here.
+
+use mlswarp::codec::CodecError;
+use mlswarp::deform::DeformError;
+use mlswarp::warp::WarpError;
+use serde_json::Value;
+
+use super::{Code, Problem};
+
+/// Seconds after which work that was given up may be asked for again.
+const RETRY_GIVEN_UP: u32 = 1;
+
+impl From<WarpError> for Problem {
+    fn from(error: WarpError) -> Self {
+        let detail = error.to_string();
+        match error {
+            WarpError::Codec(error) => Self::from(error),
+            WarpError::Rest(error) => of_handles("p", &error),
+            WarpError::Posed(error) => of_handles("q", &error),
+            WarpError::BadPlace { index, value, limit } => {
+                Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
+            }
+            WarpError::GivenUp => Self::new(Code::Overloaded, detail).retry_after(RETRY_GIVEN_UP),
+            WarpError::TooLarge { what, limit, actual } => {
+                let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
+                match what {
+                    "handle_columns" => problem.pointer("/p"),
+                    "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
+                    output if output.starts_with("output_") => problem.pointer("/output/width"),
+                    _ => problem,
+                }
+            }
+            WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
+            WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
+        }
+    }
+}
+
+impl From<CodecError> for Problem {
+    fn from(error: CodecError) -> Self {
+        let detail = error.to_string();
+        match error {
+            CodecError::Unsupported { .. } => Self::new(Code::UnsupportedFormat, detail),
+            CodecError::TooLarge { what, limit, actual } => Self::new(Code::TooLarge, detail).limit(what, limit, actual),
+            CodecError::Bad { .. } => Self::new(Code::BadImage, detail),
+            CodecError::GivenUp => Self::new(Code::Timeout, detail),
+        }
+    }
+}
+
+/// `side`: the field that holds the handles, `p` or `q`.
+fn of_handles(side: &str, error: &DeformError) -> Problem {
+    let new = |code| Problem::new(code, error.to_string());
+    let at_handle = |code, handle: usize| new(code).pointer(format!("/{side}/{handle}")).handle(handle);
+    match *error {
+        DeformError::NotFinite { handle } => at_handle(Code::NotFinite, handle),
+        DeformError::OutOfRange { handle, value, limit } => at_handle(Code::BadValue, handle).limit("coordinate", limit, number(value)),
+        DeformError::TooFewPlaces { handle, places } => at_handle(Code::BadValue, handle).actual(places),
+        DeformError::CountMismatch { .. } => new(Code::ShapeMismatch).pointer(format!("/{side}")),
+        DeformError::ShapeMismatch { handle, .. } => at_handle(Code::ShapeMismatch, handle),
+        DeformError::WeightCount { .. } => new(Code::ShapeMismatch).pointer("/weights"),
+        DeformError::BadWeight { handle, value } => {
+            new(Code::BadValue).pointer(format!("/weights/{handle}")).handle(handle).actual(number(value))
+        }
+        DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
+        DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
+        DeformError::Contradictory { first, .. } => at_handle(Code::ContradictoryHandles, first),
+        DeformError::TooManyMeetings { limit } => {
+            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_meetings", limit, limit + 1)
+        }
+        DeformError::TooManyNeighbours { limit } => {
+            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_comparisons", limit, limit + 1)
+        }
+        DeformError::GivenUp => new(Code::Timeout),
+        DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
+    }
+}
+
+/// A number as JSON has it; in words where JSON has none.
+fn number(value: f64) -> Value {
+    if value.is_finite() { value.into() } else { value.to_string().into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn expect(error: WarpError, code: Code, pointer: Option<&str>, handle: Option<usize>) -> Problem {
+        let text = error.to_string();
+        let problem = Problem::from(error);
+        assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (code, pointer, handle), "{text}");
+        assert_eq!(problem.detail, text);
+        problem
+    }
+
+    #[test]
+    fn rest_and_posed_handles_point_to_p_and_q() {
+        use DeformError as D;
+        let (p, q) = (WarpError::Rest, WarpError::Posed);
+        expect(p(D::NotFinite { handle: 4 }), Code::NotFinite, Some("/p/4"), Some(4));
+        expect(q(D::NotFinite { handle: 4 }), Code::NotFinite, Some("/q/4"), Some(4));
+        expect(p(D::TooFewPlaces { handle: 1, places: 1 }), Code::BadValue, Some("/p/1"), Some(1));
+        expect(q(D::CountMismatch { rest: 3, posed: 2 }), Code::ShapeMismatch, Some("/q"), None);
+        let shape = D::ShapeMismatch { handle: 2, rest: "a point".to_owned(), posed: "a line of 2 places".to_owned() };
+        expect(q(shape), Code::ShapeMismatch, Some("/q/2"), Some(2));
+        expect(p(D::DegenerateLine { handle: 7, segment: 1 }), Code::DegenerateLine, Some("/p/7"), Some(7));
+        let out = expect(q(D::OutOfRange { handle: 0, value: -2e6, limit: 1e6 }), Code::BadValue, Some("/q/0"), Some(0));
+        assert_eq!((out.limit, out.actual), (Some(1e6.into()), Some((-2e6).into())));
+    }
+
+    #[test]
+    fn parameters_point_to_their_own_field() {
+        use DeformError as D;
+        let p = WarpError::Rest;
+        expect(p(D::WeightCount { rest: 2, weights: 3 }), Code::ShapeMismatch, Some("/weights"), None);
+        expect(p(D::BadWeight { handle: 5, value: -1.0 }), Code::BadValue, Some("/weights/5"), Some(5));
+        expect(p(D::BadPointMass { value: 0.0 }), Code::BadValue, Some("/point_mass"), None);
+        expect(p(D::AlphaOutOfRange { alpha: 9.0, lines: false }), Code::AlphaOutOfRange, Some("/alpha"), None);
+        let infinite = expect(p(D::BadPointMass { value: f64::INFINITY }), Code::BadValue, Some("/point_mass"), None);
+        assert_eq!(infinite.actual, Some("inf".into()));
+    }
+
+    #[test]
+    fn contradiction_names_both_handles() {
+        let error = DeformError::Contradictory { first: 2, second: 9, x: 1.0, y: 2.0, apart: 3.0 };
+        let problem = expect(WarpError::Posed(error), Code::ContradictoryHandles, Some("/q/2"), Some(2));
+        assert!(problem.detail.contains('2') && problem.detail.contains('9'), "{}", problem.detail);
+    }
+
+    #[test]
+    fn files_limits_grid_and_folds() {
+        expect(WarpError::Codec(CodecError::Unsupported { found: "GIF".to_owned() }), Code::UnsupportedFormat, None, None);
+        expect(WarpError::Codec(CodecError::Bad { format: "PNG", detail: "cut".to_owned() }), Code::BadImage, None, None);
+        let side = WarpError::Codec(CodecError::TooLarge { what: "image_side", limit: 10, actual: 11 });
+        assert_eq!(expect(side, Code::TooLarge, None, None).what, Some("image_side"));
+        for (what, pointer) in [
+            ("handle_columns", Some("/p")),
+            ("grid_vertices", Some("/grid")),
+            ("output_side", Some("/output/width")),
+            ("output_pixels", Some("/output/width")),
+            ("other", None),
+        ] {
+            let problem = expect(WarpError::TooLarge { what, limit: 1, actual: 2 }, Code::TooLarge, pointer, None);
+            assert_eq!((problem.limit, problem.actual), (Some(1.into()), Some(2.into())));
+        }
+        expect(WarpError::BadGrid("cell is 0".to_owned()), Code::BadValue, Some("/grid"), None);
+        let folded = expect(WarpError::Folded { cells: 3 }, Code::Folded, Some("/folds"), None);
+        assert_eq!(folded.actual, Some(3.into()));
+    }
+}

@@ -1,0 +1,409 @@
+//! Records as bytes: a checksum and a JSON object that a person can read. Numbers come back to the bit.
+//!
+//! Programs of several versions use one store, during a rolling update and after a rollback. Four rules keep their sessions safe:
+//!
+//! 1. A field at its default is left out, of the record and of the digest `made`. The defaults are those of the form ([`base`]), not those of the
+//!    HTTP contract, which may change: an absent field means the same value in every version.
+//! 2. The digest `made` has one exception: the fields that the first version of the form had are always in it, because the first program wrote them
+//!    all. So every program computes the same digest of the same request, and a repeated `PUT` is one session whichever replica it reaches. A field
+//!    that is added later is in the digest only when it is not at its default: then the older program cannot read the record anyway.
+//! 3. A record whose checksum is right and that this program cannot read in full (another version, an unknown field or value) was written by
+//!    another version of the program. It is kept as it is: not served, not replaced, not deleted, unless its owner deletes the session.
+//! 4. A record names each file that it needs by the 64 lower-case hexadecimal digits of the file's digest, in every version. A program that cannot
+//!    read the rest keeps the files that are named like this ([`named_files`]).
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use mlswarp::codec::{Compression, Format};
+use mlswarp::deform::Method;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::{Filter, Outside};
+use mlswarp::warp::{Digest, Folds, GridSpec, OutputSpec, RestSpec, Units};
+use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde::{Deserialize, Serialize as Derived};
+use serde_json::value::RawValue;
+
+use super::Record;
+use crate::session::{Revision, SessionId};
+use crate::wire::{WarpObject, WarpPatch, Wire};
+
+/// The version of the form. It changes when a program that does not know of the change would misunderstand a record.
+const VERSION: u32 = 1;
+/// Hexadecimal digits of the checksum, and a line break.
+const CHECKSUM: usize = 9;
+
+/// Why a record cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unreadable {
+    /// The bytes are not as any program wrote them.
+    #[error("{0}")]
+    Damaged(&'static str),
+    /// The bytes are whole; another version of the program wrote them.
+    #[error("{0}")]
+    OtherVersion(String),
+}
+
+/// The values that absent fields of a record stand for. They never change.
+fn base() -> WarpObject {
+    WarpObject {
+        rest: RestSpec {
+            p: Vec::new(),
+            weights: None,
+            method: Method::Rigid,
+            alpha: None,
+            point_mass: None,
+            units: Units::Px,
+            grid: GridSpec::Auto,
+        },
+        q: None,
+        folds: Folds::Report,
+        output: OutputSpec {
+            format: Format::Png,
+            quality: 90,
+            compression: Compression::Fast,
+            width: None,
+            filter: Filter::Bilinear,
+            outside: Outside::Transparent,
+        },
+    }
+}
+
+/// The fields of the first version that are at their defaults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Defaults {
+    /// Written, as in the digest.
+    Written,
+    /// Left out, as in the record.
+    LeftOut,
+}
+
+impl Defaults {
+    /// Writes the field unless it is at its default and left out.
+    fn field<M: SerializeMap, T: PartialEq>(self, object: &mut M, name: &'static str, value: T, default: &T) -> Result<(), M::Error>
+    where
+        Wire<T>: Serialize,
+    {
+        if self == Self::LeftOut && value == *default { Ok(()) } else { object.serialize_entry(name, &Wire(value)) }
+    }
+}
+
+/// The warp object of a record. The order of the fields is a part of the digest.
+struct Warp<'a>(&'a Record, Defaults);
+
+impl Serialize for Warp<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (base, &Self(record, defaults)) = (base(), self);
+        let RestSpec { p, weights, method, alpha, point_mass, units, grid } = &record.rest;
+        let mut object = serializer.serialize_map(None)?;
+        defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
+        if let Some(weights) = weights {
+            object.serialize_entry("weights", weights)?;
+        }
+        defaults.field(&mut object, "method", *method, &base.rest.method)?;
+        if let Some(alpha) = alpha {
+            object.serialize_entry("alpha", alpha)?;
+        }
+        if let Some(mass) = point_mass {
+            object.serialize_entry("point_mass", mass)?;
+        }
+        defaults.field(&mut object, "units", *units, &base.rest.units)?;
+        defaults.field(&mut object, "grid", *grid, &base.rest.grid)?;
+        defaults.field(&mut object, "folds", record.folds, &base.folds)?;
+        if defaults == Defaults::Written {
+            object.serialize_entry("metric", "euclidean")?;
+        }
+        if defaults == Defaults::Written || record.output != base.output {
+            object.serialize_entry("output", &Output(&record.output, defaults))?;
+        }
+        object.end()
+    }
+}
+
+struct Output<'a>(&'a OutputSpec, Defaults);
+
+impl Serialize for Output<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (base, &Self(output, defaults)) = (base().output, self);
+        let OutputSpec { format, quality, compression, width, filter, outside } = *output;
+        let mut object = serializer.serialize_map(None)?;
+        defaults.field(&mut object, "format", format, &base.format)?;
+        if defaults == Defaults::Written || quality != base.quality {
+            object.serialize_entry("quality", &quality)?;
+        }
+        defaults.field(&mut object, "compression", compression, &base.compression)?;
+        if let Some(width) = width {
+            object.serialize_entry("width", &width)?;
+        }
+        defaults.field(&mut object, "filter", filter, &base.filter)?;
+        defaults.field(&mut object, "outside", outside, &base.outside)?;
+        if defaults == Defaults::Written {
+            object.serialize_entry("canvas", "same")?;
+        }
+        object.end()
+    }
+}
+
+#[derive(Derived)]
+struct Written<'a> {
+    version: u32,
+    id: String,
+    revision: String,
+    image: String,
+    width: u32,
+    height: u32,
+    /// Nanoseconds since 1970.
+    created: u64,
+    warp: Warp<'a>,
+}
+
+#[derive(Deserialize)]
+struct Form {
+    version: u32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Read<'a> {
+    #[serde(rename = "version")]
+    _version: u32,
+    id: String,
+    revision: String,
+    image: String,
+    width: u32,
+    height: u32,
+    created: u64,
+    #[serde(borrow)]
+    warp: &'a RawValue,
+}
+
+/// The record as bytes.
+#[must_use]
+pub fn write(record: &Record) -> Vec<u8> {
+    let created = record.created.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let written = Written {
+        version: VERSION,
+        id: hex(&record.id.to_bytes()),
+        revision: hex(record.revision.as_bytes()),
+        image: hex(&record.image.0),
+        width: record.extent.width(),
+        height: record.extent.height(),
+        created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
+        warp: Warp(record, Defaults::LeftOut),
+    };
+    sealed(&serde_json::to_vec(&written).expect("an object of numbers and words"))
+}
+
+/// The JSON after its checksum.
+pub(super) fn sealed(json: &[u8]) -> Vec<u8> {
+    let mut bytes = format!("{:08x}\n", crc32fast::hash(json)).into_bytes();
+    bytes.extend_from_slice(json);
+    bytes
+}
+
+/// The record that the bytes are.
+///
+/// # Errors
+/// They are damaged, or another version of the program wrote them.
+pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
+    let (sum, json) = bytes.split_at_checked(CHECKSUM).ok_or(Unreadable::Damaged("it is too short"))?;
+    if sum != format!("{:08x}\n", crc32fast::hash(json)).as_bytes() {
+        return Err(Unreadable::Damaged("its checksum is another"));
+    }
+    // The bytes are whole: what is not understood from here on, another version has written.
+    let other = |why: &str| Unreadable::OtherVersion(why.to_owned());
+    let Form { version } = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
+    if version != VERSION {
+        return Err(Unreadable::OtherVersion(format!("its form is version {version}; this program knows {VERSION}")));
+    }
+    let read: Read<'_> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
+    let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.over(base());
+    if warp.q.is_some() {
+        return Err(other("it has posed handles"));
+    }
+    Ok(Arc::new(Record {
+        id: SessionId::from_bytes(&unhex(&read.id).ok_or_else(|| other("its name is in another form"))?),
+        revision: Revision::from_bytes(unhex(&read.revision).ok_or_else(|| other("its revision is in another form"))?),
+        image: Digest(unhex(&read.image).ok_or_else(|| other("its picture's digest is in another form"))?),
+        extent: Extent::new(read.width, read.height).ok_or_else(|| other("its picture has no size"))?,
+        rest: warp.rest,
+        folds: warp.folds,
+        output: warp.output,
+        created: SystemTime::UNIX_EPOCH + Duration::from_nanos(read.created),
+    }))
+}
+
+/// The digests that a record of any version names (see the module's rules). Some may be no file's: a session's name is written alike.
+pub(super) fn named_files(bytes: &[u8]) -> Vec<Digest> {
+    let words = bytes.split(|byte| !matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
+    let mut named: Vec<Digest> = words.filter_map(|word| std::str::from_utf8(word).ok().and_then(unhex).map(Digest)).collect();
+    named.sort_unstable_by_key(|digest| digest.0);
+    named.dedup();
+    named
+}
+
+/// Digest of what two records that are made alike share. The same in every version of the program (see the module's rules).
+pub(super) fn made(record: &Record) -> Digest {
+    let made = (hex(&record.image.0), Warp(record, Defaults::Written));
+    Digest::of(&serde_json::to_vec(&made).expect("an object of numbers and words"))
+}
+
+/// Lower-case hexadecimal digits.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    use std::fmt::Write as _;
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
+    if text.len() != 2 * N || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
+        return None;
+    }
+    let mut bytes = [0; N];
+    for (byte, at) in bytes.iter_mut().zip((0..2 * N).step_by(2)) {
+        *byte = u8::from_str_radix(text.get(at..at + 2)?, 16).ok()?;
+    }
+    Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::store::suite;
+    use crate::wire::tests::warp_object;
+    use mlswarp::deform::Handle;
+    use mlswarp::geometry::Point;
+
+    fn rich() -> Record {
+        let p = vec![Handle::Point(Point::new(0.1, -0.0)), Handle::Polyline(vec![Point::new(1e-300, 2.5), Point::new(1.0 / 3.0, 1e5)])];
+        let rest = RestSpec { p, weights: Some(vec![1.0, 0.1 + 0.2]), alpha: Some(1.3), ..RestSpec::default() };
+        Record { rest, created: SystemTime::UNIX_EPOCH + Duration::from_nanos(1_795_000_000_123_456_789), ..(*suite::record(7)).clone() }
+    }
+
+    /// A record none of whose fields is at its default.
+    fn nothing_at_its_default() -> Record {
+        let rest = RestSpec {
+            method: Method::Affine,
+            point_mass: Some(7.5),
+            units: Units::Normalized,
+            grid: GridSpec::Counts { columns: 9, rows: 7 },
+            ..rich().rest
+        };
+        let output = OutputSpec {
+            format: Format::Jpeg,
+            quality: 7,
+            compression: Compression::Best,
+            width: Some(5),
+            filter: Filter::Nearest,
+            outside: Outside::Edge,
+        };
+        Record { rest, folds: Folds::Reject, output, ..rich() }
+    }
+
+    fn plain() -> Record {
+        Record { rest: base().rest, folds: base().folds, output: base().output, ..rich() }
+    }
+
+    /// The record with other JSON for its warp object, sealed.
+    fn with_warp(record: &Record, warp: &str) -> Vec<u8> {
+        let text = String::from_utf8(write(record)).unwrap();
+        let (before, _) = text.split_once("\"warp\":").unwrap();
+        sealed(format!("{}\"warp\":{warp}}}", &before[CHECKSUM..]).as_bytes())
+    }
+
+    #[test]
+    fn what_is_written_reads_back_to_the_bit() {
+        for record in [rich(), plain(), nothing_at_its_default()] {
+            let back = read(&write(&record)).unwrap();
+            assert_eq!(*back, record);
+            assert_eq!(write(&back), write(&record));
+            assert_eq!(made(&back), made(&record));
+        }
+    }
+
+    #[test]
+    fn a_changed_byte_anywhere_is_seen() {
+        let bytes = write(&rich());
+        for k in 0..bytes.len() {
+            let mut bad = bytes.clone();
+            bad[k] ^= 1;
+            assert!(matches!(read(&bad), Err(Unreadable::Damaged(_))), "byte {k}");
+            assert!(matches!(read(&bytes[..k]), Err(Unreadable::Damaged(_))), "{k} bytes");
+        }
+    }
+
+    /// The defaults of the form are frozen: both forms below are in stores.
+    #[test]
+    fn a_field_at_its_default_is_left_out_and_read_as_the_first_version_wrote_it() {
+        let all = r##"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,
+            "compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"##;
+        let record = plain();
+        assert!(write(&record).ends_with(b",\"warp\":{}}"), "{}", String::from_utf8_lossy(&write(&record)));
+        for warp in ["{}", all] {
+            assert_eq!(*read(&with_warp(&record, warp)).unwrap(), record);
+        }
+        let some = Record { output: OutputSpec { quality: 85, ..record.output }, ..record };
+        assert!(write(&some).ends_with(b",\"warp\":{\"output\":{\"quality\":85}}}"), "{}", String::from_utf8_lossy(&write(&some)));
+    }
+
+    /// What the first version of the program computed. A program that computes anything else would make a session anew that a replica has.
+    #[test]
+    fn the_digest_of_what_a_session_was_made_from_is_the_first_programs() {
+        let digest = |record: &Record, warp: &str| Digest::of(format!("[\"{}\",{warp}]", hex(&record.image.0)).as_bytes());
+        let (plain, full) = (plain(), nothing_at_its_default());
+        let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
+        assert_eq!(made(&plain), digest(&plain, warp));
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"same"}}"#;
+        assert_eq!(made(&full), digest(&full, warp));
+    }
+
+    #[test]
+    fn what_this_program_does_not_know_is_of_another_version_and_not_damaged() {
+        let record = rich();
+        let text = String::from_utf8(write(&record)[CHECKSUM..].to_vec()).unwrap();
+        let changed = |old: &str, new: &str| {
+            assert!(text.contains(old));
+            sealed(text.replace(old, new).as_bytes())
+        };
+        let others = [
+            changed("\"version\":1", "\"version\":2"),
+            changed("\"version\":1", "\"version\":1,\"layers\":{}"),
+            with_warp(&record, r#"{"strength":0.5}"#),
+            with_warp(&record, r#"{"method":"tps"}"#),
+            with_warp(&record, r#"{"output":{"canvas":"fit"}}"#),
+            with_warp(&record, r#"{"q":[]}"#),
+            sealed(b"{\"version\":3}"),
+            sealed(b"\x82\xa7version\x04"),
+        ];
+        for bytes in others {
+            assert!(matches!(read(&bytes), Err(Unreadable::OtherVersion(_))), "{}", String::from_utf8_lossy(&bytes));
+        }
+    }
+
+    #[test]
+    fn the_files_of_a_record_of_any_version_are_known() {
+        let record = rich();
+        assert!(named_files(&write(&record)).contains(&record.image));
+        let other = Digest([0xab; 32]);
+        let json = format!("{{\"version\":2,\"files\":[\"{}\",\"sha256:{}\"]}}", hex(&record.image.0), hex(&other.0));
+        let mut named = [record.image, other];
+        named.sort_unstable_by_key(|digest| digest.0);
+        assert_eq!(named_files(&sealed(json.as_bytes())), named);
+        assert!(named_files(b"0123456789abcdef").is_empty());
+    }
+
+    proptest! {
+        #[test]
+        fn any_record_reads_back(warp in warp_object()) {
+            let WarpObject { rest, folds, output, .. } = warp;
+            let record = Record { rest, folds, output, ..rich() };
+            prop_assert_eq!(&*read(&write(&record)).unwrap(), &record);
+            let all = serde_json::to_string(&Warp(&record, Defaults::Written)).unwrap();
+            prop_assert_eq!(&*read(&with_warp(&record, &all)).unwrap(), &record);
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! The OpenAPI document against itself (every `$ref` resolves, every example is valid) and against the parsers: what they accept and
+//! refuse, the words, the codes.
+
+use jsonschema::{Draft, Validator};
+use mlswarp::codec::{Compression, Format};
+use mlswarp::deform::Method;
+use mlswarp::render::Filter;
+use mlswarp::warp::Units;
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+use super::tests::{warp_object, written};
+use super::word::{Canvas, Metric, Word};
+use super::*;
+
+fn document() -> Value {
+    serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON")
+}
+
+/// A validator for a schema that may refer to the document's components.
+fn validator(document: &Value, schema: &Value) -> Validator {
+    let mut schema = schema.clone();
+    schema["components"] = document["components"].clone();
+    jsonschema::options().with_draft(Draft::Draft202012).should_validate_formats(true).build(&schema).expect("the schema is a schema")
+}
+
+fn component(document: &Value, name: &str) -> Validator {
+    assert!(document["components"]["schemas"][name].is_object(), "{name}");
+    validator(document, &json!({"$ref": format!("#/components/schemas/{name}")}))
+}
+
+fn walk<'a>(value: &'a Value, path: &str, visit: &mut impl FnMut(&str, &'a serde_json::Map<String, Value>)) {
+    match value {
+        Value::Object(object) => {
+            visit(path, object);
+            object.iter().for_each(|(name, value)| walk(value, &format!("{path}/{name}"), visit));
+        }
+        Value::Array(items) => items.iter().enumerate().for_each(|(i, value)| walk(value, &format!("{path}/{i}"), visit)),
+        _ => {}
+    }
+}
+
+fn resolve<'a>(document: &'a Value, value: &'a Value) -> &'a Value {
+    match value["$ref"].as_str() {
+        Some(target) => document.pointer(target.trim_start_matches('#')).expect(target),
+        None => value,
+    }
+}
+
+fn operations(document: &Value) -> Vec<(String, &Value)> {
+    let mut operations = Vec::new();
+    for (path, item) in document["paths"].as_object().expect("paths") {
+        for (method, operation) in item.as_object().expect("a path item") {
+            if method != "parameters" {
+                operations.push((format!("{} {path}", method.to_uppercase()), operation));
+            }
+        }
+    }
+    operations
+}
+
+#[test]
+fn every_reference_resolves_and_every_component_is_used() {
+    let document = document();
+    let mut used = std::collections::HashSet::new();
+    walk(&document, "", &mut |path, object| {
+        if let Some(target) = object.get("$ref").and_then(Value::as_str) {
+            assert!(target.starts_with("#/") && document.pointer(&target[1..]).is_some(), "{path}: {target}");
+            used.insert(target.to_owned());
+        }
+    });
+    // Security schemes are named, not referred to.
+    for (kind, entries) in document["components"].as_object().expect("components").iter().filter(|(kind, _)| *kind != "securitySchemes") {
+        for name in entries.as_object().expect("entries").keys() {
+            assert!(used.contains(&format!("#/components/{kind}/{name}")), "{kind}/{name} is not used");
+        }
+    }
+}
+
+#[test]
+fn every_example_is_valid() {
+    let document = document();
+    let mut count = 0;
+    let mut check = |path: &str, schema: &Value, example: &Value| {
+        let errors: Vec<String> = validator(&document, schema).iter_errors(example).map(|e| e.to_string()).collect();
+        assert!(errors.is_empty(), "{path}: {errors:?}: {example}");
+        count += 1;
+    };
+    walk(&document, "", &mut |path, object| {
+        if let Some(schema) = object.get("schema") {
+            for (name, example) in object.get("examples").and_then(Value::as_object).into_iter().flatten() {
+                check(&format!("{path}/{name}"), schema, &resolve(&document, example)["value"]);
+            }
+            if let Some(example) = object.get("example") {
+                check(path, schema, example);
+            }
+        }
+    });
+    for (name, schema) in document["components"]["schemas"].as_object().expect("schemas") {
+        schema["examples"].as_array().into_iter().flatten().chain(schema.get("default")).for_each(|e| check(name, schema, e));
+    }
+    assert!(count > 60, "{count}");
+}
+
+#[test]
+fn every_object_of_a_schema_is_closed_and_names_only_its_own() {
+    let document = document();
+    walk(&document["components"]["schemas"], "", &mut |path, object| {
+        // The part below `if` is a condition, not a schema of its own.
+        if object.get("properties").is_some_and(Value::is_object) && !path.ends_with("/if") && !path.ends_with("/properties") {
+            assert_eq!(object.get("additionalProperties"), Some(&Value::Bool(false)), "{path}");
+            for name in object.get("required").and_then(Value::as_array).into_iter().flatten() {
+                assert!(object["properties"].get(name.as_str().expect("a name")).is_some(), "{path}: {name}");
+            }
+        }
+    });
+}
+
+#[test]
+fn statuses_hold_problems_of_that_status_and_every_operation_may_fail() {
+    let document = document();
+    let mut seen = std::collections::HashSet::new();
+    for (route, operation) in operations(&document) {
+        let responses = operation["responses"].as_object().expect("responses");
+        let is_success = |status: &str| status.starts_with('2') || status == "101";
+        assert!(responses.keys().any(|s| is_success(s)) && responses.contains_key("500"), "{route}");
+        for (status, response) in responses.iter().filter(|(s, _)| !is_success(s)) {
+            let response = resolve(&document, response);
+            let examples = &response["content"][Problem::MEDIA_TYPE]["examples"];
+            for (name, example) in examples.as_object().expect("examples") {
+                let code = Code::ALL.iter().find(|c| c.as_str() == name).expect(name);
+                assert_eq!(&code.status().to_string(), status, "{route}: {name}");
+                assert_eq!(example["value"]["code"], *name, "{route}");
+                assert_eq!(example["value"]["status"], code.status(), "{route}: {name}");
+                assert_eq!(example["value"]["title"], code.title(), "{route}: {name}");
+                seen.insert(*code);
+            }
+            assert_eq!(response["headers"]["Retry-After"].is_object(), matches!(status.as_str(), "429" | "503"), "{route} {status}");
+        }
+    }
+    // These belong to no operation: the method or the host is not one.
+    let nowhere = [Code::MethodNotAllowed, Code::Misdirected];
+    for code in Code::ALL {
+        assert_eq!(seen.contains(code), !nowhere.contains(code), "{code:?}");
+    }
+    let codes: Vec<&str> = Code::ALL.iter().map(|c| c.as_str()).collect();
+    assert_eq!(document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"], json!(codes));
+}
+
+#[test]
+fn problems_are_valid_documents() {
+    let document = document();
+    let schema = component(&document, "Problem");
+    for code in Code::ALL {
+        let full = Problem::new(*code, "x").pointer("/p/0").handle(0).limit("bytes", 1, 2.5).retry_after(1);
+        assert!(schema.is_valid(&full.to_json(Some("id"))), "{code:?}");
+        assert!(schema.is_valid(&Problem::new(*code, "x").to_json(None)), "{code:?}");
+    }
+    assert!(!schema.is_valid(&json!({"code": "internal"})));
+}
+
+fn words<T: Word>(place: &str) {
+    let document = document();
+    let node = document["components"]["schemas"].pointer(place).expect(place);
+    let here: Vec<&str> = T::ALL.iter().map(|v| v.word()).collect();
+    assert_eq!(node["enum"], json!(here), "{place}");
+    assert_eq!(node["default"], here[0], "{place}");
+}
+
+#[test]
+fn enums_list_what_this_version_has() {
+    words::<Method>("/Method");
+    words::<Units>("/Units");
+    words::<Folds>("/Folds");
+    words::<Metric>("/Metric");
+    words::<Compression>("/Compression");
+    words::<Filter>("/Filter");
+    words::<Format>("/Output/properties/format");
+    words::<Canvas>("/Output/properties/canvas");
+}
+
+#[test]
+fn schemas_and_parsers_agree_on_a_table() {
+    let document = document();
+    let (warp, drag) = (component(&document, "WarpObject"), component(&document, "Drag"));
+    let (session_drag, points, posed) =
+        (component(&document, "SessionDrag"), component(&document, "Points"), component(&document, "PosedPoints"));
+    type Parse = fn(&[u8]) -> bool;
+    let parsers: [(&Validator, Parse, &str); 5] = [
+        (&warp, |b| WarpObject::parse(b).is_ok(), ""),
+        (&drag, |b| DragObject::parse(b, false).is_ok(), "\"q\": []"),
+        (&session_drag, |b| DragObject::parse(b, true).is_ok(), "\"q\": [], \"session\": \"s\""),
+        (&points, |b| PointsObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
+        (&posed, |b| PointsObject::parse_posed(b).is_ok(), "\"q\": []"),
+    ];
+    let fields = [
+        "p: []",
+        "p: [[1, 2]]",
+        "p: [[[1, 2], [3, 4]]]",
+        "p: [[[1, 2]]]",
+        "p: [[1, 2, 3]]",
+        "p: [[1]]",
+        "p: [[]]",
+        "p: null",
+        "p: [1]",
+        "p: [[1, [2, 3]]]",
+        "q: [[1, 2]]",
+        "q: null",
+        "weights: [1, 2]",
+        "weights: [null]",
+        "method: \"affine\"",
+        "method: \"tps\"",
+        "alpha: 2",
+        "alpha: \"2\"",
+        "point_mass: 3",
+        "units: \"normalized\"",
+        "units: \"cm\"",
+        "grid: \"auto\"",
+        "grid: \"pixel\"",
+        "grid: \"coarse\"",
+        "grid: {\"cell\": 2}",
+        "grid: {\"cell\": 0}",
+        "grid: {\"cell\": 2, \"rows\": 3}",
+        "grid: {\"rows\": 3}",
+        "grid: {\"columns\": 2, \"rows\": 3}",
+        "grid: {\"columns\": 1, \"rows\": 3}",
+        "grid: {\"columns\": 2.5, \"rows\": 3}",
+        "grid: {\"columns\": 4294967295, \"rows\": 4294967296}",
+        "folds: \"reject\"",
+        "folds: \"remove\"",
+        "metric: \"euclidean\"",
+        "metric: \"geodesic\"",
+        "output: {}",
+        "output: null",
+        "output: {\"format\": \"png\"}",
+        "output: {\"format\": \"jpeg\", \"quality\": 100}",
+        "output: {\"format\": \"webp\"}",
+        "output: {\"format\": \"avif\"}",
+        "output: {\"quality\": 0}",
+        "output: {\"quality\": 101}",
+        "output: {\"quality\": 50.5}",
+        "output: {\"compression\": \"none\"}",
+        "output: {\"compression\": \"max\"}",
+        "output: {\"width\": 1}",
+        "output: {\"width\": 0}",
+        "output: {\"width\": 8.0}",
+        "output: {\"width\": 8.5}",
+        "output: {\"width\": null}",
+        "output: {\"width\": 4294967296}",
+        "output: {\"filter\": \"nearest\"}",
+        "output: {\"filter\": \"bicubic\"}",
+        "output: {\"outside\": \"edge\"}",
+        "output: {\"outside\": \"reflect\"}",
+        "output: {\"outside\": \"#AbCdEf\"}",
+        "output: {\"outside\": \"#00000000\"}",
+        "output: {\"outside\": \"#0000000\"}",
+        "output: {\"canvas\": \"same\"}",
+        "output: {\"canvas\": \"fit\"}",
+        "output: {\"x\": 1}",
+        "seq: 0",
+        "seq: -1",
+        "seq: 1.5",
+        "seq: 1e3",
+        "seq: 18446744073709551615",
+        "seq: null",
+        "session: \"x\"",
+        "session: 1",
+        "extent: [4, 3]",
+        "extent: [0, 3]",
+        "extent: [4]",
+        "extent: [4, 3, 2]",
+        "points: []",
+        "points: [[1, 2]]",
+        "points: [[1]]",
+        "points: [[[1, 2], [3, 4]]]",
+        "polygons: []",
+        "boxes: []",
+        "inverse: false",
+        "inverse: true",
+        "inverse: 0",
+        "refine: false",
+        "unheard_of: 1",
+    ];
+    let mut accepted = 0;
+    for (schema, parse, base) in parsers {
+        for field in fields {
+            let (name, value) = field.split_once(": ").expect("name and value");
+            // A base field that is given again is replaced: a duplicate is another matter.
+            let kept = base.split(", \"").filter(|b| !b.is_empty() && !b.trim_start_matches('"').starts_with(&format!("{name}\"")));
+            let kept: Vec<String> = kept.map(|b| if b.starts_with('"') { b.to_owned() } else { format!("\"{b}") }).collect();
+            let text = format!("{{{}}}", kept.into_iter().chain([format!("\"{name}\": {value}")]).collect::<Vec<_>>().join(", "));
+            let json: Value = serde_json::from_str(&text).expect(&text);
+            assert_eq!(schema.is_valid(&json), parse(text.as_bytes()), "{text}");
+            accepted += usize::from(schema.is_valid(&json));
+        }
+    }
+    assert!(accepted > 80, "{accepted}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn what_is_written_is_valid(warp in warp_object()) {
+        thread_local!(static SCHEMA: Validator = component(&document(), "WarpObject"));
+        let json = written(&warp);
+        prop_assert!(SCHEMA.with(|schema| schema.is_valid(&json)), "{json}");
+    }
+}
