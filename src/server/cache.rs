@@ -17,10 +17,10 @@ use lru::LruCache;
 use mlswarp::warp::Digest;
 use tokio::sync::{oneshot, watch};
 
-use super::budget::Reservation;
-use super::client::Owner;
-use super::problem::Problem;
-use super::telemetry::Scope;
+use crate::client::Owner;
+use crate::limits::memory::Reservation;
+use crate::observe::Scope;
+use crate::problem::Problem;
 
 /// What a value is found by. Owners share nothing: a hit would tell one of them what another has sent. Without keys there is one owner,
 /// and one cache.
@@ -339,8 +339,8 @@ impl<V> Building<V> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::budget::{Budget, Purpose};
     use crate::client::Client;
+    use crate::limits::memory::{Budget, Purpose};
     use crate::pool::{Cancel, Lane, Pool, Shape, Work};
     use crate::problem::Code;
     use futures_util::FutureExt as _;

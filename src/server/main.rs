@@ -14,9 +14,10 @@ use std::fmt::Display;
 use std::process::ExitCode;
 
 use clap::Parser as _;
+use mlswarp_server::cli::{health, warp};
 use mlswarp_server::config::{Cli, Command, Config};
-use mlswarp_server::http::server;
-use mlswarp_server::{health, offline, telemetry};
+use mlswarp_server::http::connection;
+use mlswarp_server::observe;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -42,17 +43,17 @@ fn main() -> ExitCode {
 fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
-            telemetry::start(&config);
+            observe::start(&config);
             heap::give_back();
-            exit(server::run(config).map_err(|e| format!("error: {e}")))
+            exit(connection::run(config).map_err(|e| format!("error: {e}")))
         }
         Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),
-        Command::Warp { image, warp, out } => exit(match offline::run(&config, &image, &warp, &out) {
+        Command::Warp { image, warp, out } => exit(match warp::run(&config, &image, &warp, &out) {
             Ok(summary) => {
                 eprintln!("{summary}");
                 Ok(())
             }
-            Err(problem) => Err(offline::complaint(&problem)),
+            Err(problem) => Err(warp::complaint(&problem)),
         }),
     }
 }

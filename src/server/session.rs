@@ -9,8 +9,8 @@ use std::time::SystemTime;
 use tokio::sync::watch;
 use uuid::{Uuid, Variant};
 
-use super::cache::Retained;
-use super::client::Owner;
+use crate::cache::Retained;
+use crate::client::Owner;
 
 /// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
 /// among those of its owner. Written, it is the UUID alone.

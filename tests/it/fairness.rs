@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use mlswarp_server::budget::Purpose;
 use mlswarp_server::client::{Client as Who, Owner};
+use mlswarp_server::limits::memory::Purpose;
 use mlswarp_server::pool::{Lane, Work};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use data_encoding::BASE64URL_NOPAD;
 use futures_util::{SinkExt as _, StreamExt as _};
-use mlswarp_server::budget::Purpose;
 use mlswarp_server::http::{Access, paths};
+use mlswarp_server::limits::memory::Purpose;
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::net::TcpStream;

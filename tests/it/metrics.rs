@@ -30,7 +30,7 @@ async fn what_happens_is_counted_and_nothing_of_a_client_is_told() {
     problem(server.upload("/warp", &photo(401, 2), &json!({"p": []})).await, 413, "too_large").await;
     problem(server.get(&format!("/sessions/{id}-secret")).send().await.unwrap(), 404, "no_such_session").await;
     server.client.request("SECRET".parse().unwrap(), server.url("/secret")).send().await.unwrap();
-    eventually("answers have left", || server.app.budget().taken_for(mlswarp_server::budget::Purpose::Frame) == 0).await;
+    eventually("answers have left", || server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame) == 0).await;
     let samples = scrape(&server).await;
     for (name, value) in [
         (r#"mlswarp_requests_total{route="/sessions",method="POST",status="201"}"#, 1.0),

@@ -3,8 +3,8 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
-use mlswarp_server::budget::Purpose;
 use mlswarp_server::client::Client;
+use mlswarp_server::limits::memory::Purpose;
 use mlswarp_server::pool::{Lane, Ticket, Work};
 use reqwest::Response;
 use serde_json::json;

@@ -322,7 +322,7 @@ async fn who_sips_holds_his_share_and_no_more() {
             Some(sips) => sipping.push(sips),
             None => refused += 1,
         }
-        let held = server.app.budget().taken_for(mlswarp_server::budget::Purpose::Frame);
+        let held = server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame);
         assert!(held <= share + (1 << 20), "{held} of {share}");
     }
     assert!(sipping.len() > 1 && refused > 1, "{} sip, {refused} were refused", sipping.len());
@@ -335,7 +335,8 @@ async fn who_sips_holds_his_share_and_no_more() {
     }
     eprintln!("{} answers are sipped, {refused} were refused", sipping.len());
     sipping.into_iter().for_each(|sips| sips.abort());
-    eventually("what was not taken is given back", || server.app.budget().taken_for(mlswarp_server::budget::Purpose::Frame) == 0).await;
+    eventually("what was not taken is given back", || server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame) == 0)
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -347,7 +348,7 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
     );
     let head =
         format!("POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
-    let held = || server.app.budget().taken_for(mlswarp_server::budget::Purpose::Frame);
+    let held = || server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame);
     let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
     for _ in 0..6 {
         let socket = TcpSocket::new_v4().unwrap();
@@ -372,7 +373,7 @@ async fn session_objects_that_nobody_reads_are_in_the_account() {
     let id = server.session(&photo(64, 48), &json!({"p": [[20, 20], [40, 30]]})).await;
     let path = format!("/sessions/{id}");
     let length = server.get(&path).send().await.unwrap().bytes().await.unwrap().len() as u64;
-    let held = || server.app.budget().taken_for(mlswarp_server::budget::Purpose::Frame);
+    let held = || server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame);
     eventually("what was read is given back", || held() == 0).await;
     let mut frames = Frames::open(server.address, 0).await;
     for n in 0..40 {

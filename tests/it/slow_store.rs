@@ -89,7 +89,7 @@ async fn cold_drags_of_one_session_share_its_file() {
 /// Memory for a file is taken before the file is asked for, and given back with it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_file_is_in_the_account_while_it_is_fetched() {
-    use mlswarp_server::budget::Purpose;
+    use mlswarp_server::limits::memory::Purpose;
     let redis = Redis::start(&[]);
     let relay = Relay::start(&redis).await;
     let server = start(&relay, "2").await;

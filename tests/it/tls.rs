@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt as _, StreamExt as _};
+use mlswarp_server::auth::tls::TlsFiles;
 use mlswarp_server::client::Client;
-use mlswarp_server::doors::tls::TlsFiles;
 use serde_json::json;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;

@@ -12,9 +12,9 @@ use std::time::Duration;
 
 use clap::Parser as _;
 use client::Client;
-use mlswarp_server::App;
+use mlswarp_server::app::App;
 use mlswarp_server::config::Cli;
-use mlswarp_server::http::server::{listen, serve};
+use mlswarp_server::http::connection::{listen, serve};
 
 /// What may stay more after many requests than after a few, bytes.
 const GROWTH: i64 = 64 << 10;

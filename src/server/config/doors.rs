@@ -9,19 +9,19 @@ use std::time::Duration;
 use clap::Args;
 
 use super::{Mistakes, units, whole};
-use crate::doors::cors::Origins;
-use crate::doors::hosts::Hosts;
-use crate::doors::keys::Keys;
-use crate::doors::network::Network;
-use crate::doors::read_bounded;
-use crate::doors::tls::TlsFiles;
+use crate::auth::cors::Origins;
+use crate::auth::hosts::Hosts;
+use crate::auth::keys::Keys;
+use crate::auth::read_bounded;
+use crate::auth::tls::TlsFiles;
+use crate::limits::networks::Network;
 
 /// Largest file of keys.
 const KEYS_FILE: u64 = 1 << 20;
 
 /// The options as text; [`DoorsArgs::resolve`] reads them.
 #[derive(Debug, Args)]
-pub(super) struct DoorsArgs {
+pub(crate) struct DoorsArgs {
     /// File of keys, one `NAME KEY` a line; sessions belong to the name. Read again when it changes.
     #[arg(long, env = "MLSWARP_KEYS_FILE", value_name = "PATH", default_value = "", hide_default_value = true, global = true)]
     keys_file: String,
@@ -248,7 +248,7 @@ impl DoorsConfig {
 }
 
 impl DoorsArgs {
-    pub(super) fn resolve(&self, m: &mut Mistakes) -> DoorsConfig {
+    pub(crate) fn resolve(&self, m: &mut Mistakes) -> DoorsConfig {
         DoorsConfig {
             keys: self.keys(m),
             allow_anonymous: m.read("allow-anonymous", &self.allow_anonymous, boolean),
@@ -293,7 +293,7 @@ impl DoorsArgs {
     }
 
     /// A server that everybody reaches and anybody may use is one that somebody wanted.
-    pub(super) fn check_open(&self, m: &mut Mistakes, listen: SocketAddr, doors: &DoorsConfig) {
+    pub(crate) fn check_open(&self, m: &mut Mistakes, listen: SocketAddr, doors: &DoorsConfig) {
         // Keys that were meant, and have a mistake of their own, are told once.
         let meant = !self.keys.0.trim().is_empty() || !self.keys_file.is_empty();
         if !listen.ip().to_canonical().is_loopback() && !meant && !doors.allow_anonymous {
@@ -323,7 +323,7 @@ fn networks(text: &str) -> Result<Vec<Network>, String> {
 mod tests {
     use clap::Parser as _;
 
-    use super::super::{Cli, Config};
+    use crate::config::{Cli, Config};
 
     fn serve(args: &[&str]) -> Result<Config, String> {
         let cli = Cli::try_parse_from([&["mlswarp", "serve"], args].concat()).expect("known flags");

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 const UNKNOWN: u64 = 2 << 30;
 
 /// Bytes that this process may come to hold before the kernel ends it.
-pub(super) fn available() -> u64 {
+pub(crate) fn available() -> u64 {
     let read = |path: &Path| fs::read_to_string(path).ok();
     least(&read).unwrap_or(UNKNOWN)
 }

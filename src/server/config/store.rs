@@ -9,7 +9,7 @@ use crate::store::{Bounds, Place};
 
 /// Options of the store, as text.
 #[derive(Debug, Args)]
-pub(super) struct StoreArgs {
+pub(crate) struct StoreArgs {
     /// Where sessions live: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
     #[arg(long, env = "MLSWARP_STORE", value_name = "STORE", default_value = "memory", hide_env_values = true, global = true)]
     store: Secret,
@@ -51,7 +51,7 @@ pub struct StoreConfig {
 }
 
 impl StoreArgs {
-    pub(super) fn resolve(&self, m: &mut Mistakes) -> StoreConfig {
+    pub(crate) fn resolve(&self, m: &mut Mistakes) -> StoreConfig {
         StoreConfig {
             place: m.read("store", &self.store.0, str::parse),
             bounds: Bounds {

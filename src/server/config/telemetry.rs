@@ -12,7 +12,7 @@ const TRACES: &str = "/v1/traces";
 
 /// The options as text; [`TelemetryArgs::resolve`] reads them.
 #[derive(Debug, Args)]
-pub(super) struct TelemetryArgs {
+pub(crate) struct TelemetryArgs {
     /// Another address and port where /metrics, /healthz and /readyz are answered, without a key and without TLS.
     #[arg(long, env = "MLSWARP_METRICS_LISTEN", value_name = "ADDR", default_value = "", hide_default_value = true, global = true)]
     metrics_listen: String,
@@ -88,7 +88,7 @@ impl fmt::Display for Collector {
 }
 
 impl TelemetryArgs {
-    pub(super) fn resolve(&self, m: &mut Mistakes, listen: SocketAddr) -> TelemetryConfig {
+    pub(crate) fn resolve(&self, m: &mut Mistakes, listen: SocketAddr) -> TelemetryConfig {
         TelemetryConfig {
             metrics_listen: m.read("metrics-listen", &self.metrics_listen, |text| other_address(text, listen)),
             otlp_endpoint: m.read("otlp-endpoint", &self.otlp_endpoint, |text| {
@@ -124,8 +124,8 @@ fn ratio(text: &str) -> Result<f64, String> {
 mod tests {
     use clap::Parser as _;
 
-    use super::super::{Cli, Config};
     use super::*;
+    use crate::config::{Cli, Config};
 
     fn resolve(args: &[&str]) -> Result<Config, String> {
         Cli::try_parse_from([&["mlswarp"], args].concat()).expect("known flags").options.resolve().map_err(|m| m.to_string())

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 /// Bytes.
-pub(super) fn bytes(text: &str) -> Result<u64, String> {
+pub(crate) fn bytes(text: &str) -> Result<u64, String> {
     let (number, unit) = split(text);
     let scale: u64 = match unit.to_ascii_lowercase().as_str() {
         "" | "b" => 1,
@@ -20,7 +20,7 @@ pub(super) fn bytes(text: &str) -> Result<u64, String> {
 }
 
 /// A number of things: `50M` is fifty million.
-pub(super) fn count(text: &str) -> Result<u64, String> {
+pub(crate) fn count(text: &str) -> Result<u64, String> {
     let (number, unit) = split(text);
     let scale: u64 = match unit {
         "" => 1,
@@ -32,7 +32,7 @@ pub(super) fn count(text: &str) -> Result<u64, String> {
 }
 
 /// A span of time, longer than nothing and at most a year.
-pub(super) fn span(text: &str) -> Result<Duration, String> {
+pub(crate) fn span(text: &str) -> Result<Duration, String> {
     let wrong = || format!("`{text}` is not a time such as 500ms, 30s, 15m or 2h");
     let (number, unit) = split(text);
     let seconds = match unit {
@@ -50,7 +50,7 @@ pub(super) fn span(text: &str) -> Result<Duration, String> {
 }
 
 /// A span of time that may also be nothing.
-pub(super) fn pause(text: &str) -> Result<Duration, String> {
+pub(crate) fn pause(text: &str) -> Result<Duration, String> {
     if text.trim() == "0s" { Ok(Duration::ZERO) } else { span(text) }
 }
 

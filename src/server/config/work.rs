@@ -7,7 +7,7 @@ use clap::Args;
 use super::{Mistakes, cores, memory, units, whole};
 
 /// Even one core serves a page full of hands: a drag takes milliseconds.
-pub(super) const LEAST_QUEUE: usize = 64;
+pub(crate) const LEAST_QUEUE: usize = 64;
 /// The account's part of the memory that there is, in tenths: the rest is for the program, its stacks, the allocator's waste and the kernel's buffers.
 const TENTHS: u64 = 6;
 /// Less is no service.
@@ -59,7 +59,7 @@ pub struct WorkConfig {
 }
 
 impl WorkOptions {
-    pub(super) fn resolve(&self, m: &mut Mistakes) -> WorkConfig {
+    pub(crate) fn resolve(&self, m: &mut Mistakes) -> WorkConfig {
         let auto = |text: &str| text == "auto";
         let workers = m.read("workers", &self.workers, |t| if auto(t) { Ok(cores()) } else { whole(t, 1, 1024) });
         let queue = |t: &str| if auto(t) { Ok((4 * workers).max(LEAST_QUEUE)) } else { whole(t, 0, 100_000) };

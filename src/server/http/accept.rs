@@ -4,14 +4,14 @@ use axum::http::HeaderMap;
 use axum::http::header::ACCEPT;
 use mlswarp::codec::Format;
 
-use crate::formats::Formats;
 use crate::problem::{Code, Problem};
+use crate::wire::formats::Formats;
 
 /// The index of the media type among `offers` that the client wants most; the first of them where it wants several equally, or says nothing.
 ///
 /// # Errors
 /// 406 when it takes none.
-pub(super) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
+pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
     let wanted = wanted(headers, offers);
     let best = (0..N).fold(0, |best, index| if wanted[index] > wanted[best] { index } else { best });
     let none = || Problem::new(Code::NotAcceptable, format!("this answer is written as {}; Accept takes none of these", offers.join(", ")));
@@ -22,7 +22,7 @@ pub(super) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> 
 ///
 /// # Errors
 /// 406 when it takes none.
-pub(super) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
+pub(crate) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
     Formats::new(wanted(headers, Format::ALL.map(Format::media_type)))
 }
 

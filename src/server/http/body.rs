@@ -16,14 +16,14 @@ use http_body::Frame;
 use http_body_util::BodyExt as _;
 use tokio::time::{Sleep, sleep};
 
-use crate::App;
-use crate::budget::{Purpose, Reservation};
+use crate::app::App;
 use crate::client::Client;
+use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::{Code, Problem};
 
 /// Why a body ended early.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
-pub(super) enum ReadError {
+pub(crate) enum ReadError {
     /// More bytes than the limit.
     #[error("the body is larger than {limit} bytes")]
     TooLarge {
@@ -55,7 +55,7 @@ impl From<ReadError> for Problem {
 }
 
 /// 413.
-pub(super) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem {
+pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem {
     let of = match what {
         "warp_json_bytes" => "the part `warp`",
         "drag_json_bytes" => "the JSON of a drag",
@@ -65,7 +65,7 @@ pub(super) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
 }
 
 /// What went wrong while a body was read; `doing` says what it was read for.
-pub(super) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &str) -> Problem {
+pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &str) -> Problem {
     let mut cause = Some(error);
     while let Some(error) = cause {
         if let Some(ours) = error.downcast_ref::<ReadError>() {
@@ -78,10 +78,10 @@ pub(super) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &st
 
 /// Whether a request waits for bytes of its body, that is, for its client.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Waiting(Arc<AtomicBool>);
+pub(crate) struct Waiting(Arc<AtomicBool>);
 
 impl Waiting {
-    pub(super) fn is_for_client(&self) -> bool {
+    pub(crate) fn is_for_client(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
@@ -92,7 +92,7 @@ impl Waiting {
 
 /// A body with a limit and a deadline.
 #[derive(Debug)]
-pub(super) struct Guard {
+pub(crate) struct Guard {
     body: Option<Body>,
     left: u64,
     limit: u64,
@@ -103,7 +103,7 @@ pub(super) struct Guard {
 
 impl Guard {
     /// `waits`: the client asked for permission first (`Expect: 100-continue`); there is nothing to drain.
-    pub(super) fn wrap(body: Body, limit: u64, within: Duration, waits: bool, waiting: Waiting) -> Body {
+    pub(crate) fn wrap(body: Body, limit: u64, within: Duration, waits: bool, waiting: Waiting) -> Body {
         if body.is_end_stream() {
             return body;
         }
@@ -198,7 +198,7 @@ impl Drop for Patient {
 }
 
 /// The media type of the body, lower case, without parameters.
-pub(super) fn media_type(request: &Request) -> Option<String> {
+pub(crate) fn media_type(request: &Request) -> Option<String> {
     let text = request.headers().get(CONTENT_TYPE)?.to_str().ok()?;
     Some(text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
 }
@@ -207,22 +207,22 @@ pub(super) fn media_type(request: &Request) -> Option<String> {
 const BESIDE: u64 = 16 << 10;
 
 /// Bytes that grow as they arrive; their memory is in the account before they are kept.
-pub(super) struct Received<'a> {
+pub(crate) struct Received<'a> {
     app: &'a App,
     bytes: Vec<u8>,
     held: Reservation,
 }
 
 impl<'a> Received<'a> {
-    pub(super) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
+    pub(crate) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
         Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_share(client), BESIDE)? })
     }
 
-    pub(super) fn len(&self) -> u64 {
+    pub(crate) fn len(&self) -> u64 {
         self.bytes.len() as u64
     }
 
-    pub(super) fn push(&mut self, data: &[u8]) -> Result<(), Problem> {
+    pub(crate) fn push(&mut self, data: &[u8]) -> Result<(), Problem> {
         let needed = self.bytes.len() + data.len();
         if needed > self.bytes.capacity() {
             let room = needed.max(2 * self.bytes.capacity());
@@ -236,20 +236,20 @@ impl<'a> Received<'a> {
     }
 
     /// As they are; a buffer that grew is up to twice as large as what it holds.
-    pub(super) fn finish(mut self) -> Bytes {
+    pub(crate) fn finish(mut self) -> Bytes {
         self.held.shrink_to(self.bytes.capacity() as u64);
         self.held.with(self.bytes)
     }
 
     /// Exactly: a session keeps them for minutes.
-    pub(super) fn fit(mut self) -> Bytes {
+    pub(crate) fn fit(mut self) -> Bytes {
         self.bytes.shrink_to_fit();
         self.finish()
     }
 }
 
 /// A JSON body of at most `limit` bytes. A drag's is read for its frame: it is not kept out by uploads.
-pub(super) async fn json(
+pub(crate) async fn json(
     app: &App,
     client: Client,
     request: Request,

@@ -6,29 +6,14 @@
 //! that upload (a full queue answers before a body is read), then the handlers.
 
 mod accept;
-mod answer;
+pub(crate) mod assets;
 mod body;
-mod docs;
-mod doors;
-mod fence;
-mod handshake;
-mod health;
-mod host;
-mod line;
-mod mesh;
-mod metered;
-mod metrics;
-mod openapi;
-mod page;
-mod points;
-mod problems;
-mod refuse;
-pub mod server;
-mod sessions;
-mod site;
+pub mod connection;
+pub(crate) mod middleware;
+pub(crate) mod response;
+mod routes;
 mod socket;
 mod upload;
-mod warp;
 
 use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
@@ -37,12 +22,12 @@ use axum::response::Response;
 use axum::routing::{MethodRouter, any, get, post, put};
 use axum::{Extension, Router};
 
-pub use doors::Access;
-use fence::Fence;
+use middleware::Fence;
+pub use middleware::keyed::Access;
 
-use super::App;
-use super::client::Client;
-use super::problem::{Code, Problem};
+use crate::app::App;
+use crate::client::Client;
+use crate::problem::{Code, Problem};
 
 /// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
@@ -50,21 +35,21 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     let scraped = if app.config().doors.open_metrics { Open } else { Keyed };
     let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
-        ("/warp", Keyed, post(warp::warp)),
-        ("/sessions", Keyed, uploads(post(sessions::create))),
-        ("/sessions/{id}", Keyed, get(sessions::read).delete(sessions::delete).merge(uploads(put(sessions::put)))),
-        ("/sessions/{id}/handles", Keyed, uploads(put(sessions::handles))),
-        ("/sessions/{id}/warp", Keyed, post(warp::drag)),
-        ("/sessions/{id}/mesh", Keyed, post(mesh::mesh)),
+        ("/warp", Keyed, post(routes::warp::warp)),
+        ("/sessions", Keyed, uploads(post(routes::sessions::create))),
+        ("/sessions/{id}", Keyed, get(routes::sessions::read).delete(routes::sessions::delete).merge(uploads(put(routes::sessions::put)))),
+        ("/sessions/{id}/handles", Keyed, uploads(put(routes::sessions::handles))),
+        ("/sessions/{id}/warp", Keyed, post(routes::warp::drag)),
+        ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
-        ("/sessions/{id}/points", Keyed, uploads(post(points::of_session))),
-        ("/points", Keyed, uploads(post(points::once))),
-        ("/healthz", Open, get(health::alive)),
-        ("/readyz", Open, get(health::ready)),
-        ("/metrics", scraped, get(metrics::text)),
-        ("/openapi.json", Open, get(openapi::document)),
-        ("/docs", Open, get(docs::page)),
-        ("/problems/{code}", Open, get(problems::section)),
+        ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
+        ("/points", Keyed, uploads(post(routes::points::once))),
+        ("/healthz", Open, get(routes::health::alive)),
+        ("/readyz", Open, get(routes::health::ready)),
+        ("/metrics", scraped, get(routes::metrics::text)),
+        ("/openapi.json", Open, get(routes::openapi::document)),
+        ("/docs", Open, get(routes::docs::page)),
+        ("/problems/{code}", Open, get(routes::problems::section)),
     ]
 }
 
@@ -80,24 +65,24 @@ pub fn router(app: App) -> Router {
         .into_iter()
         .map(|(path, access, route)| match access {
             Access::Open => (path, route),
-            Access::Keyed => (path, route.layer(from_fn_with_state(app.clone(), doors::keyed))),
+            Access::Keyed => (path, route.layer(from_fn_with_state(app.clone(), middleware::keyed::keyed))),
         })
-        .fold(page::routes(&app).merge(docs::files()), |router, (path, route)| router.route(path, route))
+        .fold(assets::routes(&app).merge(routes::docs::files()), |router, (path, route)| router.route(path, route))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(Fence::of_service(&app), fence::fence))
+        .layer(from_fn_with_state(Fence::of_service(&app), middleware::fence))
         .with_state(app)
 }
 
 /// What those who watch the service may ask on a listener of their own, without a key.
 fn watched(app: App) -> Router {
     Router::new()
-        .route("/healthz", get(health::alive))
-        .route("/readyz", get(health::ready))
-        .route("/metrics", get(metrics::text))
+        .route("/healthz", get(routes::health::alive))
+        .route("/readyz", get(routes::health::ready))
+        .route("/metrics", get(routes::metrics::text))
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(Fence::of_watchers(&app), fence::fence))
+        .layer(from_fn_with_state(Fence::of_watchers(&app), middleware::fence))
         .with_state(app)
 }
 

@@ -13,9 +13,9 @@ use bytes::Bytes;
 use http_body::Frame;
 
 use super::body::{ReadError, Received, media_type, read_problem, too_large};
-use crate::App;
-use crate::budget::Purpose;
+use crate::app::App;
 use crate::client::Client;
+use crate::limits::memory::Purpose;
 use crate::problem::{Code, Problem};
 
 /// What the parser may keep of which nothing has come: the head of a part, and what lies before the first.
@@ -25,20 +25,20 @@ const PARSER: u64 = 128 << 10;
 
 /// The two parts.
 #[derive(Debug)]
-pub(super) struct Upload {
+pub(crate) struct Upload {
     /// The file.
-    pub(super) image: Bytes,
+    pub(crate) image: Bytes,
     /// The warp object.
-    pub(super) warp: Bytes,
+    pub(crate) warp: Bytes,
 }
 
 /// The request has a multipart body.
-pub(super) fn is_multipart(request: &Request) -> bool {
+pub(crate) fn is_multipart(request: &Request) -> bool {
     media_type(request).as_deref() == Some("multipart/form-data")
 }
 
 /// Reads both parts. The whole body is limited before this; `warp` has a limit of its own.
-pub(super) async fn read(app: &App, client: Client, mut request: Request) -> Result<Upload, Problem> {
+pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes multipart/form-data with the parts `image` and `warp`"));
     }

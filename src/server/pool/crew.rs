@@ -17,7 +17,7 @@ type Job = Box<dyn FnOnce() + Send>;
 
 /// Threads that end when this is dropped, each after its job. The default has none.
 #[derive(Debug, Default)]
-pub(super) struct Crew(Arc<Shared>);
+pub(crate) struct Crew(Arc<Shared>);
 
 #[derive(Default)]
 struct Shared {
@@ -45,7 +45,7 @@ impl Crew {
     ///
     /// # Errors
     /// The operating system gives no more.
-    pub(super) fn start(name: &str, threads: usize, nice: i32) -> Result<Self, std::io::Error> {
+    pub(crate) fn start(name: &str, threads: usize, nice: i32) -> Result<Self, std::io::Error> {
         let crew = Self(Arc::default());
         for index in 0..threads {
             let shared = Arc::clone(&crew.0);
@@ -58,12 +58,12 @@ impl Crew {
     }
 
     /// A job waits for a thread.
-    pub(super) fn is_thread_wanted(&self) -> bool {
+    pub(crate) fn is_thread_wanted(&self) -> bool {
         self.0.waiting.load(Ordering::Relaxed) > 0
     }
 
     /// Hands over jobs at once, to as many threads. A job that panics ends its thread: jobs catch.
-    pub(super) fn hand_over(&self, jobs: impl IntoIterator<Item = Job>) {
+    pub(crate) fn hand_over(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();
         let before = queue.jobs.len();
         queue.jobs.extend(jobs);

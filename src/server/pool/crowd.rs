@@ -9,7 +9,7 @@ const LATE: Duration = Duration::from_millis(5);
 
 /// Pictures that are drawn now and were of late. Cloning shares them.
 #[derive(Clone, Debug)]
-pub(super) struct Crowd(Arc<Mutex<Seen>>);
+pub(crate) struct Crowd(Arc<Mutex<Seen>>);
 
 #[derive(Debug)]
 struct Seen {
@@ -31,7 +31,7 @@ impl Default for Crowd {
 
 impl Crowd {
     /// Joins; the number is the most there were at once of late, the newcomer included.
-    pub(super) fn join(&self) -> (Drawer, usize) {
+    pub(crate) fn join(&self) -> (Drawer, usize) {
         let mut seen = self.lock();
         seen.now += 1;
         let age = seen.since.elapsed();

@@ -16,8 +16,8 @@ type Waiter = oneshot::Sender<Turn>;
 
 /// A crew and the queue before it.
 #[derive(Debug)]
-pub(super) struct Gate {
-    pub(super) crew: Crew,
+pub(crate) struct Gate {
+    pub(crate) crew: Crew,
     queue: Mutex<Queue<Waiter>>,
     /// Longest wait.
     patience: Duration,
@@ -40,7 +40,7 @@ pub struct Load {
 
 /// A client's right to run, passed on when it is dropped.
 #[derive(Debug)]
-pub(super) struct Turn(Option<(Arc<Gate>, Tenant)>);
+pub(crate) struct Turn(Option<(Arc<Gate>, Tenant)>);
 
 /// Someone who waits; leaves the queue when dropped.
 struct Place<'a> {
@@ -56,7 +56,7 @@ impl Drop for Place<'_> {
 }
 
 impl Gate {
-    pub(super) fn new(crew: Crew, turns: usize, queue: usize, patience: Duration) -> Arc<Self> {
+    pub(crate) fn new(crew: Crew, turns: usize, queue: usize, patience: Duration) -> Arc<Self> {
         let queue = Mutex::new(Queue::new(turns, queue));
         Arc::new(Self { crew, queue, patience, full: AtomicU64::new(0), late: AtomicU64::new(0) })
     }
@@ -66,22 +66,22 @@ impl Gate {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn is_full(&self) -> bool {
+    pub(crate) fn is_full(&self) -> bool {
         self.lock().is_full()
     }
 
-    pub(super) fn refuses(&self, lane: Lane) -> bool {
+    pub(crate) fn refuses(&self, lane: Lane) -> bool {
         self.lock().refuses(lane)
     }
 
-    pub(super) fn load(&self) -> Load {
+    pub(crate) fn load(&self) -> Load {
         let queue = self.lock();
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         Load { running: queue.running(), waiting: queue.waiting(), full: count(&self.full), late: count(&self.late) }
     }
 
     /// Waits for a turn. Dropping the future leaves the queue.
-    pub(super) async fn enter(self: &Arc<Self>, lane: Lane) -> Result<Turn, PoolError> {
+    pub(crate) async fn enter(self: &Arc<Self>, lane: Lane) -> Result<Turn, PoolError> {
         let mut called = None;
         let arrival = self.lock().arrive(lane, Instant::now(), || {
             let (waiter, turn) = oneshot::channel();

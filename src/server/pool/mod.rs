@@ -34,8 +34,8 @@ pub use gate::Load;
 use gate::{Gate, Turn};
 pub use queue::Lane;
 
-use super::telemetry::Scope;
-use super::telemetry::scope::stage;
+use crate::observe::Scope;
+use crate::observe::scope::stage;
 
 /// The operating system gives no threads.
 #[derive(Debug, thiserror::Error)]
@@ -307,7 +307,7 @@ impl Pool {
 }
 
 /// The words of a panic.
-pub(super) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
     panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without words")
 }
 

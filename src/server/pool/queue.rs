@@ -23,7 +23,7 @@ use crate::client::{Client, Tenant};
 use crate::session::SessionId;
 
 /// Turns beyond the number of workers.
-pub(super) const SPARE: usize = 1;
+pub(crate) const SPARE: usize = 1;
 /// Seconds after which worker time counts half.
 const HALF_LIFE: f64 = 10.0;
 /// A client without requests that has used fewer seconds than this is not remembered.
@@ -60,7 +60,7 @@ impl Lane {
     }
 
     /// The client that is charged for its requests.
-    pub(super) const fn tenant(self) -> Tenant {
+    pub(crate) const fn tenant(self) -> Tenant {
         self.tenant
     }
 
@@ -71,7 +71,7 @@ impl Lane {
 
 /// What becomes of a newcomer.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Arrival<W> {
+pub(crate) enum Arrival<W> {
     /// It may run.
     Runs,
     /// It waits under this number.
@@ -84,7 +84,7 @@ pub(super) enum Arrival<W> {
 
 /// Those who run, in number, and those who wait. `W` is how a request that waits is called.
 #[derive(Debug)]
-pub(super) struct Queue<W> {
+pub(crate) struct Queue<W> {
     turns: usize,
     most: usize,
     running: usize,
@@ -134,25 +134,25 @@ impl Account {
 
 impl<W> Queue<W> {
     /// `turns` run at one time, and [`SPARE`]; `most` wait.
-    pub(super) fn new(turns: usize, most: usize) -> Self {
+    pub(crate) fn new(turns: usize, most: usize) -> Self {
         Self { turns, most, running: 0, waiting: 0, lanes: HashMap::new(), accounts: HashMap::new(), order: VecDeque::new(), next: 0 }
     }
 
-    pub(super) const fn waiting(&self) -> usize {
+    pub(crate) const fn waiting(&self) -> usize {
         self.waiting
     }
 
-    pub(super) const fn running(&self) -> usize {
+    pub(crate) const fn running(&self) -> usize {
         self.running
     }
 
     /// A client that has no request here yet would be refused.
-    pub(super) fn is_full(&self) -> bool {
+    pub(crate) fn is_full(&self) -> bool {
         self.refuses(Lane::client(Client::default()))
     }
 
     /// A request of this lane would be refused.
-    pub(super) fn refuses(&self, lane: Lane) -> bool {
+    pub(crate) fn refuses(&self, lane: Lane) -> bool {
         !self.may_run(lane.tenant) && self.waiting >= self.most && self.gives_way(lane).is_none()
     }
 
@@ -199,7 +199,7 @@ impl<W> Queue<W> {
     }
 
     /// A newcomer; `waiter` is made only if it has to wait.
-    pub(super) fn arrive(&mut self, lane: Lane, now: Instant, waiter: impl FnOnce() -> W) -> Arrival<W> {
+    pub(crate) fn arrive(&mut self, lane: Lane, now: Instant, waiter: impl FnOnce() -> W) -> Arrival<W> {
         // A request that waits would have been given a free turn.
         if self.may_run(lane.tenant) {
             self.run(lane.tenant, now);
@@ -257,7 +257,7 @@ impl<W> Queue<W> {
     }
 
     /// A turn of this client has ended.
-    pub(super) fn end(&mut self, tenant: Tenant, now: Instant) {
+    pub(crate) fn end(&mut self, tenant: Tenant, now: Instant) {
         self.running -= 1;
         if let Some(account) = self.accounts.get_mut(&tenant) {
             account.settle(now);
@@ -269,7 +269,7 @@ impl<W> Queue<W> {
     }
 
     /// The next request that runs, if there is a turn for any, and its client. After an end there may be turns for two.
-    pub(super) fn call(&mut self, now: Instant) -> Option<(Tenant, W)> {
+    pub(crate) fn call(&mut self, now: Instant) -> Option<(Tenant, W)> {
         let lane = self.next_lane(now)?;
         let called = self.take(lane, |waiters| if lane.newest_first() { waiters.pop_back() } else { waiters.pop_front() });
         self.run(lane.tenant, now);
@@ -289,7 +289,7 @@ impl<W> Queue<W> {
     }
 
     /// A request that waited has left.
-    pub(super) fn leave(&mut self, lane: Lane, id: u64) {
+    pub(crate) fn leave(&mut self, lane: Lane, id: u64) {
         self.take(lane, |waiters| waiters.iter().position(|(other, _)| *other == id).and_then(|at| waiters.remove(at)));
     }
 }

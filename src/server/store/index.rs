@@ -16,7 +16,7 @@ use crate::session::{Revision, SessionId};
 
 /// The sessions of one process.
 #[derive(Debug)]
-pub(super) struct Index {
+pub(crate) struct Index {
     bounds: Bounds,
     sessions: HashMap<SessionId, Entry>,
     files: HashMap<Digest, File>,
@@ -67,7 +67,7 @@ struct File {
 
 /// What a record that is put will come to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Will {
+pub(crate) enum Will {
     /// There is no such session.
     Create,
     /// The session that is there was made from the same.
@@ -77,7 +77,7 @@ pub(super) enum Will {
 }
 
 impl Index {
-    pub(super) fn new(bounds: Bounds) -> Self {
+    pub(crate) fn new(bounds: Bounds) -> Self {
         Self {
             bounds,
             sessions: HashMap::new(),
@@ -90,17 +90,17 @@ impl Index {
     }
 
     /// Sessions, living or not yet swept, or unread.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.sessions.len() + self.unread.len()
     }
 
     /// Bytes of files and records.
-    pub(super) const fn bytes(&self) -> u64 {
+    pub(crate) const fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// How long the file is that a session names.
-    pub(super) fn file(&self, digest: Digest) -> Option<u64> {
+    pub(crate) fn file(&self, digest: Digest) -> Option<u64> {
         self.files.get(&digest).map(|file| file.bytes)
     }
 
@@ -125,7 +125,7 @@ impl Index {
     }
 
     /// Whether a delete of this session removes something: `false` when it has been deleted already, less than one idle period ago.
-    pub(super) fn weigh_delete(&self, id: SessionId) -> Result<bool, StoreError> {
+    pub(crate) fn weigh_delete(&self, id: SessionId) -> Result<bool, StoreError> {
         let now = Instant::now();
         let is_deleted = |grave: &Grave| grave.end == End::Deleted && now < grave.until;
         match self.living(id, now) {
@@ -136,18 +136,18 @@ impl Index {
     }
 
     /// Takes a session out that its owner has deleted, and remembers that.
-    pub(super) fn delete(&mut self, id: SessionId) {
+    pub(crate) fn delete(&mut self, id: SessionId) {
         self.remove(id);
         self.remember(id, Grave { end: End::Deleted, until: Instant::now() + self.bounds.idle });
     }
 
     /// Looks without using.
-    pub(super) fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
+    pub(crate) fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
         self.living(id, Instant::now()).map(|entry| self.told(entry))
     }
 
     /// Uses the session.
-    pub(super) fn touch(&mut self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+    pub(crate) fn touch(&mut self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
         self.living(id, Instant::now())?;
         self.use_now(id, seq).ok_or(StoreError::NoSuchSession)
     }
@@ -162,7 +162,7 @@ impl Index {
     }
 
     /// What putting the record will come to, and whether there is room for it.
-    pub(super) fn weigh(&self, record: &Record, file: u64) -> Result<Will, StoreError> {
+    pub(crate) fn weigh(&self, record: &Record, file: u64) -> Result<Will, StoreError> {
         let old = match self.living(record.id, Instant::now()) {
             Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
             living => living.ok(),
@@ -188,7 +188,7 @@ impl Index {
     }
 
     /// Puts a record that has been weighed.
-    pub(super) fn put(&mut self, record: Arc<Record>, file: u64, will: Will) -> Put {
+    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, will: Will) -> Put {
         if will == Will::Stay
             && let Some(session) = self.use_now(record.id, None)
         {
@@ -204,12 +204,12 @@ impl Index {
     }
 
     /// A session that was there before the process was: it lives for another idle period.
-    pub(super) fn restore(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) {
+    pub(crate) fn restore(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) {
         self.insert(record, file, seq);
     }
 
     /// A session whose record, of so many bytes, another version of the program has written, and the files that it names. It has no end here.
-    pub(super) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
+    pub(crate) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
         for (digest, len) in files {
             self.name_file(*digest, *len);
         }
@@ -236,7 +236,7 @@ impl Index {
     }
 
     /// The file cannot be read any more: no unread session names it.
-    pub(super) fn lose_file(&mut self, digest: Digest) {
+    pub(crate) fn lose_file(&mut self, digest: Digest) {
         let named = self.unread.values_mut().filter_map(|unread| {
             let place = unread.files.iter().position(|file| *file == digest)?;
             Some(unread.files.swap_remove(place))
@@ -260,7 +260,7 @@ impl Index {
     }
 
     /// Whether the record may take the place of that revision: `false` when another one is there.
-    pub(super) fn weigh_revision(&self, old: Revision, new: &Record) -> Result<bool, StoreError> {
+    pub(crate) fn weigh_revision(&self, old: Revision, new: &Record) -> Result<bool, StoreError> {
         let entry = self.living(new.id, Instant::now())?;
         if entry.record.revision != old {
             return Ok(false);
@@ -269,7 +269,7 @@ impl Index {
     }
 
     /// Puts a record that has been weighed in the place of its predecessor.
-    pub(super) fn revise(&mut self, new: Arc<Record>) -> Option<Session> {
+    pub(crate) fn revise(&mut self, new: Arc<Record>) -> Option<Session> {
         let (id, bytes) = (new.id, record_bytes(&new));
         let entry = self.sessions.get_mut(&id)?;
         self.bytes = self.bytes - entry.bytes + bytes;
@@ -278,7 +278,7 @@ impl Index {
     }
 
     /// Files that no session names any more when these have gone and one names `kept`.
-    pub(super) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<(Digest, u64)> {
+    pub(crate) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<(Digest, u64)> {
         let mut fewer: HashMap<Digest, usize> = HashMap::new();
         for id in gone {
             let read = self.sessions.get(id).map(|entry| entry.record.image);
@@ -292,7 +292,7 @@ impl Index {
     }
 
     /// Takes a session out, living or not.
-    pub(super) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
+    pub(crate) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
         if let Some(unread) = self.unread.remove(&id) {
             self.bytes -= unread.bytes;
             unread.files.into_iter().for_each(|digest| self.unname_file(digest));
@@ -304,7 +304,7 @@ impl Index {
     }
 
     /// Sessions that have expired, the oldest first.
-    pub(super) fn expired(&self) -> Vec<SessionId> {
+    pub(crate) fn expired(&self) -> Vec<SessionId> {
         let now = Instant::now();
         let mut ended: Vec<(Instant, SessionId)> =
             self.sessions.iter().filter(|(_, e)| self.is_over(e, now)).map(|(id, e)| (e.used, *id)).collect();
@@ -313,7 +313,7 @@ impl Index {
     }
 
     /// Takes expired sessions out, to be told from unknown ones for a while.
-    pub(super) fn bury(&mut self, ended: &[SessionId]) {
+    pub(crate) fn bury(&mut self, ended: &[SessionId]) {
         let now = Instant::now();
         for &id in ended {
             let Some(used) = self.sessions.get(&id).map(|entry| entry.used) else { continue };
@@ -336,29 +336,29 @@ impl Index {
     }
 
     /// A session of that owner names the file.
-    pub(super) fn names(&self, owner: Owner, digest: Digest) -> bool {
+    pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
         let is_named = |entry: &Entry| entry.record.image == digest && entry.record.id.owner() == owner;
         self.files.contains_key(&digest) && self.sessions.values().any(is_named)
     }
 
     /// Sessions whose picture's file it is.
-    pub(super) fn named_by(&self, digest: Digest) -> Vec<SessionId> {
+    pub(crate) fn named_by(&self, digest: Digest) -> Vec<SessionId> {
         self.sessions.iter().filter(|(_, entry)| entry.record.image == digest).map(|(id, _)| *id).collect()
     }
 
     /// Every record.
     #[cfg(test)]
-    pub(super) fn records(&self) -> impl Iterator<Item = Arc<Record>> + '_ {
+    pub(crate) fn records(&self) -> impl Iterator<Item = Arc<Record>> + '_ {
         self.sessions.values().map(|entry| Arc::clone(&entry.record))
     }
 
     /// The highest number of every session that has one.
-    pub(super) fn numbers(&self) -> impl Iterator<Item = (SessionId, u64)> + '_ {
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = (SessionId, u64)> + '_ {
         self.sessions.iter().filter_map(|(id, entry)| entry.seq.map(|seq| (*id, seq)))
     }
 
     /// Lives and numbers go on where `old` knows of the same sessions.
-    pub(super) fn go_on_from(&mut self, old: Self) {
+    pub(crate) fn go_on_from(&mut self, old: Self) {
         for (id, entry) in &mut self.sessions {
             if let Some(known) = old.sessions.get(id).filter(|known| known.record.created == entry.record.created) {
                 (entry.used, entry.seq) = (known.used, entry.seq.max(known.seq));

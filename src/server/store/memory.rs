@@ -130,7 +130,8 @@ impl Store for MemoryStore {
 mod tests {
     use super::*;
     use crate::store::model;
-    use crate::store::suite::{self, bounds};
+    use crate::store::suite;
+    use crate::store::suite::bounds;
 
     #[tokio::test]
     async fn keeps_the_rules_of_every_store() {

@@ -39,8 +39,8 @@ use thiserror::Error;
 pub use index::record_bytes;
 pub use place::{Address, Place};
 
-use super::client::Owner;
-use super::session::{Revision, SessionId};
+use crate::client::Owner;
+use crate::session::{Revision, SessionId};
 
 /// What a store answers, later.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;

@@ -15,7 +15,7 @@ const IDLE: Duration = Duration::from_millis(400);
 /// As many as there are graves at most.
 const NAMES: usize = 5;
 
-pub(super) const fn bounds() -> Bounds {
+pub(crate) const fn bounds() -> Bounds {
     Bounds { idle: IDLE, sessions: 5, bytes: 5500 }
 }
 
@@ -116,13 +116,13 @@ impl Live {
     }
 
     fn bytes(&self) -> u64 {
-        super::index::record_bytes(&self.record)
+        crate::store::index::record_bytes(&self.record)
     }
 }
 
 /// So many random steps over stores that are one: `open` opens all of them (again),
 /// and `lives_anew` says that their sessions live for another idle period after that.
-pub(super) async fn follows<S: Store>(
+pub(crate) async fn follows<S: Store>(
     mut open: impl AsyncFnMut(Option<Vec<S>>) -> Vec<S>,
     seed: u64,
     steps: usize,
@@ -152,7 +152,7 @@ pub(super) async fn follows<S: Store>(
                 // What there would be, with those that may live and with those that do.
                 let lives = |all: &[Known], least: bool| -> (usize, u64) {
                     let mut files: Vec<u8> = vec![picture];
-                    let (mut n, mut bytes) = (1, super::index::record_bytes(&new));
+                    let (mut n, mut bytes) = (1, crate::store::index::record_bytes(&new));
                     for (j, known) in all.iter().enumerate() {
                         let truth = known.lives(asked);
                         let counts = truth == Truth::Yes || (!least && truth == Truth::Either);
@@ -344,7 +344,7 @@ pub(super) async fn follows<S: Store>(
 
 /// Each of some clients has sessions of its own, all of the same few pictures, and looks at everybody's pictures: nobody loses anything by what the
 /// others do.
-pub(super) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(stores: Vec<Arc<S>>, span: Duration) {
+pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(stores: Vec<Arc<S>>, span: Duration) {
     let mut clients = Vec::new();
     for client in 0..4 {
         let stores = stores.clone();

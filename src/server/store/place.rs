@@ -24,7 +24,7 @@ pub struct Address(ConnectionInfo);
 
 impl Address {
     /// For the client library.
-    pub(super) const fn info(&self) -> &ConnectionInfo {
+    pub(crate) const fn info(&self) -> &ConnectionInfo {
         &self.0
     }
 

@@ -195,7 +195,7 @@ pub fn write(record: &Record) -> Vec<u8> {
 }
 
 /// The JSON after its checksum.
-pub(super) fn sealed(json: &[u8]) -> Vec<u8> {
+pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
     let mut bytes = format!("{:08x}\n", crc32fast::hash(json)).into_bytes();
     bytes.extend_from_slice(json);
     bytes
@@ -234,7 +234,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
 }
 
 /// The digests that a record of any version names (see the module's rules). Some may be no file's: a session's name is written alike.
-pub(super) fn named_files(bytes: &[u8]) -> Vec<Digest> {
+pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     let words = bytes.split(|byte| !matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
     let mut named: Vec<Digest> = words.filter_map(|word| std::str::from_utf8(word).ok().and_then(unhex).map(Digest)).collect();
     named.sort_unstable_by_key(|digest| digest.0);
@@ -243,13 +243,13 @@ pub(super) fn named_files(bytes: &[u8]) -> Vec<Digest> {
 }
 
 /// Digest of what two records that are made alike share. The same in every version of the program (see the module's rules).
-pub(super) fn made(record: &Record) -> Digest {
+pub(crate) fn made(record: &Record) -> Digest {
     let made = (hex(&record.image.0), Warp(record, Defaults::Written));
     Digest::of(&serde_json::to_vec(&made).expect("an object of numbers and words"))
 }
 
 /// Lower-case hexadecimal digits.
-pub(super) fn hex(bytes: &[u8]) -> String {
+pub(crate) fn hex(bytes: &[u8]) -> String {
     use std::fmt::Write as _;
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
         let _ = write!(text, "{byte:02x}");

@@ -13,17 +13,17 @@ use crate::session::{Revision, SessionId};
 
 const IDLE: Duration = Duration::from_secs(1);
 
-pub(super) const fn bounds() -> Bounds {
+pub(crate) const fn bounds() -> Bounds {
     Bounds { idle: Duration::from_secs(600), sessions: 100, bytes: 1 << 20 }
 }
 
 /// A picture's file.
-pub(super) fn file(picture: u8) -> Bytes {
+pub(crate) fn file(picture: u8) -> Bytes {
     Bytes::from(vec![picture; 1000])
 }
 
 /// A record of that picture.
-pub(super) fn record(picture: u8) -> Arc<Record> {
+pub(crate) fn record(picture: u8) -> Arc<Record> {
     Arc::new(Record {
         id: SessionId::random(Owner::ANYBODY),
         revision: Revision::random(),
@@ -37,19 +37,19 @@ pub(super) fn record(picture: u8) -> Arc<Record> {
 }
 
 /// The next record of the same session.
-pub(super) fn with_weights(record: &Record, n: usize) -> Arc<Record> {
+pub(crate) fn with_weights(record: &Record, n: usize) -> Arc<Record> {
     let rest = RestSpec { weights: Some(vec![1.0; n]), ..RestSpec::default() };
     Arc::new(Record { revision: Revision::random(), rest, ..record.clone() })
 }
 
 /// The same session, made anew from another picture.
-pub(super) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
+pub(crate) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
     let image = Digest::of(&file(picture));
     Arc::new(Record { revision: Revision::random(), image, created: SystemTime::now(), ..record.clone() })
 }
 
 /// What every store promises.
-pub(super) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
+pub(crate) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     what_was_put_is_there_to_the_bit(&open(bounds()).await).await;
     a_file_goes_with_its_last_session(&open(bounds()).await).await;
     a_put_makes_a_session_once_and_makes_it_anew_from_something_else(&open(bounds()).await).await;
@@ -68,7 +68,7 @@ pub(super) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
 }
 
 /// What a store promises that has bounds of its own.
-pub(super) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
+pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     all(&open).await;
     a_file_is_held_once(&open(bounds()).await).await;
     a_full_store_refuses_newcomers_and_keeps_the_living(&open(Bounds { sessions: 2, bytes: 3500, ..bounds() }).await).await;
@@ -203,13 +203,13 @@ async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
 
 /// The record's JSON with a change, sealed with a checksum of its own.
 fn resealed(record: &Record, change: impl Fn(&str) -> String) -> Vec<u8> {
-    let bytes = super::record::write(record);
+    let bytes = crate::store::record::write(record);
     let (_, json) = std::str::from_utf8(&bytes).unwrap().split_once('\n').unwrap();
-    super::record::sealed(change(json).as_bytes())
+    crate::store::record::sealed(change(json).as_bytes())
 }
 
 /// Records as a later version of the program may write them. `plant` puts these bytes in the places of those sessions' records, as another process does.
-pub(super) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, plant: impl AsyncFn(S, &[(SessionId, Vec<u8>)]) -> S) {
+pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, plant: impl AsyncFn(S, &[(SessionId, Vec<u8>)]) -> S) {
     let (a, b, c, neighbour) = (record(30), record(31), record(32), record(30));
     for (record, picture) in [(&a, 30), (&b, 31), (&c, 32), (&neighbour, 30)] {
         store.put(Arc::clone(record), file(picture)).await.unwrap();
@@ -238,7 +238,7 @@ pub(super) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, 
     store.sweep().await.unwrap();
     let store = plant(store, &[]).await;
     // The version that has written them finds them to the bit, with their pictures and numbers.
-    let first = [(a.id, super::record::write(&a)), (b.id, super::record::write(&b))];
+    let first = [(a.id, crate::store::record::write(&a)), (b.id, crate::store::record::write(&b))];
     let store = plant(store, &first).await;
     for (record, picture, seq) in [(&a, 30, Some(7)), (&b, 31, None)] {
         let session = store.peek(record.id).await.unwrap();

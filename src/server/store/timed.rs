@@ -8,7 +8,7 @@ use mlswarp::warp::Digest;
 
 use super::{Answer, Figures, Put, Record, Revision, Session, SessionId, Store};
 use crate::client::Owner;
-use crate::telemetry::scope::stage;
+use crate::observe::scope::stage;
 
 /// A store that is waited for by the clock.
 #[derive(Debug)]

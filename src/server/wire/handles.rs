@@ -20,7 +20,7 @@ const PLACE_TEXT: usize = 12;
 const WEIGHT_TEXT: usize = 4;
 
 /// An array of handles.
-pub(super) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
+pub(crate) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
     let mut handles = Vec::with_capacity(1 + node.text().len() / PLACE_TEXT);
     node.items("an array of handles", |index, item| {
         handles.push(handle(&item).map_err(|problem| problem.handle(index))?);
@@ -30,7 +30,7 @@ pub(super) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
 }
 
 /// An array of numbers, one a handle.
-pub(super) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
+pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
     let mut weights = Vec::with_capacity(1 + node.text().len() / WEIGHT_TEXT);
     node.items("an array of numbers", |index, item| {
         weights.push(number(&item, "a positive number").map_err(|problem| problem.handle(index))?);
@@ -40,7 +40,7 @@ pub(super) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
 }
 
 /// An array of places.
-pub(super) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
+pub(crate) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
     let mut places = Vec::with_capacity(1 + node.text().len() / PLACE_TEXT);
     node.items("an array of places", |_, item| {
         places.push(place(&item)?);

@@ -16,7 +16,7 @@ const LONGEST_QUOTE: usize = 60;
 
 /// Where a node stands: a list that lives on the stack and becomes a JSON pointer only when something is wrong.
 #[derive(Clone, Copy)]
-pub(super) enum At<'p> {
+pub(crate) enum At<'p> {
     Root,
     Field(&'p At<'p>, &'static str),
     Item(&'p At<'p>, usize),
@@ -34,7 +34,7 @@ impl fmt::Display for At<'_> {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     Null,
     Bool,
     Number,
@@ -58,13 +58,13 @@ impl Kind {
 
 /// One value of the document. `'j`: the request's text; `'p`: the path to here.
 #[derive(Clone, Copy)]
-pub(super) struct Node<'j, 'p> {
+pub(crate) struct Node<'j, 'p> {
     json: &'j str,
-    pub(super) at: At<'p>,
+    pub(crate) at: At<'p>,
 }
 
 /// Checks that the text is one JSON object and nothing else.
-pub(super) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
+pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail);
     let text = std::str::from_utf8(body).map_err(|e| malformed(format!("not JSON: not UTF-8 after byte {}", e.valid_up_to())))?;
     let raw: &RawValue = serde_json::from_str(text).map_err(|e| malformed(format!("not JSON: {e}")))?;
@@ -76,19 +76,19 @@ pub(super) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
 }
 
 /// A node that was cut out before and kept.
-pub(super) const fn kept<'j, 'p>(json: &'j str, at: At<'p>) -> Node<'j, 'p> {
+pub(crate) const fn kept<'j, 'p>(json: &'j str, at: At<'p>) -> Node<'j, 'p> {
     Node { json, at }
 }
 
 impl Node<'_, 'static> {
     /// An empty document, to say what it lacks.
-    pub(super) const fn nowhere() -> Self {
+    pub(crate) const fn nowhere() -> Self {
         Self { json: "{}", at: At::Root }
     }
 }
 
 impl<'j> Node<'j, '_> {
-    pub(super) fn kind(&self) -> Kind {
+    pub(crate) fn kind(&self) -> Kind {
         match self.json.as_bytes().first() {
             Some(b'[') => Kind::Array,
             Some(b'{') => Kind::Object,
@@ -100,11 +100,11 @@ impl<'j> Node<'j, '_> {
     }
 
     /// The value as the client wrote it.
-    pub(super) const fn text(&self) -> &'j str {
+    pub(crate) const fn text(&self) -> &'j str {
         self.json
     }
 
-    pub(super) fn problem(&self, code: Code, detail: impl Into<String>) -> Problem {
+    pub(crate) fn problem(&self, code: Code, detail: impl Into<String>) -> Problem {
         let problem = Problem::new(code, detail);
         match self.at {
             At::Root => problem,
@@ -113,16 +113,16 @@ impl<'j> Node<'j, '_> {
     }
 
     /// `bad_value`: what is expected, and what kind of value stands there.
-    pub(super) fn wrong_kind(&self, expected: &str) -> Problem {
+    pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
         self.problem(Code::BadValue, format!("expected {expected}; found {}", self.kind().name()))
     }
 
     /// `bad_value` for a field that must be given.
-    pub(super) fn missing(&self, name: &str, expected: &str) -> Problem {
+    pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
         Problem::new(Code::BadValue, format!("`{name}` is missing: expected {expected}")).pointer(format!("{}/{name}", self.at))
     }
 
-    pub(super) fn unknown(&self, name: &str, known: &[&str]) -> Problem {
+    pub(crate) fn unknown(&self, name: &str, known: &[&str]) -> Problem {
         let detail = format!("unknown field: {}; known: {}", quote(name), list(known));
         let short = name.chars().nth(LONGEST_QUOTE).is_none();
         if short {
@@ -132,14 +132,14 @@ impl<'j> Node<'j, '_> {
         }
     }
 
-    pub(super) fn bool(&self) -> Result<bool, Problem> {
+    pub(crate) fn bool(&self) -> Result<bool, Problem> {
         match self.kind() {
             Kind::Bool => Ok(self.json == "true"),
             _ => Err(self.wrong_kind("`true` or `false`")),
         }
     }
 
-    pub(super) fn string(&self, expected: &str) -> Result<String, Problem> {
+    pub(crate) fn string(&self, expected: &str) -> Result<String, Problem> {
         if self.kind() != Kind::String {
             return Err(self.wrong_kind(expected));
         }
@@ -147,7 +147,7 @@ impl<'j> Node<'j, '_> {
     }
 
     /// The values of the `known` fields, in that order; any other field is refused.
-    pub(super) fn fields<'q, const N: usize>(
+    pub(crate) fn fields<'q, const N: usize>(
         &'q self,
         expected: &str,
         known: &[&'static str; N],
@@ -174,7 +174,7 @@ impl<'j> Node<'j, '_> {
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.
-    pub(super) fn items(&self, expected: &str, mut each: impl FnMut(usize, Node<'j, '_>) -> Result<(), Problem>) -> Result<(), Problem> {
+    pub(crate) fn items(&self, expected: &str, mut each: impl FnMut(usize, Node<'j, '_>) -> Result<(), Problem>) -> Result<(), Problem> {
         if self.kind() != Kind::Array {
             return Err(self.wrong_kind(expected));
         }
@@ -201,7 +201,7 @@ impl<'j> Node<'j, '_> {
 }
 
 /// A name or value of the client's, cut to what a sentence can bear.
-pub(super) fn quote(text: &str) -> String {
+pub(crate) fn quote(text: &str) -> String {
     match text.char_indices().nth(LONGEST_QUOTE) {
         Some((end, _)) => format!("`{}...`", &text[..end]),
         None => format!("`{text}`"),
@@ -209,7 +209,7 @@ pub(super) fn quote(text: &str) -> String {
 }
 
 /// Names of the contract, in backticks, with commas.
-pub(super) fn list(names: &[&str]) -> String {
+pub(crate) fn list(names: &[&str]) -> String {
     names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 

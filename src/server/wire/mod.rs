@@ -3,6 +3,7 @@
 //! given twice is 400 `malformed_request`; everything else is 422 with a JSON pointer. A field that is not known is refused, never
 //! ignored. Cost: a few scans of the text and the values themselves; a drag of twelve points takes about two microseconds.
 
+pub mod formats;
 mod handles;
 mod json;
 mod mesh;
@@ -17,10 +18,9 @@ mod write;
 #[cfg(test)]
 mod contract_tests;
 #[cfg(test)]
-pub(super) mod tests;
+pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
-
 use handles::{handles, places};
 use json::Node;
 pub use mesh::{MeshObject, MeshShape};

@@ -7,7 +7,7 @@ use crate::problem::{Code, Problem};
 const WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// A finite number. `expected` says which, for a problem.
-pub(super) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
+pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     if node.kind() != Kind::Number {
         return Err(node.wrong_kind(expected));
     }
@@ -20,13 +20,13 @@ pub(super) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem
 }
 
 /// A number above zero.
-pub(super) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
+pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     let value = number(node, expected)?;
     if value > 0.0 { Ok(value) } else { Err(node.problem(Code::BadValue, format!("expected {expected}; found {value}")).actual(value)) }
 }
 
 /// A whole number from zero, also when written `8.0` or `1e3`.
-pub(super) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem> {
+pub(crate) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem> {
     if let Ok(value) = node.text().parse::<u64>() {
         return Ok(value);
     }
@@ -41,7 +41,7 @@ pub(super) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem>
 }
 
 /// A whole number of `least..=u32::MAX`: a count or a side. What the service can do is the warp's to say, not the parser's.
-pub(super) fn count(node: &Node<'_, '_>, least: u32, expected: &str) -> Result<u32, Problem> {
+pub(crate) fn count(node: &Node<'_, '_>, least: u32, expected: &str) -> Result<u32, Problem> {
     let value = whole(node, expected)?;
     match u32::try_from(value) {
         Ok(count) if count >= least => Ok(count),

@@ -42,7 +42,7 @@ impl OutputPatch {
         }
     }
 
-    pub(super) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
+    pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
         let [format, quality_, compression, width, filter, outside_, canvas] =
             node.fields("an object", &["format", "quality", "compression", "width", "filter", "outside", "canvas"])?;
         canvas.map(|n| word::<Canvas>(&n)).transpose()?;

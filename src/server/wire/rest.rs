@@ -12,10 +12,10 @@ use super::{WarpObject, json};
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order in which [`WarpPatch::read`] takes them.
-pub(super) const FIELDS: [&str; 11] = ["p", "q", "weights", "method", "alpha", "point_mass", "units", "grid", "folds", "metric", "output"];
+pub(crate) const FIELDS: [&str; 11] = ["p", "q", "weights", "method", "alpha", "point_mass", "units", "grid", "folds", "metric", "output"];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(super) const FIELDS_WITH_POINTS: [&str; 17] = [
+pub(crate) const FIELDS_WITH_POINTS: [&str; 17] = [
     "p",
     "q",
     "weights",
@@ -72,7 +72,7 @@ impl WarpPatch {
         Self::read(root.fields("an object", &FIELDS)?)
     }
 
-    pub(super) fn read(
+    pub(crate) fn read(
         [p, q, weights_, method, alpha, point_mass, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 11],
     ) -> Result<Self, Problem> {
         metric.map(|n| word::<Metric>(&n)).transpose()?;

@@ -5,7 +5,8 @@ use serde::Serialize;
 
 use super::HANDLES;
 use super::handles::handles;
-use super::json::{self, At, Node};
+use super::json;
+use super::json::{At, Node};
 use super::number::whole;
 use crate::problem::{Code, Problem};
 

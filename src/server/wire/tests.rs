@@ -549,7 +549,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
 }
 
 /// The object in the form of its values.
-pub(super) fn written(warp: &WarpObject) -> Value {
+pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output } = warp;
     let RestSpec { p, weights, method, alpha, point_mass, units, grid } = rest;
     let mut object = json!({

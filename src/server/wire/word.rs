@@ -10,7 +10,7 @@ use super::json::{Kind, Node, list, quote};
 use crate::problem::{Code, Problem};
 
 /// An enum whose values are words.
-pub(super) trait Word: Copy + 'static {
+pub(crate) trait Word: Copy + 'static {
     /// What this build has; the default first.
     const ALL: &'static [Self];
     /// What the contract has and this build has not.
@@ -20,7 +20,7 @@ pub(super) trait Word: Copy + 'static {
 }
 
 /// Reads a word; one that is in the contract but not in this build is `not_supported`.
-pub(super) fn word<T: Word>(node: &Node<'_, '_>) -> Result<T, Problem> {
+pub(crate) fn word<T: Word>(node: &Node<'_, '_>) -> Result<T, Problem> {
     let names = || list(&T::ALL.iter().map(|v| v.word()).collect::<Vec<_>>());
     if node.kind() != Kind::String {
         return Err(node.wrong_kind(&format!("one of {}", names())));
@@ -33,7 +33,7 @@ pub(super) fn word<T: Word>(node: &Node<'_, '_>) -> Result<T, Problem> {
 }
 
 /// The problem of a word that is none of the `supported` ones.
-pub(super) fn refuse(node: &Node<'_, '_>, text: &str, later: &[&str], supported: &str) -> Problem {
+pub(crate) fn refuse(node: &Node<'_, '_>, text: &str, later: &[&str], supported: &str) -> Problem {
     if later.contains(&text) {
         node.problem(Code::NotSupported, format!("not supported by this version: `{text}`; supported: {supported}"))
     } else {
@@ -56,13 +56,13 @@ macro_rules! words {
 
 /// Distances between places: along straight lines.
 #[derive(Clone, Copy)]
-pub(super) enum Metric {
+pub(crate) enum Metric {
     Euclidean,
 }
 
 /// The rectangle that the answer shows: the source's.
 #[derive(Clone, Copy)]
-pub(super) enum Canvas {
+pub(crate) enum Canvas {
     Same,
 }
 

@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::http::Request;
 use clap::Parser as _;
 use http_body_util::BodyExt as _;
-use mlswarp_server::App;
+use mlswarp_server::app::App;
 use mlswarp_server::config::Cli;
 use mlswarp_server::http::router;
 use tokio::runtime::{Builder, Runtime};

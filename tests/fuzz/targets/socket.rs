@@ -4,9 +4,9 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp_server::App;
+use mlswarp_server::app::App;
+use mlswarp_server::app::live_drag::{Drag, Form, PreviewWidth, Said, Wishes};
 use mlswarp_server::client::{Client, Owner};
-use mlswarp_server::drag::{Drag, Form, PreviewWidth, Said, Wishes};
 use mlswarp_server::session::SessionId;
 use tokio::runtime::Runtime;
 

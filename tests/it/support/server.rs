@@ -3,9 +3,9 @@
 use std::net::SocketAddr;
 
 use clap::Parser as _;
-use mlswarp_server::App;
+use mlswarp_server::app::App;
 use mlswarp_server::config::{Cli, Config};
-use mlswarp_server::http::server::{listen, serve};
+use mlswarp_server::http::connection::{listen, serve};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};

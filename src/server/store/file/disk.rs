@@ -26,7 +26,7 @@ const NUMBERS: TableDefinition<'static, [u8; 32], u64> = TableDefinition::new("n
 /// Digest and place in the file to a piece of it.
 const PIECES: TableDefinition<'static, ([u8; 32], u32), &[u8]> = TableDefinition::new("pieces");
 /// Bytes of a piece: with its key and its page's head it fills a page of 64 KiB.
-pub(super) const PIECE: usize = (64 << 10) - 128;
+pub(crate) const PIECE: usize = (64 << 10) - 128;
 /// Memory that the database may take for pages, bytes.
 const PAGES: usize = 16 << 20;
 /// What every database begins with.
@@ -34,12 +34,12 @@ const MAGIC: &[u8; 4] = b"redb";
 /// Pause between two attempts to open a database that has failed.
 const PAUSE: Duration = Duration::from_secs(1);
 /// A file is made compact when it is larger than twice what is in it and this.
-pub(super) const SLACK: u64 = 16 << 20;
+pub(crate) const SLACK: u64 = 16 << 20;
 
 /// What stores and tests see of a change.
-pub(super) struct Change<'t> {
-    pub(super) records: Table<'t, [u8; 32], &'static [u8]>,
-    pub(super) numbers: Table<'t, [u8; 32], u64>,
+pub(crate) struct Change<'t> {
+    pub(crate) records: Table<'t, [u8; 32], &'static [u8]>,
+    pub(crate) numbers: Table<'t, [u8; 32], u64>,
     pieces: Table<'t, ([u8; 32], u32), &'static [u8]>,
 }
 
@@ -52,20 +52,20 @@ impl<'t> Change<'t> {
         })
     }
 
-    pub(super) fn add_file(&mut self, digest: Digest, bytes: &[u8]) -> Result<(), redb::Error> {
+    pub(crate) fn add_file(&mut self, digest: Digest, bytes: &[u8]) -> Result<(), redb::Error> {
         for (place, piece) in (0..).zip(bytes.chunks(PIECE)) {
             self.pieces.insert((digest.0, place), piece)?;
         }
         Ok(())
     }
 
-    pub(super) fn remove_file(&mut self, digest: Digest) -> Result<(), redb::Error> {
+    pub(crate) fn remove_file(&mut self, digest: Digest) -> Result<(), redb::Error> {
         self.pieces.retain_in((digest.0, 0)..=(digest.0, u32::MAX), |_, _| false)?;
         Ok(())
     }
 
     /// Digests of all files, in order.
-    pub(super) fn files(&self) -> Result<Vec<Digest>, redb::Error> {
+    pub(crate) fn files(&self) -> Result<Vec<Digest>, redb::Error> {
         let mut files: Vec<Digest> = Vec::new();
         for piece in self.pieces.iter()? {
             let (digest, _) = piece?.0.value();
@@ -77,7 +77,7 @@ impl<'t> Change<'t> {
     }
 
     /// The file, or whatever pieces of it there are.
-    pub(super) fn file(&self, digest: Digest) -> Result<Vec<u8>, redb::Error> {
+    pub(crate) fn file(&self, digest: Digest) -> Result<Vec<u8>, redb::Error> {
         joined(&self.pieces, digest, 0)
     }
 }
@@ -91,7 +91,7 @@ fn joined(pieces: &impl ReadableTable<([u8; 32], u32), &'static [u8]>, digest: D
 }
 
 /// One file.
-pub(super) struct Disk {
+pub(crate) struct Disk {
     path: PathBuf,
     open: Mutex<Open>,
 }
@@ -137,7 +137,7 @@ impl<T> Drop for Held<T> {
 
 /// Whether the database has just been opened again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Opened {
+pub(crate) enum Opened {
     /// It was open.
     Before,
     /// It has been opened again: the index is to be read anew.
@@ -146,7 +146,7 @@ pub(super) enum Opened {
 
 impl Disk {
     /// Opens the database, or makes it.
-    pub(super) fn open(path: &Path) -> Result<Self, NotOpened> {
+    pub(crate) fn open(path: &Path) -> Result<Self, NotOpened> {
         let database = open_or_make(path).map_err(|why| not_opened(path, why))?;
         Ok(Self::of(path, database))
     }
@@ -157,13 +157,13 @@ impl Disk {
     }
 
     #[cfg(test)]
-    pub(super) fn over(disk: impl redb::StorageBackend) -> Result<Self, NotOpened> {
+    pub(crate) fn over(disk: impl redb::StorageBackend) -> Result<Self, NotOpened> {
         let nowhere = Path::new("nowhere");
         let opened = guarded(|| Ok(builder().create_with_backend(disk)?));
         opened.map(|database| Self::of(nowhere, database)).map_err(|failed| not_opened(nowhere, failed.why))
     }
 
-    pub(super) fn not_opened(&self, why: &str) -> NotOpened {
+    pub(crate) fn not_opened(&self, why: &str) -> NotOpened {
         not_opened(&self.path, why.to_owned())
     }
 
@@ -172,17 +172,17 @@ impl Disk {
     }
 
     /// Times that the disk failed.
-    pub(super) fn failures(&self) -> u64 {
+    pub(crate) fn failures(&self) -> u64 {
         self.lock().failures
     }
 
     /// Whether changes would be made now, as far as is known.
-    pub(super) fn is_open(&self) -> bool {
+    pub(crate) fn is_open(&self) -> bool {
         self.lock().database.is_some()
     }
 
     /// Opens the database again if it had failed. One at a time.
-    pub(super) fn revive(&self) -> Result<Opened, StoreError> {
+    pub(crate) fn revive(&self) -> Result<Opened, StoreError> {
         let mut open = self.lock();
         if open.database.is_some() {
             return Ok(Opened::Before);
@@ -210,7 +210,7 @@ impl Disk {
     }
 
     /// One transaction: all of it has reached the disk when this returns, or the database is closed.
-    pub(super) fn change<T>(&self, change: impl FnOnce(&mut Change<'_>) -> Result<T, redb::Error>) -> Result<T, StoreError> {
+    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Change<'_>) -> Result<T, redb::Error>) -> Result<T, StoreError> {
         let database = self.lock().database.clone().ok_or(StoreError::Away)?;
         let changed = guarded(|| {
             let mut transaction = database.begin_write()?;
@@ -225,7 +225,7 @@ impl Disk {
     }
 
     /// The file, or whatever pieces of it there are. It should have `len` bytes.
-    pub(super) fn file(&self, digest: Digest, len: u64) -> Result<Vec<u8>, StoreError> {
+    pub(crate) fn file(&self, digest: Digest, len: u64) -> Result<Vec<u8>, StoreError> {
         let database = self.lock().database.clone().ok_or(StoreError::Away)?;
         let read = || {
             let pieces = database.begin_read()?.open_table(PIECES)?;
@@ -250,7 +250,7 @@ impl Disk {
     }
 
     /// Gives space back when much of the file is free. Only while nobody else uses it.
-    pub(super) fn compact(&self, held: u64) -> Result<(), NotOpened> {
+    pub(crate) fn compact(&self, held: u64) -> Result<(), NotOpened> {
         let not_opened = |why: String| not_opened(&self.path, why);
         let before = self.size().map_err(|e| not_opened(e.to_string()))?;
         if before < 2 * held + SLACK {
@@ -268,7 +268,7 @@ impl Disk {
     }
 
     /// Bytes of the file.
-    pub(super) fn size(&self) -> io::Result<u64> {
+    pub(crate) fn size(&self) -> io::Result<u64> {
         Ok(fs::metadata(&self.path)?.len())
     }
 }

@@ -23,11 +23,12 @@ use mlswarp::warp::Digest;
 use redb::ReadableTable as _;
 
 use super::index::{Index, Will};
-use super::record::{self, Unreadable};
+use super::record;
+use super::record::Unreadable;
 use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::client::Owner;
+use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
-use crate::telemetry::Scope;
 use disk::{Change, Disk, Opened};
 
 /// Longest wait of those who ask whether the store is there.

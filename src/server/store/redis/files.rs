@@ -18,7 +18,7 @@ const TRANSFERS: usize = 8;
 const LARGE: usize = 1 << 20;
 
 /// The connections.
-pub(super) struct Files {
+pub(crate) struct Files {
     places: Semaphore,
     /// Those that transfer nothing now; the one that was used last is used next.
     free: Mutex<Vec<Line>>,
@@ -43,13 +43,13 @@ impl Drop for Transfer<'_> {
 }
 
 impl Files {
-    pub(super) fn new(peer: &Arc<Peer>) -> Self {
+    pub(crate) fn new(peer: &Arc<Peer>) -> Self {
         let free = (0..TRANSFERS).map(|_| Line::new(peer)).collect();
         Self { places: Semaphore::new(TRANSFERS), free: Mutex::new(free) }
     }
 
     /// What the server says to `ask` within `patience`, by a connection that transfers nothing else. `len`: bytes of the file.
-    pub(super) async fn ask<T, F>(
+    pub(crate) async fn ask<T, F>(
         &self,
         patience: Duration,
         len: impl FnOnce(&T) -> usize,

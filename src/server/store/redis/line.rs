@@ -12,8 +12,8 @@ use redis::{AsyncConnectionConfig, Client, ErrorKind, RedisError, RedisResult};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
+use crate::observe::Scope;
 use crate::store::{Address, StoreError};
-use crate::telemetry::Scope;
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(1);
@@ -24,7 +24,7 @@ const WAITING: usize = 1024;
 
 /// A connection, or the want of one. Cloning shares it.
 #[derive(Clone)]
-pub(super) struct Line(Arc<Shared>);
+pub(crate) struct Line(Arc<Shared>);
 
 struct Shared {
     peer: Arc<Peer>,
@@ -32,7 +32,7 @@ struct Shared {
 }
 
 /// What is known of the server from one kind of requests.
-pub(super) struct Peer {
+pub(crate) struct Peer {
     /// Which kind, for the log.
     name: &'static str,
     /// An answer that does not come in time is the server's fault, not that request's alone.
@@ -52,7 +52,7 @@ struct Slot {
 }
 
 impl Peer {
-    pub(super) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
+    pub(crate) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
         Ok(Arc::new(Self {
             name,
             is_prompt,
@@ -65,22 +65,22 @@ impl Peer {
     }
 
     /// Requests that were not answered, or answered that there is no room.
-    pub(super) fn failures(&self) -> u64 {
+    pub(crate) fn failures(&self) -> u64 {
         self.failures.load(Ordering::Relaxed)
     }
 
     /// It did not answer what was asked last.
-    pub(super) fn is_away(&self) -> bool {
+    pub(crate) fn is_away(&self) -> bool {
         self.is_away.load(Ordering::Relaxed)
     }
 
     /// It has answered at some time.
-    pub(super) fn was_heard(&self) -> bool {
+    pub(crate) fn was_heard(&self) -> bool {
         self.was_heard.load(Ordering::Relaxed)
     }
 
     /// The server was heard by others: it is not left alone any longer.
-    pub(super) fn relent(&self) {
+    pub(crate) fn relent(&self) {
         *self.not_before() = None;
     }
 
@@ -113,12 +113,12 @@ impl Peer {
 }
 
 impl Line {
-    pub(super) fn new(peer: &Arc<Peer>) -> Self {
+    pub(crate) fn new(peer: &Arc<Peer>) -> Self {
         Self(Arc::new(Shared { peer: Arc::clone(peer), slot: Mutex::default() }))
     }
 
     /// Ends the connection. Only while nothing is asked.
-    pub(super) fn close(&self) {
+    pub(crate) fn close(&self) {
         if let Ok(mut slot) = self.0.slot.try_lock() {
             slot.connection = None;
         }
@@ -126,7 +126,7 @@ impl Line {
 
     /// What the server says to `ask` within `patience`. A connection that turns out to be broken, as after a pause in which the server was started
     /// anew, is made anew and asked once more: whatever is asked comes to the same when it is done twice.
-    pub(super) async fn ask<T, F>(&self, patience: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
+    pub(crate) async fn ask<T, F>(&self, patience: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {

@@ -24,11 +24,12 @@ use mlswarp::warp::Digest;
 use redis::{Cmd, FromRedisValue};
 use tokio::task::JoinSet;
 
-use super::record::{self, Unreadable};
+use super::record;
+use super::record::Unreadable;
 use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::client::Owner;
+use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
-use crate::telemetry::Scope;
 use files::Files;
 use line::{Line, Peer};
 use owed::{Debt, Owed};

@@ -15,14 +15,14 @@ const MOST: usize = 1 << 16;
 
 /// A number that the server has not been told yet, and when nobody has a use for it any more.
 #[derive(Clone, Copy)]
-pub(super) struct Debt {
-    pub(super) given: Given,
-    pub(super) until: Instant,
+pub(crate) struct Debt {
+    pub(crate) given: Given,
+    pub(crate) until: Instant,
 }
 
 /// All of them.
 #[derive(Default)]
-pub(super) struct Owed {
+pub(crate) struct Owed {
     all: Mutex<HashMap<SessionId, Debt>>,
     is_telling: watch::Sender<bool>,
 }
@@ -31,7 +31,7 @@ impl Owed {
     /// Owes the highest number of a session's newest life: one that was told in vain may be of the life before.
     /// `true`: nobody tells yet, so the caller has to.
     #[must_use]
-    pub(super) fn owe(&self, id: SessionId, debt: Debt) -> bool {
+    pub(crate) fn owe(&self, id: SessionId, debt: Debt) -> bool {
         let mut all = self.lock();
         let owes_more = |before: &Debt| (before.given.created, before.given.seq) > (debt.given.created, debt.given.seq);
         if !all.get(&id).is_some_and(owes_more) && (all.len() < MOST || all.contains_key(&id)) {
@@ -42,7 +42,7 @@ impl Owed {
     }
 
     /// Some of them, to be told now; none when all have been told.
-    pub(super) fn take(&self, most: usize) -> Vec<(SessionId, Debt)> {
+    pub(crate) fn take(&self, most: usize) -> Vec<(SessionId, Debt)> {
         let mut all = self.lock();
         let ids: Vec<SessionId> = all.keys().take(most).copied().collect();
         if ids.is_empty() {
@@ -52,7 +52,7 @@ impl Owed {
     }
 
     /// Waits until nothing is owed.
-    pub(super) async fn nothing(&self) {
+    pub(crate) async fn nothing(&self) {
         // The sender lives as long as `self`, so waiting cannot fail.
         let _ = self.is_telling.subscribe().wait_for(|is| !is).await;
     }

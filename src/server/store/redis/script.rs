@@ -21,11 +21,11 @@ use crate::store::record::{hex, made, write};
 use crate::store::{Record, StoreError};
 
 /// What a script says first.
-pub(super) mod said {
-    pub(in super::super) const NOTHING: i64 = 0;
-    pub(in super::super) const EXPIRED: i64 = 1;
-    pub(in super::super) const HERE: i64 = 2;
-    pub(in super::super) const OTHER: i64 = 3;
+pub(crate) mod said {
+    pub(crate) const NOTHING: i64 = 0;
+    pub(crate) const EXPIRED: i64 = 1;
+    pub(crate) const HERE: i64 = 2;
+    pub(crate) const OTHER: i64 = 3;
 }
 
 /// ARGV idle, made. Uses a session that was made from the same and is whole. Says also what is there otherwise.
@@ -107,22 +107,22 @@ return 2";
 
 /// What is known here of a session, and may not be known there.
 #[derive(Clone, Copy)]
-pub(super) struct Given {
+pub(crate) struct Given {
     /// Of its record: one that is known is not sent again.
-    pub(super) revision: Revision,
+    pub(crate) revision: Revision,
     /// Its life: numbers of another one do not count.
-    pub(super) created: SystemTime,
+    pub(crate) created: SystemTime,
     /// The highest number.
-    pub(super) seq: Option<u64>,
+    pub(crate) seq: Option<u64>,
 }
 
 /// Numbers as texts that compare like numbers; nothing is below every number.
-pub(super) fn digits(seq: Option<u64>) -> String {
+pub(crate) fn digits(seq: Option<u64>) -> String {
     seq.map_or_else(String::new, |seq| format!("{seq:020}"))
 }
 
 /// The number that the text is.
-pub(super) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
+pub(crate) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
     if digits.is_empty() { Ok(None) } else { digits.parse().map(Some).map_err(|_| StoreError::Away) }
 }
 
@@ -154,22 +154,22 @@ fn millis(idle: Duration) -> u64 {
     u64::try_from(idle.as_millis()).unwrap_or(u64::MAX).clamp(1, 1 << 50)
 }
 
-pub(super) fn same(record: &Record, idle: Duration) -> Cmd {
+pub(crate) fn same(record: &Record, idle: Duration) -> Cmd {
     let mut command = script(SAME, record.id, idle);
     command.arg(hex(&made(record).0));
     command
 }
 
 /// What a record may replace: nothing, or this revision.
-pub(super) struct Replaces {
+pub(crate) struct Replaces {
     /// As the server has it; empty for nothing.
-    pub(super) revision: String,
+    pub(crate) revision: String,
     /// Its record can be read.
-    pub(super) is_whole: bool,
+    pub(crate) is_whole: bool,
 }
 
 /// The file and the record, both or neither.
-pub(super) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Duration) -> Pipeline {
+pub(crate) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Duration) -> Pipeline {
     let mut command = script_with(PUT, record.id, Some("upload"), idle);
     command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record.created));
     command.arg(&replaces.revision).arg(u8::from(replaces.is_whole));
@@ -179,7 +179,7 @@ pub(super) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Durat
     transaction
 }
 
-pub(super) fn touch(id: SessionId, seq: Option<u64>, known: Option<Given>, idle: Duration) -> Cmd {
+pub(crate) fn touch(id: SessionId, seq: Option<u64>, known: Option<Given>, idle: Duration) -> Cmd {
     let mut command = script(TOUCH, id, idle);
     command.arg(digits(seq));
     match known {
@@ -189,30 +189,30 @@ pub(super) fn touch(id: SessionId, seq: Option<u64>, known: Option<Given>, idle:
     command
 }
 
-pub(super) fn peek(id: SessionId, known: Option<&Record>, idle: Duration) -> Cmd {
+pub(crate) fn peek(id: SessionId, known: Option<&Record>, idle: Duration) -> Cmd {
     let mut command = script(PEEK, id, idle);
     command.arg(known.map_or_else(String::new, |known| hex(known.revision.as_bytes())));
     command
 }
 
-pub(super) fn revise(old: &str, new: &Record, idle: Duration) -> Cmd {
+pub(crate) fn revise(old: &str, new: &Record, idle: Duration) -> Cmd {
     let mut command = script(REVISE, new.id, idle);
     command.arg(old).arg(hex(&made(new).0)).arg(write(new)).arg(hex(new.revision.as_bytes()));
     command
 }
 
-pub(super) fn delete(id: SessionId, idle: Duration) -> Cmd {
+pub(crate) fn delete(id: SessionId, idle: Duration) -> Cmd {
     script_with(DELETE, id, Some("deleted"), idle)
 }
 
 /// How long the file is; 0 when it is not there.
-pub(super) fn file_bytes(id: SessionId) -> Cmd {
+pub(crate) fn file_bytes(id: SessionId) -> Cmd {
     let mut command = redis::cmd("STRLEN");
     command.arg(key(id, "file"));
     command
 }
 
-pub(super) fn file(id: SessionId) -> Cmd {
+pub(crate) fn file(id: SessionId) -> Cmd {
     let mut command = redis::cmd("GET");
     command.arg(key(id, "file"));
     command

@@ -1,7 +1,8 @@
 use super::*;
 use crate::store::Place;
 use crate::store::model;
-use crate::store::suite::{self, bounds, file, made_anew, with_weights};
+use crate::store::suite;
+use crate::store::suite::{bounds, file, made_anew, with_weights};
 
 #[path = "../../../../tests/it/support/redis.rs"]
 mod server;

@@ -14,33 +14,33 @@ use crate::store::Record;
 use crate::store::index::record_bytes;
 
 /// A session as the server told it.
-pub(super) struct Warm {
-    pub(super) record: Arc<Record>,
+pub(crate) struct Warm {
+    pub(crate) record: Arc<Record>,
     known: Mutex<Known>,
 }
 
 /// What changes with every step of a drag.
 #[derive(Clone, Copy)]
-pub(super) struct Known {
+pub(crate) struct Known {
     /// The highest number, as far as this process knows.
-    pub(super) seq: Option<u64>,
+    pub(crate) seq: Option<u64>,
     /// When the server told it.
-    pub(super) asked: Instant,
+    pub(crate) asked: Instant,
 }
 
 impl Warm {
-    pub(super) fn known(&self) -> MutexGuard<'_, Known> {
+    pub(crate) fn known(&self) -> MutexGuard<'_, Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What the server may not know of it.
-    pub(super) fn given(&self) -> Given {
+    pub(crate) fn given(&self) -> Given {
         Given { revision: self.record.revision, created: self.record.created, seq: self.known().seq }
     }
 }
 
 /// All of them.
-pub(super) struct Memory {
+pub(crate) struct Memory {
     idle: Duration,
     limit: u64,
     held: Mutex<Held>,
@@ -73,7 +73,7 @@ impl Held {
 }
 
 impl Memory {
-    pub(super) fn new(idle: Duration, limit: u64) -> Self {
+    pub(crate) fn new(idle: Duration, limit: u64) -> Self {
         Self { idle, limit, held: Mutex::default() }
     }
 
@@ -83,7 +83,7 @@ impl Memory {
     }
 
     /// Remembers what the server said just now. Numbers of the same life that it has not been told yet are not forgotten.
-    pub(super) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
+    pub(crate) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
         let held = &mut *self.lock();
         let before = held.sessions.get(&record.id).filter(|warm| warm.record.created == record.created);
         let seq = seq.max(before.and_then(|warm| warm.known().seq));
@@ -96,16 +96,16 @@ impl Memory {
     }
 
     /// What is remembered, if the server can still know of it.
-    pub(super) fn warm(&self, id: SessionId) -> Option<Arc<Warm>> {
+    pub(crate) fn warm(&self, id: SessionId) -> Option<Arc<Warm>> {
         self.lock().sessions.get(&id).filter(|warm| warm.known().asked.elapsed() < self.idle).cloned()
     }
 
-    pub(super) fn forget(&self, id: SessionId) {
+    pub(crate) fn forget(&self, id: SessionId) {
         self.lock().remove(id);
     }
 
     /// Forgets what the server has dropped; says how many.
-    pub(super) fn sweep(&self) -> usize {
+    pub(crate) fn sweep(&self) -> usize {
         let held = &mut *self.lock();
         let over: Vec<SessionId> =
             held.sessions.iter().filter(|(_, warm)| warm.known().asked.elapsed() >= self.idle).map(|(id, _)| *id).collect();
@@ -116,12 +116,12 @@ impl Memory {
     }
 
     /// Some session of that owner that is remembered has that picture.
-    pub(super) fn names(&self, owner: Owner, image: Digest) -> bool {
+    pub(crate) fn names(&self, owner: Owner, image: Digest) -> bool {
         self.lock().sessions.values().any(|warm| warm.record.image == image && warm.record.id.owner() == owner)
     }
 
     /// How many, and their bytes.
-    pub(super) fn size(&self) -> (u64, u64) {
+    pub(crate) fn size(&self) -> (u64, u64) {
         let held = self.lock();
         (held.sessions.len() as u64, held.bytes)
     }

@@ -1,0 +1,154 @@
+//! `GET /` and `GET /page/{file}`: the drag page, compiled in. It is served whole or as 304; it loads nothing from elsewhere, and the policy
+//! below holds it to that. `page/README.md` lists what in it may be relied on.
+
+use std::fmt::Write as _;
+use std::sync::LazyLock;
+
+use axum::Router;
+use axum::extract::{Path, State};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::get;
+use bytes::Bytes;
+use sha2::{Digest as _, Sha256};
+
+use crate::app::App;
+use crate::config::Config;
+use crate::problem::{Code, Problem};
+use crate::store::Place;
+
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+pub(crate) const HTML: &str = "text/html; charset=utf-8";
+pub(crate) const CSS: &str = "text/css; charset=utf-8";
+pub(crate) const JS: &str = "text/javascript; charset=utf-8";
+const INDEX: &str = include_str!("../../web/index.html");
+/// Where the index says what this server takes, so that the page can say so before an upload.
+const LIMITS: &str = "{limits}";
+
+macro_rules! assets {
+    ($($name:literal $media:expr,)+) => {
+        [$(($name, $media, include_bytes!(concat!("../../web/", $name)).as_slice())),+]
+    };
+}
+
+static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
+    assets![
+        "page.css" CSS,
+        "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
+        "mesh.js" JS, "open.js" JS, "outside.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
+        "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
+        "icon.svg" "image/svg+xml",
+        "cat.jpg" "image/jpeg", "portrait.jpg" "image/jpeg", "rocket.jpg" "image/jpeg", "horse.webp" "image/webp",
+        "cat-before.webp" "image/webp", "cat-after.webp" "image/webp", "horse-before.webp" "image/webp", "horse-after.webp" "image/webp",
+        "portrait-before.webp" "image/webp", "portrait-after.webp" "image/webp",
+        "rocket-before.webp" "image/webp", "rocket-after.webp" "image/webp",
+    ]
+    .into_iter()
+    .map(|(name, media, bytes)| (name, Asset::new(media, Bytes::from_static(bytes))))
+    .collect()
+});
+
+/// A file of a page.
+#[derive(Clone)]
+pub(crate) struct Asset {
+    media: HeaderValue,
+    pub(crate) bytes: Bytes,
+    tag: HeaderValue,
+}
+
+impl Asset {
+    pub(crate) fn new(media: &'static str, bytes: Bytes) -> Self {
+        let mut tag = String::from("\"");
+        for byte in &Sha256::digest(&bytes)[..16] {
+            // Writing to a string does not fail.
+            let _ = write!(tag, "{byte:02x}");
+        }
+        tag.push('"');
+        Self { media: HeaderValue::from_static(media), bytes, tag: HeaderValue::try_from(tag).expect("hex is visible ASCII") }
+    }
+
+    pub(crate) fn answer(&self, asked: &HeaderMap) -> Response {
+        let headers = [
+            (ETAG, self.tag.clone()),
+            (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
+            (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
+        ];
+        if is_known(asked, &self.tag) {
+            return (StatusCode::NOT_MODIFIED, headers).into_response();
+        }
+        (headers, [(CONTENT_TYPE, self.media.clone())], self.bytes.clone()).into_response()
+    }
+}
+
+/// `If-None-Match` names the tag (RFC 9110, section 13.1.2: compared weakly).
+fn is_known(asked: &HeaderMap, tag: &HeaderValue) -> bool {
+    let tags = asked.get_all(IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
+    tags.map(str::trim).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
+}
+
+/// The page's routes: no part of the contract, so the OpenAPI document does not have them.
+pub(crate) fn routes(app: &App) -> Router<App> {
+    let index = Asset::new(HTML, Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)));
+    Router::new().route("/", get(async move |headers: HeaderMap| index.answer(&headers))).route("/page/{file}", get(file))
+}
+
+async fn file(State(_): State<App>, Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    match ASSETS.iter().find(|(known, _)| *known == name) {
+        Some((_, asset)) => Ok(asset.answer(&headers)),
+        None => Err(Problem::new(Code::NotFound, format!("the page has no file {name}"))),
+    }
+}
+
+/// `name=number ...`: bytes, pixels, pixels, seconds, and 1 where pictures are kept in memory alone.
+fn limits(config: &Config) -> String {
+    let image = config.limits.image;
+    format!(
+        "body={} pixels={} side={} idle={} memory={}",
+        config.max_body_bytes,
+        image.max_pixels,
+        image.max_side,
+        config.store.bounds.idle.as_secs(),
+        u8::from(config.store.place == Place::Memory)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(name: &str) -> &'static str {
+        let (_, asset) = ASSETS.iter().find(|(known, _)| *known == name).expect(name);
+        std::str::from_utf8(&asset.bytes).expect("text is UTF-8")
+    }
+
+    #[test]
+    fn whatever_the_page_asks_for_is_there() {
+        let named = |text: &'static str, before: &'static str| {
+            text.split(before).skip(1).map(|rest| rest.split(['"', '#']).next().expect("split gives one piece at least"))
+        };
+        let scripts = ASSETS.iter().filter(|(name, _)| name.ends_with(".js"));
+        let imported: Vec<&str> = scripts.flat_map(|(name, _)| named(text(name), "from \"./")).collect();
+        let linked: Vec<&str> = named(INDEX, "=\"../../web/").chain(named(text("samples.js"), "\"../../web/")).collect();
+        assert!(imported.len() > 30 && linked.len() > 10, "{} {}", imported.len(), linked.len());
+        for name in imported.iter().chain(&linked) {
+            assert!(ASSETS.iter().any(|(known, _)| known == name), "{name}");
+        }
+        // And nothing is there that nobody asks for.
+        for (name, _) in ASSETS.iter() {
+            assert!(imported.contains(name) || linked.contains(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn nothing_comes_from_elsewhere_and_nothing_is_inline() {
+        assert_eq!(INDEX.matches(LIMITS).count(), 1);
+        for (name, asset) in ASSETS.iter().filter(|(_, asset)| asset.media.to_str().is_ok_and(|media| media.starts_with("text"))) {
+            let text = std::str::from_utf8(&asset.bytes).expect("text is UTF-8").replace("http://www.w3.org/2000/svg", "");
+            assert!(!text.contains("://"), "{name}");
+        }
+        assert!(!INDEX.contains("://") && !INDEX.contains(" style=") && !INDEX.contains(" onclick=") && !INDEX.contains("<style"));
+        assert!(INDEX.split("<script").skip(1).all(|script| script.contains("src=\"../../web/")));
+    }
+}

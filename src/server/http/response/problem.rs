@@ -1,0 +1,49 @@
+//! Problems as answers. A handler's problem travels in the answer's extensions; [`finish`] writes its document when the request's id is at
+//! hand, and gives every other refusal (axum's own, a layer's) the document of its status.
+
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
+use axum::http::{HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+
+use crate::problem::{Code, Problem};
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let mut response = StatusCode::from_u16(self.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR).into_response();
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+/// Writes the problem document of every answer that is not a success.
+pub(crate) fn finish(response: Response, request_id: &str) -> Response {
+    let status = response.status();
+    if !status.is_client_error() && !status.is_server_error() {
+        return response;
+    }
+    let (mut head, _) = response.into_parts();
+    let problem = head.extensions.remove::<Problem>().unwrap_or_else(|| of_status(status));
+    if let Some(seconds) = problem.retry_after {
+        head.headers.insert(RETRY_AFTER, seconds.into());
+    }
+    head.status = StatusCode::from_u16(problem.status()).unwrap_or(status);
+    head.headers.remove(CONTENT_LENGTH);
+    head.headers.insert(CONTENT_TYPE, HeaderValue::from_static(Problem::MEDIA_TYPE));
+    head.headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    Response::from_parts(head, problem.to_json(Some(request_id)).to_string().into())
+}
+
+fn of_status(status: StatusCode) -> Problem {
+    let code = match status {
+        StatusCode::NOT_FOUND => Code::NotFound,
+        StatusCode::METHOD_NOT_ALLOWED => Code::MethodNotAllowed,
+        StatusCode::NOT_ACCEPTABLE => Code::NotAcceptable,
+        StatusCode::REQUEST_TIMEOUT => Code::Timeout,
+        StatusCode::PAYLOAD_TOO_LARGE => Code::TooLarge,
+        StatusCode::UNSUPPORTED_MEDIA_TYPE => Code::UnsupportedMediaType,
+        StatusCode::SERVICE_UNAVAILABLE => Code::Overloaded,
+        status if status.is_client_error() => Code::MalformedRequest,
+        _ => Code::Internal,
+    };
+    Problem::new(code, status.canonical_reason().unwrap_or("refused"))
+}

@@ -1,0 +1,139 @@
+//! `GET /problems/{code}`: what the `type` of a problem document leads to, that is, the section of `api/problems.md` about the code, as HTML
+//! or as JSON. The file uses little of Markdown (paragraphs, code, bold, blocks of JSON; tested), so little is read here.
+
+use std::fmt::Write as _;
+use std::sync::LazyLock;
+
+use axum::extract::Path;
+use axum::http::header::VARY;
+use axum::http::{HeaderMap, HeaderValue};
+use axum::response::Response;
+use bytes::Bytes;
+use serde_json::{Value, json};
+
+use crate::http::accept;
+use crate::http::assets::{Asset, HTML};
+use crate::problem::{Code, Problem};
+
+const TEXT: &str = include_str!("../../../../api/problems.md");
+const PAGE: &str = include_str!("problems/page.html");
+const ADVICE: &str = "**What to do.** ";
+const JSON: &str = "application/json";
+const BLOCK: &str = "```";
+
+/// The forms in which a section is written; the first is preferred.
+const FORMS: [&str; 3] = ["text/html", JSON, Problem::MEDIA_TYPE];
+
+static SECTIONS: LazyLock<Vec<(Code, [Asset; 3])>> = LazyLock::new(|| Code::ALL.iter().map(|&code| (code, forms(code))).collect());
+
+/// One section.
+pub(crate) async fn section(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    let Some((_, forms)) = SECTIONS.iter().find(|(code, _)| code.as_str() == name) else {
+        return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {name}")));
+    };
+    let form = accept::choose(&headers, FORMS)?;
+    let mut answer = forms[form].answer(&headers);
+    answer.headers_mut().insert(VARY, HeaderValue::from_static("accept"));
+    Ok(answer)
+}
+
+fn forms(code: Code) -> [Asset; 3] {
+    let section = TEXT.split("\n## ").find_map(|section| section.strip_prefix(code.as_str())?.strip_prefix('\n'));
+    let section = section.expect("every code has a section, and a test reads it").trim();
+    let page = PAGE.replace("{title}", code.title()).replace("{code}", code.as_str()).replace("{section}", &html(section));
+    let json = Bytes::from(document(code, section).to_string());
+    [Asset::new(HTML, Bytes::from(page)), Asset::new(JSON, json.clone()), Asset::new(Problem::MEDIA_TYPE, json)]
+}
+
+/// A paragraph or a block of code of a section.
+fn blocks(section: &str) -> impl Iterator<Item = &str> {
+    section.split("\n\n").map(str::trim).filter(|block| !block.is_empty())
+}
+
+/// The code between the lines that begin and end a block of code.
+fn code_of(block: &str) -> Option<&str> {
+    block.strip_prefix(BLOCK)?.strip_suffix(BLOCK)?.split_once('\n').map(|(_, code)| code)
+}
+
+fn html(section: &str) -> String {
+    let mut html = String::new();
+    for block in blocks(section) {
+        // Writing to a string does not fail.
+        let _ = match code_of(block) {
+            Some(code) => writeln!(html, "<pre><code>{}</code></pre>", escaped(code)),
+            None => writeln!(html, "<p>{}</p>", paragraph(block)),
+        };
+    }
+    html
+}
+
+fn paragraph(text: &str) -> String {
+    let text = escaped(text);
+    let pieces = text.split('`').enumerate();
+    let with_code = pieces.map(|(n, piece)| if n % 2 == 1 { format!("<code>{piece}</code>") } else { bold(piece) });
+    with_code.collect()
+}
+
+fn bold(text: &str) -> String {
+    let pieces = text.split("**").enumerate();
+    pieces.map(|(n, piece)| if n % 2 == 1 { format!("<strong>{piece}</strong>") } else { piece.to_owned() }).collect()
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// The members that all problems of the code share, and the section in pieces.
+fn document(code: Code, section: &str) -> Value {
+    let example = blocks(section).find_map(code_of).and_then(|text| serde_json::from_str(text).ok()).unwrap_or(Value::Null);
+    let paragraphs = || blocks(section).filter(|block| code_of(block).is_none()).map(|block| block.replace('\n', " "));
+    let of_status = format!("Status {}. ", code.status());
+    let description: Vec<String> = paragraphs().filter(|text| !text.starts_with(ADVICE)).collect();
+    let advice: Vec<String> = paragraphs().filter_map(|text| text.strip_prefix(ADVICE).map(str::to_owned)).collect();
+    json!({
+        "type": code.type_uri(),
+        "title": code.title(),
+        "status": code.status(),
+        "code": code.as_str(),
+        "detail": description.join("\n\n").trim_start_matches(&of_status),
+        "advice": advice.join("\n\n"),
+        "example": example,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_section_is_written_whole_and_uses_no_other_markup() {
+        for (code, [page, json, problem]) in SECTIONS.iter() {
+            let page = std::str::from_utf8(&page.bytes).unwrap();
+            let (_, main) = page.split_once("<main class=\"problem\">").unwrap();
+            assert!(main.contains(&format!("<h1>{}</h1>", code.title())) && main.contains("<strong>What to do.</strong>"), "{page}");
+            assert!(main.contains(&format!("\"code\": \"{}\"", code.as_str())), "{page}");
+            let text: String = main.split("<pre>").filter_map(|piece| piece.split("</pre>").last()).collect();
+            for mark in ["`", "**", "](", "\n- ", "\n* ", "\n1. ", "\n|", "\n#", "\n>", "{section}", "{title}", "{code}"] {
+                assert!(!text.contains(mark), "{mark:?} in {page}");
+            }
+            assert!(
+                !page.contains("=\"http") && !page.contains("=\"//") && !page.contains("<script") && !page.contains(" style="),
+                "{page}"
+            );
+            assert_eq!(json.bytes, problem.bytes);
+            let document: Value = serde_json::from_slice(&json.bytes).unwrap();
+            assert_eq!(document["example"]["code"], code.as_str());
+            assert_eq!((&document["type"], &document["status"]), (&code.type_uri().into(), &code.status().into()));
+            for text in ["detail", "advice"] {
+                let text = document[text].as_str().unwrap();
+                assert!(text.len() > 15 && !text.starts_with("Status") && !text.contains("**"), "{text}");
+            }
+        }
+    }
+
+    #[test]
+    fn text_is_escaped_before_it_is_marked() {
+        assert_eq!(paragraph("**Do.** `a<b> & c`, `**`"), "<strong>Do.</strong> <code>a&lt;b&gt; &amp; c</code>, <code>**</code>");
+        assert_eq!(html("One.\n\n```json\n{\"a\": \"<b>\"}\n```"), "<p>One.</p>\n<pre><code>{\"a\": \"&lt;b&gt;\"}\n</code></pre>\n");
+    }
+}

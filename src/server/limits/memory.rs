@@ -1,0 +1,352 @@
+//! The account of memory: whatever grows with what clients send is reserved here by its predicted size before it is allocated, and given back when it
+//! is dropped. Files that are being uploaded and those that sessions keep, decoded pictures, tables of coefficients, answers that are on their way,
+//! sockets. What is not in the account is the program itself (some 15 MiB), stacks, and buffers of a few KiB a request.
+//!
+//! What must not wait for newcomers may use all of it; newcomers leave a part free, so that drags go on when a store or a crowd of uploads has
+//! taken what there was to take.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use bytes::Bytes;
+use thiserror::Error;
+
+use super::client_quota::{Quota, Share};
+
+/// What memory is taken for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Purpose {
+    /// Files and JSON of requests, and the files that sessions in memory keep.
+    Upload,
+    /// Decoded pictures, and the files of sessions that are decoded again.
+    Image,
+    /// Tables of coefficients.
+    Plan,
+    /// Answers, from before they are drawn until they have left.
+    Frame,
+    /// Drag sockets.
+    Socket,
+}
+
+impl Purpose {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Upload, Self::Image, Self::Plan, Self::Frame, Self::Socket];
+
+    /// As metrics and messages name it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Upload => "uploads",
+            Self::Image => "images",
+            Self::Plan => "plans",
+            Self::Frame => "frames",
+            Self::Socket => "sockets",
+        }
+    }
+
+    /// How much of `total` may be taken when this takes a part of it.
+    #[must_use]
+    pub const fn share(self, total: u64) -> u64 {
+        match self {
+            Self::Frame => total,
+            Self::Image | Self::Plan => total / 8 * 7,
+            Self::Upload | Self::Socket => total / 4 * 3,
+        }
+    }
+}
+
+/// What there is not enough of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Short {
+    /// All of the memory that the purpose may use.
+    Memory,
+    /// What one client may hold.
+    Share(Quota),
+}
+
+impl Short {
+    const fn by(self) -> &'static str {
+        match self {
+            Self::Memory => "",
+            Self::Share(Quota::Answers) => " by answers that this client has not read",
+            Self::Share(Quota::Requests) => " by requests of this client, and by files that its sessions keep in memory",
+        }
+    }
+}
+
+/// There is not so much left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .short.by())]
+pub struct NoRoom {
+    /// Of what.
+    pub short: Short,
+    /// For what.
+    pub purpose: Purpose,
+    /// How many bytes.
+    pub asked: u64,
+    /// Of how many that this purpose may use.
+    pub limit: u64,
+    /// How many are taken, by whatever.
+    pub taken: u64,
+}
+
+impl NoRoom {
+    /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
+    #[must_use]
+    pub fn is_forever(&self) -> bool {
+        self.short != Short::Share(Quota::Answers) && self.asked > self.limit
+    }
+}
+
+/// The account. Cloning shares it.
+#[derive(Clone)]
+pub struct Budget(Arc<Account>);
+
+struct Account {
+    total: u64,
+    taken: AtomicU64,
+    by_purpose: [AtomicU64; Purpose::ALL.len()],
+    refused: AtomicU64,
+}
+
+impl fmt::Debug for Budget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Budget({} of {} bytes)", self.taken(), self.total())
+    }
+}
+
+/// Memory that is taken; given back when this is dropped.
+#[derive(Debug)]
+pub struct Reservation {
+    budget: Budget,
+    purpose: Purpose,
+    bytes: u64,
+    share: Option<Share>,
+}
+
+impl Budget {
+    /// An account of so many bytes.
+    #[must_use]
+    pub fn new(total: u64) -> Self {
+        let account =
+            Account { total, taken: AtomicU64::new(0), by_purpose: std::array::from_fn(|_| AtomicU64::new(0)), refused: AtomicU64::new(0) };
+        Self(Arc::new(account))
+    }
+
+    /// All there is.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.0.total
+    }
+
+    /// What is taken.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        self.0.taken.load(Ordering::Relaxed)
+    }
+
+    /// What is taken for this.
+    #[must_use]
+    pub fn taken_for(&self, purpose: Purpose) -> u64 {
+        self.0.by_purpose[purpose as usize].load(Ordering::Relaxed)
+    }
+
+    /// How many times there was not enough.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.0.refused.load(Ordering::Relaxed)
+    }
+
+    /// Counts a request that was refused.
+    pub fn count_refusal(&self) {
+        self.0.refused.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// So much could be taken now.
+    #[must_use]
+    pub fn has(&self, purpose: Purpose, bytes: u64) -> bool {
+        self.taken().saturating_add(bytes) <= purpose.share(self.total())
+    }
+
+    /// Takes memory, at once or not at all.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, NoRoom> {
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: None };
+        reservation.grow(bytes)?;
+        Ok(reservation)
+    }
+
+    /// Takes memory that counts for a client until it is given back.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn take_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, NoRoom> {
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
+        reservation.grow(bytes)?;
+        Ok(reservation)
+    }
+}
+
+impl Reservation {
+    /// How much is taken.
+    #[must_use]
+    pub const fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Takes so much more, at once or not at all.
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
+        let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
+        if let Some(share) = &self.share {
+            share.take(self.bytes, more).map_err(|taken| NoRoom {
+                short: Short::Share(share.quota()),
+                purpose,
+                asked,
+                limit: share.limit(),
+                taken,
+            })?;
+        }
+        let account = &self.budget.0;
+        let limit = self.purpose.share(account.total);
+        let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
+        // The sum alone decides; the parts are told, and follow.
+        let taken = account.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
+        if let Err(taken) = taken {
+            if let Some(share) = &self.share {
+                share.give(more);
+            }
+            return Err(NoRoom { short: Short::Memory, purpose, asked, limit, taken });
+        }
+        account.by_purpose[self.purpose as usize].fetch_add(more, Ordering::Relaxed);
+        self.bytes += more;
+        Ok(())
+    }
+
+    /// Gives back what is more than so much.
+    pub fn shrink_to(&mut self, bytes: u64) {
+        let less = self.bytes.saturating_sub(bytes);
+        self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
+        self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
+        if let Some(share) = &self.share {
+            share.give(less);
+        }
+        self.bytes -= less;
+    }
+
+    /// A part of it, to be given back by itself; all of it when there is less.
+    #[must_use]
+    pub fn split(&mut self, bytes: u64) -> Self {
+        let bytes = bytes.min(self.bytes);
+        self.bytes -= bytes;
+        Self { budget: self.budget.clone(), purpose: self.purpose, bytes, share: self.share.clone() }
+    }
+
+    /// Bytes that hold the reservation for as long as anyone holds them.
+    #[must_use]
+    pub fn with(self, bytes: Vec<u8>) -> Bytes {
+        struct Held {
+            bytes: Vec<u8>,
+            _reservation: Reservation,
+        }
+        impl AsRef<[u8]> for Held {
+            fn as_ref(&self) -> &[u8] {
+                &self.bytes
+            }
+        }
+        Bytes::from_owner(Held { bytes, _reservation: self })
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.shrink_to(0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_taken_is_given_back() {
+        let budget = Budget::new(800);
+        let mut image = budget.take(Purpose::Image, 300).unwrap();
+        let mut frame = budget.take(Purpose::Frame, 400).unwrap();
+        assert_eq!((budget.taken(), budget.taken_for(Purpose::Image), budget.taken_for(Purpose::Plan)), (700, 300, 0));
+        image.shrink_to(100);
+        image.shrink_to(200);
+        assert_eq!((image.bytes(), budget.taken()), (100, 500));
+        let part = frame.split(150);
+        drop(frame);
+        assert_eq!(budget.taken_for(Purpose::Frame), 150);
+        drop((part, image));
+        assert_eq!(budget.taken(), 0);
+        assert!(Purpose::ALL.iter().all(|purpose| budget.taken_for(*purpose) == 0));
+    }
+
+    #[test]
+    fn newcomers_leave_room_for_drags() {
+        let budget = Budget::new(800);
+        let upload = budget.take(Purpose::Upload, 600).unwrap();
+        let refused = budget.take(Purpose::Upload, 1).unwrap_err();
+        assert_eq!(refused, NoRoom { short: Short::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
+        let image = budget.take(Purpose::Image, 100).unwrap();
+        assert!(budget.take(Purpose::Plan, 1).is_err());
+        let frame = budget.take(Purpose::Frame, 100).unwrap();
+        assert!(budget.take(Purpose::Frame, 1).is_err());
+        drop((upload, image, frame));
+        assert!(budget.take(Purpose::Upload, 601).unwrap_err().is_forever());
+        assert!(budget.take(Purpose::Frame, u64::MAX).unwrap_err().is_forever());
+    }
+
+    #[test]
+    fn growing_takes_all_or_nothing() {
+        let budget = Budget::new(800);
+        let mut upload = budget.take(Purpose::Upload, 500).unwrap();
+        let refused = upload.grow(200).unwrap_err();
+        assert_eq!((refused.asked, upload.bytes(), budget.taken()), (700, 500, 500));
+        assert!(refused.is_forever());
+        upload.grow(100).unwrap();
+        assert_eq!(budget.taken(), 600);
+    }
+
+    #[test]
+    fn a_client_holds_its_share_until_its_answers_have_left() {
+        use crate::client::Client;
+        use crate::limits::client_quota::Shares;
+        let (budget, shares) = (Budget::new(800), Shares::new(Quota::Answers, 200));
+        let (share, other) = (shares.of(Client::default()), shares.of(Client { address: [10, 0, 0, 1].into(), ..Client::default() }));
+        let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
+        answer.grow(50).unwrap();
+        let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
+        assert_eq!(refused, NoRoom { short: Short::Share(Quota::Answers), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 });
+        assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
+        let strip = answer.split(120).with(vec![0; 120]);
+        drop(answer);
+        assert_eq!((share.held(), budget.taken()), (120, 120));
+        // What the account refuses is nobody's.
+        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Short::Memory);
+        assert_eq!((other.held(), budget.taken()), (0, 120));
+        let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
+        drop((strip, whole));
+        assert_eq!((share.held(), other.held(), budget.taken()), (0, 0, 0));
+    }
+
+    #[test]
+    fn bytes_hold_their_memory_as_long_as_anyone_holds_them() {
+        let budget = Budget::new(800);
+        let bytes = budget.take(Purpose::Frame, 10).unwrap().with(vec![7; 10]);
+        let part = bytes.slice(3..5);
+        drop(bytes);
+        assert_eq!((budget.taken(), &part[..]), (10, &[7, 7][..]));
+        drop(part);
+        assert_eq!(budget.taken(), 0);
+    }
+}
