@@ -40,19 +40,19 @@ impl Key {
 
 /// A value and the memory that it takes.
 #[derive(Debug)]
-pub struct Kept<V> {
+pub struct CacheEntry<V> {
     value: V,
     held: Reservation,
 }
 
-impl<V> Kept<V> {
+impl<V> CacheEntry<V> {
     /// `held` is what the value weighs.
     pub const fn new(value: V, held: Reservation) -> Self {
         Self { value, held }
     }
 }
 
-impl<V> Deref for Kept<V> {
+impl<V> Deref for CacheEntry<V> {
     type Target = V;
 
     fn deref(&self) -> &V {
@@ -64,14 +64,14 @@ impl<V> Deref for Kept<V> {
 #[derive(Debug)]
 pub struct Fetched<V> {
     /// The value.
-    pub value: Arc<Kept<V>>,
+    pub value: Arc<CacheEntry<V>>,
     /// It was not there before and nobody else was building it.
     pub built: bool,
 }
 
 /// What has happened at a shelf so far, and what is on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Use {
+pub struct CacheStats {
     /// Looks that found the value.
     pub hits: u64,
     /// Values that were built.
@@ -84,7 +84,7 @@ pub struct Use {
     pub values: u64,
 }
 
-type Outcome<V> = Option<Result<Arc<Kept<V>>, Problem>>;
+type Outcome<V> = Option<Result<Arc<CacheEntry<V>>, Problem>>;
 
 /// Every request that waits for a build holds this. When the last one drops it, the build learns that and stops.
 type Interest = Arc<oneshot::Sender<Infallible>>;
@@ -114,7 +114,7 @@ impl Retained {
 
 #[derive(Debug)]
 struct Entries<V> {
-    kept: LruCache<Key, Arc<Kept<V>>>,
+    kept: LruCache<Key, Arc<CacheEntry<V>>>,
     bytes: u64,
     building: HashMap<Key, Pending<V>>,
 }
@@ -135,7 +135,7 @@ impl<V> Pending<V> {
 }
 
 #[derive(Debug)]
-struct Shared<V> {
+struct CacheState<V> {
     capacity: u64,
     entries: Mutex<Entries<V>>,
     hits: AtomicU64,
@@ -145,9 +145,9 @@ struct Shared<V> {
 
 /// A cache of built values. Cloning shares it.
 #[derive(Debug)]
-pub struct Shelf<V>(Arc<Shared<V>>);
+pub struct Cache<V>(Arc<CacheState<V>>);
 
-impl<V> Clone for Shelf<V> {
+impl<V> Clone for Cache<V> {
     fn clone(&self) -> Self {
         Self(Arc::clone(&self.0))
     }
@@ -155,7 +155,7 @@ impl<V> Clone for Shelf<V> {
 
 /// The building side: those who wait learn of its end when it is dropped, whatever the outcome.
 struct Building<V> {
-    shelf: Shelf<V>,
+    cache: Cache<V>,
     key: Key,
     told: watch::Sender<Outcome<V>>,
     interest: Weak<oneshot::Sender<Infallible>>,
@@ -165,7 +165,7 @@ struct Building<V> {
 
 impl<V> Drop for Building<V> {
     fn drop(&mut self) {
-        let mut entries = self.shelf.lock();
+        let mut entries = self.cache.lock();
         // A build that was stopped may have been replaced by a new one.
         if entries.building.get(&self.key).is_some_and(|pending| pending.interest.ptr_eq(&self.interest)) {
             entries.building.remove(&self.key);
@@ -174,20 +174,20 @@ impl<V> Drop for Building<V> {
 }
 
 impl<V> Entries<V> {
-    fn remove(&mut self, key: Key) -> Option<Arc<Kept<V>>> {
+    fn remove(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
         let value = self.kept.pop(&key)?;
         self.bytes -= value.held.bytes();
         Some(value)
     }
 }
 
-impl<V> Shelf<V> {
+impl<V> Cache<V> {
     /// Holds `capacity` bytes.
     #[must_use]
     pub fn new(capacity: u64) -> Self {
         let entries = Entries { kept: LruCache::unbounded(), bytes: 0, building: HashMap::new() };
         let none = || AtomicU64::new(0);
-        Self(Arc::new(Shared { capacity, entries: Mutex::new(entries), hits: none(), built: none(), evicted: none() }))
+        Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries), hits: none(), built: none(), evicted: none() }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Entries<V>> {
@@ -197,10 +197,10 @@ impl<V> Shelf<V> {
 
     /// What has happened so far.
     #[must_use]
-    pub fn usage(&self) -> Use {
+    pub fn usage(&self) -> CacheStats {
         let entries = self.lock();
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        Use {
+        CacheStats {
             hits: read(&self.0.hits),
             built: read(&self.0.built),
             evicted: read(&self.0.evicted),
@@ -211,7 +211,7 @@ impl<V> Shelf<V> {
 
     /// The value is there. It counts as used: whoever asks wants it soon.
     #[must_use]
-    pub fn has(&self, key: Key) -> bool {
+    pub fn touch(&self, key: Key) -> bool {
         self.lock().kept.get(&key).is_some()
     }
 
@@ -222,14 +222,14 @@ impl<V> Shelf<V> {
 
     /// The value of `key`, if it is there.
     #[must_use]
-    pub fn peek(&self, key: Key) -> Option<Arc<Kept<V>>> {
+    pub fn peek(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
         let value = self.lock().kept.get(&key).cloned();
         self.0.hits.fetch_add(value.is_some().into(), Ordering::Relaxed);
         value
     }
 
     /// Takes the value of `key` off the shelf.
-    pub fn remove(&self, key: Key) -> Option<Arc<Kept<V>>> {
+    pub fn remove(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
         self.lock().remove(key)
     }
 
@@ -249,7 +249,7 @@ impl<V> Shelf<V> {
     }
 
     /// Takes the value off that was used least recently of those that nobody uses now. False when there is none.
-    pub fn give_way(&self) -> bool {
+    pub fn evict_idle(&self) -> bool {
         let mut entries = self.lock();
         let idle = entries.kept.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
         let gone = idle.and_then(|key| entries.remove(key));
@@ -259,7 +259,7 @@ impl<V> Shelf<V> {
     }
 
     /// Puts a value that was built on the shelf.
-    fn put(&self, key: Key, value: Arc<Kept<V>>) {
+    fn put(&self, key: Key, value: Arc<CacheEntry<V>>) {
         let bytes = value.held.bytes();
         if bytes > self.0.capacity {
             return;
@@ -279,14 +279,14 @@ impl<V> Shelf<V> {
     }
 }
 
-impl<V: Send + Sync + 'static> Shelf<V> {
+impl<V: Send + Sync + 'static> Cache<V> {
     /// The value of `key`; `build` runs when it is not there and nobody else builds it.
     ///
     /// # Errors
     /// Those of the build; they are told to everyone who waits and then forgotten. `lost` makes the error of a build that was torn down.
     pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
-        B: Future<Output = Result<Kept<V>, Problem>> + Send + 'static,
+        B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,
     {
         let (mut outcome, interest, begun) = {
             let mut entries = self.lock();
@@ -302,7 +302,7 @@ impl<V: Send + Sync + 'static> Shelf<V> {
                     let interest = Arc::new(interest);
                     let weak = || Arc::downgrade(&interest);
                     entries.building.insert(key, Pending { outcome: outcome.clone(), interest: weak() });
-                    let building = Building { shelf: self.clone(), key, told, interest: weak(), abandoned };
+                    let building = Building { cache: self.clone(), key, told, interest: weak(), abandoned };
                     (outcome, interest, Some(building))
                 }
             }
@@ -322,15 +322,15 @@ impl<V: Send + Sync + 'static> Shelf<V> {
 }
 
 impl<V> Building<V> {
-    async fn finish(mut self, build: impl Future<Output = Result<Kept<V>, Problem>>) {
+    async fn finish(mut self, build: impl Future<Output = Result<CacheEntry<V>, Problem>>) {
         let outcome = tokio::select! {
             biased;
             outcome = build => outcome.map(Arc::new),
             _ = &mut self.abandoned => return,
         };
         if let Ok(value) = &outcome {
-            self.shelf.0.built.fetch_add(1, Ordering::Relaxed);
-            self.shelf.put(self.key, Arc::clone(value));
+            self.cache.0.built.fetch_add(1, Ordering::Relaxed);
+            self.cache.put(self.key, Arc::clone(value));
         }
         self.told.send_replace(Some(outcome));
     }
@@ -341,7 +341,7 @@ mod tests {
     use super::*;
     use crate::client::Client;
     use crate::limits::memory::{Budget, Purpose};
-    use crate::pool::{Cancel, Lane, Pool, Shape, Work};
+    use crate::pool::{Cancel, Pool, QueueKey, Shape, Work};
     use crate::problem::Code;
     use futures_util::FutureExt as _;
     use tokio::sync::{Semaphore, mpsc};
@@ -356,52 +356,52 @@ mod tests {
         Budget::new(1 << 30)
     }
 
-    fn kept(budget: &Budget, bytes: u64) -> Result<Kept<u64>, Problem> {
-        Ok(Kept::new(bytes, budget.take(Purpose::Plan, bytes).unwrap()))
+    fn kept(budget: &Budget, bytes: u64) -> Result<CacheEntry<u64>, Problem> {
+        Ok(CacheEntry::new(bytes, budget.take(Purpose::Plan, bytes).unwrap()))
     }
 
     fn lost() -> Problem {
         Problem::new(Code::Internal, "lost")
     }
 
-    async fn put(shelf: &Shelf<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<Kept<u64>> {
+    async fn put(cache: &Cache<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<CacheEntry<u64>> {
         let built = kept(budget, bytes);
-        shelf.get(self::key(key), async { built }, lost).await.unwrap().value
+        cache.get(self::key(key), async { built }, lost).await.unwrap().value
     }
 
     #[tokio::test]
     async fn many_requests_share_one_build() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let requests = (0..16).map(|_| {
             let built = kept(&budget, 7);
-            shelf.get(KEY, async { built }, lost)
+            cache.get(KEY, async { built }, lost)
         });
         let fetched = futures_util::future::try_join_all(requests).await.unwrap();
         assert!(fetched.iter().all(|f| **f.value == 7));
         assert_eq!(fetched.iter().filter(|f| f.built).count(), 1);
-        assert_eq!(shelf.usage(), Use { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
+        assert_eq!(cache.usage(), CacheStats { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
         assert_eq!(budget.taken(), 7);
-        assert!(shelf.lock().building.is_empty());
+        assert!(cache.lock().building.is_empty());
     }
 
     #[tokio::test]
     async fn owners_share_neither_values_nor_builds() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let owner = |n: u8| Key::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
         let requests = [owner(1), owner(2), owner(1), KEY].map(|key| {
             let built = kept(&budget, 7);
-            shelf.get(key, async { built }, lost)
+            cache.get(key, async { built }, lost)
         });
         let fetched = futures_util::future::try_join_all(requests).await.unwrap();
         assert_eq!(fetched.iter().map(|f| f.built).collect::<Vec<_>>(), [true, true, false, true]);
-        assert_eq!((shelf.usage().bytes, budget.taken()), (21, 21), "what two have is there twice, and counted twice");
-        shelf.remove(owner(1));
-        assert!(!shelf.has(owner(1)) && shelf.has(owner(2)) && shelf.has(KEY));
+        assert_eq!((cache.usage().bytes, budget.taken()), (21, 21), "what two have is there twice, and counted twice");
+        cache.remove(owner(1));
+        assert!(!cache.touch(owner(1)) && cache.touch(owner(2)) && cache.touch(KEY));
     }
 
     #[tokio::test]
     async fn a_builder_that_leaves_serves_those_who_wait() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let gate = Arc::new(Semaphore::new(0));
         let build = {
             let (gate, built) = (Arc::clone(&gate), kept(&budget, 7));
@@ -411,13 +411,13 @@ mod tests {
             }
         };
         let first = tokio::spawn({
-            let shelf = shelf.clone();
-            async move { shelf.get(KEY, build, lost).await.map(|f| f.built) }
+            let cache = cache.clone();
+            async move { cache.get(KEY, build, lost).await.map(|f| f.built) }
         });
         tokio::task::yield_now().await;
         let second = tokio::spawn({
-            let (shelf, built) = (shelf.clone(), kept(&budget, 8));
-            async move { shelf.get(KEY, async { built }, lost).await.map(|f| **f.value) }
+            let (cache, built) = (cache.clone(), kept(&budget, 8));
+            async move { cache.get(KEY, async { built }, lost).await.map(|f| **f.value) }
         });
         tokio::task::yield_now().await;
         first.abort();
@@ -427,7 +427,7 @@ mod tests {
     }
 
     /// A build that never ends by itself, and says so when it begins and when it is dropped.
-    fn endless(said: &mpsc::UnboundedSender<&'static str>) -> impl Future<Output = Result<Kept<u64>, Problem>> + Send + use<> {
+    fn endless(said: &mpsc::UnboundedSender<&'static str>) -> impl Future<Output = Result<CacheEntry<u64>, Problem>> + Send + use<> {
         struct Dropped(mpsc::UnboundedSender<&'static str>);
         impl Drop for Dropped {
             fn drop(&mut self) {
@@ -443,11 +443,11 @@ mod tests {
 
     #[tokio::test]
     async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
-        let shelf = Shelf::new(1 << 20);
+        let cache = Cache::new(1 << 20);
         let (said, mut hears) = mpsc::unbounded_channel();
         let wait = || {
-            let (shelf, build) = (shelf.clone(), endless(&said));
-            tokio::spawn(async move { shelf.get(KEY, build, lost).await })
+            let (cache, build) = (cache.clone(), endless(&said));
+            tokio::spawn(async move { cache.get(KEY, build, lost).await })
         };
         let first = wait();
         assert_eq!(hears.recv().await, Some("began"));
@@ -460,50 +460,50 @@ mod tests {
             assert!(left.await.unwrap_err().is_cancelled());
         }
         assert_eq!(hears.recv().await, Some("dropped"));
-        while !shelf.lock().building.is_empty() {
+        while !cache.lock().building.is_empty() {
             tokio::task::yield_now().await;
         }
-        assert_eq!(shelf.usage(), Use::default());
+        assert_eq!(cache.usage(), CacheStats::default());
     }
 
     #[tokio::test]
     async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let (said, mut hears) = mpsc::unbounded_channel();
-        let mut abandoned = Box::pin(shelf.get(KEY, endless(&said), lost));
+        let mut abandoned = Box::pin(cache.get(KEY, endless(&said), lost));
         assert!((&mut abandoned).now_or_never().is_none());
         assert_eq!(hears.recv().await, Some("began"));
         // One thread: the task of the build cannot have seen it when the next request comes.
         drop(abandoned);
-        assert!(!shelf.lock().building.is_empty());
+        assert!(!cache.lock().building.is_empty());
         let gate = Arc::new(Semaphore::new(0));
         let (opens, built) = (Arc::clone(&gate), kept(&budget, 7));
         let next = async move {
             let _ = opens.acquire().await;
             built
         };
-        let mut next = Box::pin(shelf.get(KEY, next, lost));
+        let mut next = Box::pin(cache.get(KEY, next, lost));
         assert!((&mut next).now_or_never().is_none());
         assert_eq!(hears.recv().await, Some("dropped"));
         // The old build has gone, and has left the new one's entry alone: a third request shares it.
-        let mut third = Box::pin(shelf.get(KEY, async { Err(lost()) }, lost));
+        let mut third = Box::pin(cache.get(KEY, async { Err(lost()) }, lost));
         assert!((&mut third).now_or_never().is_none());
         gate.add_permits(1);
         assert_eq!((next.await.map(|f| (**f.value, f.built)), third.await.map(|f| (**f.value, f.built))), (Ok((7, true)), Ok((7, false))));
-        assert!(shelf.lock().building.is_empty());
+        assert!(cache.lock().building.is_empty());
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn whoever_stays_gets_the_value_while_others_come_and_leave() {
-        let (shelf, budget) = (Shelf::new(0), budget());
+        let (cache, budget) = (Cache::new(0), budget());
         for round in 0..2000_u32 {
             let wait = || {
-                let (shelf, built) = (shelf.clone(), kept(&budget, 7));
+                let (cache, built) = (cache.clone(), kept(&budget, 7));
                 let build = async move {
                     tokio::task::yield_now().await;
                     built
                 };
-                tokio::spawn(async move { shelf.get(KEY, build, lost).await.map(|f| **f.value) })
+                tokio::spawn(async move { cache.get(KEY, build, lost).await.map(|f| **f.value) })
             };
             let leaves = wait();
             if round % 3 == 0 {
@@ -518,10 +518,10 @@ mod tests {
 
     #[tokio::test]
     async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
-        let shelf = Shelf::new(1 << 20);
+        let cache = Cache::new(1 << 20);
         let (said, mut hears) = mpsc::unbounded_channel();
         let retained = Retained::default();
-        let mut waits = Box::pin(retained.during(shelf.get(KEY, endless(&said), lost)));
+        let mut waits = Box::pin(retained.during(cache.get(KEY, endless(&said), lost)));
         assert!((&mut waits).now_or_never().is_none());
         assert_eq!(hears.recv().await, Some("began"));
         drop(waits);
@@ -533,14 +533,14 @@ mod tests {
 
     #[tokio::test]
     async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let long = std::time::Duration::from_secs(600);
         let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
-        let admit = || pool.admit(Work::Upload, Lane::client(Client::default()));
+        let admit = || pool.admit(Work::Upload, QueueKey::client(Client::default()));
         let build = || {
             let (pool, built) = (pool.clone(), kept(&budget, 7));
             async move {
-                let ticket = pool.admit(Work::Upload, Lane::client(Client::default())).await?;
+                let ticket = pool.admit(Work::Upload, QueueKey::client(Client::default())).await?;
                 let until_cancelled = |cancel: &Cancel| {
                     while !cancel.is_cancelled() {
                         std::thread::yield_now();
@@ -551,7 +551,7 @@ mod tests {
             }
         };
         let ticket = admit().await.unwrap();
-        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        let mut waits = Box::pin(cache.get(KEY, build(), lost));
         assert!((&mut waits).now_or_never().is_none());
         while pool.load(Work::Upload).waiting == 0 {
             tokio::task::yield_now().await;
@@ -561,7 +561,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         drop(ticket);
-        let mut waits = Box::pin(shelf.get(KEY, build(), lost));
+        let mut waits = Box::pin(cache.get(KEY, build(), lost));
         assert!((&mut waits).now_or_never().is_none());
         while pool.running() == 0 {
             tokio::task::yield_now().await;
@@ -573,45 +573,45 @@ mod tests {
 
     #[tokio::test]
     async fn the_least_recently_used_goes_first_and_a_newcomer_is_kept() {
-        let (shelf, budget) = (Shelf::new(4 << 10), budget());
+        let (cache, budget) = (Cache::new(4 << 10), budget());
         for key in 0..4 {
-            put(&shelf, &budget, key, 1024).await;
+            put(&cache, &budget, key, 1024).await;
         }
         for key in 1..4 {
-            assert!(shelf.peek(self::key(key)).is_some());
+            assert!(cache.peek(self::key(key)).is_some());
         }
-        put(&shelf, &budget, 9, 1024).await;
-        assert!(shelf.has(key(9)), "the newcomer is kept");
-        assert!(!shelf.has(key(0)), "the oldest has gone");
-        assert_eq!(shelf.usage(), Use { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
+        put(&cache, &budget, 9, 1024).await;
+        assert!(cache.touch(key(9)), "the newcomer is kept");
+        assert!(!cache.touch(key(0)), "the oldest has gone");
+        assert_eq!(cache.usage(), CacheStats { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
         assert_eq!(budget.taken(), 4096);
-        shelf.remove(key(9));
-        assert_eq!((shelf.usage().bytes, budget.taken()), (3072, 3072));
-        shelf.clear();
-        assert_eq!((shelf.usage().bytes, budget.taken()), (0, 0));
+        cache.remove(key(9));
+        assert_eq!((cache.usage().bytes, budget.taken()), (3072, 3072));
+        cache.clear();
+        assert_eq!((cache.usage().bytes, budget.taken()), (0, 0));
     }
 
     #[tokio::test]
     async fn what_is_wanted_stays_and_what_was_used_once_goes() {
-        let (shelf, budget) = (Shelf::new(3 << 10), budget());
+        let (cache, budget) = (Cache::new(3 << 10), budget());
         for key in 0..3 {
-            put(&shelf, &budget, key, 1024).await;
+            put(&cache, &budget, key, 1024).await;
         }
-        assert!(shelf.has(key(0)));
-        shelf.demote(key(2));
-        put(&shelf, &budget, 8, 1024).await;
-        put(&shelf, &budget, 9, 1024).await;
-        let there = [0, 1, 2].map(|key| shelf.lock().kept.contains(&self::key(key)));
+        assert!(cache.touch(key(0)));
+        cache.demote(key(2));
+        put(&cache, &budget, 8, 1024).await;
+        put(&cache, &budget, 9, 1024).await;
+        let there = [0, 1, 2].map(|key| cache.lock().kept.contains(&self::key(key)));
         assert_eq!(there, [true, false, false]);
     }
 
     #[tokio::test]
     async fn an_entry_larger_than_the_shelf_is_used_but_not_kept() {
-        let (shelf, budget) = (Shelf::new(4 << 10), budget());
-        put(&shelf, &budget, 2, 1024).await;
-        let large = put(&shelf, &budget, 1, 1 << 20).await;
+        let (cache, budget) = (Cache::new(4 << 10), budget());
+        put(&cache, &budget, 2, 1024).await;
+        let large = put(&cache, &budget, 1, 1 << 20).await;
         assert_eq!(**large, 1 << 20);
-        assert!(!shelf.has(KEY) && shelf.has(key(2)));
+        assert!(!cache.touch(KEY) && cache.touch(key(2)));
         assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, on the shelf or not");
         drop(large);
         assert_eq!(budget.taken(), 1024);
@@ -619,24 +619,24 @@ mod tests {
 
     #[tokio::test]
     async fn what_is_in_use_does_not_give_way() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
-        let used = put(&shelf, &budget, 1, 100).await;
-        put(&shelf, &budget, 2, 10).await;
-        assert!(shelf.give_way());
-        assert_eq!((shelf.has(KEY), budget.taken()), (true, 100));
-        assert!(!shelf.give_way());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
+        let used = put(&cache, &budget, 1, 100).await;
+        put(&cache, &budget, 2, 10).await;
+        assert!(cache.evict_idle());
+        assert_eq!((cache.touch(KEY), budget.taken()), (true, 100));
+        assert!(!cache.evict_idle());
         drop(used);
-        assert!(shelf.give_way());
+        assert!(cache.evict_idle());
         assert_eq!(budget.taken(), 0);
     }
 
     #[tokio::test]
     async fn a_build_that_fails_or_panics_is_told_and_forgotten() {
-        let (shelf, budget) = (Shelf::new(1 << 20), budget());
+        let (cache, budget) = (Cache::new(1 << 20), budget());
         let no = Problem::new(Code::BadImage, "no");
         let theirs = no.clone();
-        assert_eq!(shelf.get(KEY, async { Err(theirs) }, lost).await.unwrap_err(), no);
-        assert_eq!(shelf.get(KEY, async { panic!("on purpose") }, lost).await.unwrap_err(), lost());
-        assert_eq!(**put(&shelf, &budget, 1, 3).await, 3);
+        assert_eq!(cache.get(KEY, async { Err(theirs) }, lost).await.unwrap_err(), no);
+        assert_eq!(cache.get(KEY, async { panic!("on purpose") }, lost).await.unwrap_err(), lost());
+        assert_eq!(**put(&cache, &budget, 1, 3).await, 3);
     }
 }

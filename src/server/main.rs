@@ -3,11 +3,11 @@
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[expect(unsafe_code, reason = "the C library is asked to give memory back")]
-mod heap;
+mod malloc_trim;
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-mod heap {
+mod malloc_trim {
     /// Other allocators give memory back by themselves.
-    pub(crate) const fn give_back() {}
+    pub(crate) const fn start() {}
 }
 
 use std::fmt::Display;
@@ -44,7 +44,7 @@ fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
             observe::start(&config);
-            heap::give_back();
+            malloc_trim::start();
             exit(connection::run(config).map_err(|e| format!("error: {e}")))
         }
         Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),

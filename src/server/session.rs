@@ -104,15 +104,15 @@ impl fmt::Debug for SessionId {
 }
 
 /// A life of a session: the numbers of its requests start anew with each.
-pub type Life = (SessionId, SystemTime);
+pub type Incarnation = (SessionId, SystemTime);
 
 /// The sessions for which numbered requests are under way.
 #[derive(Clone, Debug, Default)]
-pub struct Lanes(Arc<Mutex<HashMap<Life, Arc<Lane>>>>);
+pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<QueueKey>>>>);
 
 /// The numbered requests of one life of a session.
 #[derive(Debug)]
-struct Lane {
+struct QueueKey {
     newest: watch::Sender<u64>,
     /// What a superseded request was building, the newer one needs.
     builds: Retained,
@@ -120,33 +120,33 @@ struct Lane {
 
 /// A numbered request under way.
 #[derive(Debug)]
-pub struct Place {
-    lanes: Lanes,
-    life: Life,
-    lane: Arc<Lane>,
+pub struct SequencePosition {
+    lanes: Sequencer,
+    life: Incarnation,
+    lane: Arc<QueueKey>,
     seq: u64,
 }
 
-impl Lanes {
+impl Sequencer {
     /// Enters a request; those with a lower number are superseded from now on.
     #[must_use]
-    pub fn enter(&self, life: Life, seq: u64) -> Place {
-        let new = || Arc::new(Lane { newest: watch::Sender::new(seq), builds: Retained::default() });
+    pub fn enter(&self, life: Incarnation, seq: u64) -> SequencePosition {
+        let new = || Arc::new(QueueKey { newest: watch::Sender::new(seq), builds: Retained::default() });
         let lane = Arc::clone(self.lock().entry(life).or_insert_with(new));
         lane.newest.send_if_modified(|newest| {
             let higher = seq > *newest;
             *newest = seq.max(*newest);
             higher
         });
-        Place { lanes: self.clone(), life, lane, seq }
+        SequencePosition { lanes: self.clone(), life, lane, seq }
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<Life, Arc<Lane>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<Incarnation, Arc<QueueKey>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Place {
+impl SequencePosition {
     /// A higher number has been seen.
     #[must_use]
     pub fn is_superseded(&self) -> bool {
@@ -167,7 +167,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for SequencePosition {
     fn drop(&mut self) {
         let mut lanes = self.lanes.lock();
         // The map's and this one: arcs are cloned under the lock alone.
@@ -210,7 +210,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
-        let lanes = Lanes::default();
+        let lanes = Sequencer::default();
         let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
         let old = lanes.enter(id, 4);
         let retry = lanes.enter(id, 4);
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn a_lane_goes_with_its_last_request() {
-        let lanes = Lanes::default();
+        let lanes = Sequencer::default();
         let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
         let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
         drop(a);

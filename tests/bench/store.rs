@@ -16,7 +16,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use mlswarp_server::client::Owner;
 use mlswarp_server::session::{Revision, SessionId};
-use mlswarp_server::store::{Bounds, Place, Record, Store, open};
+use mlswarp_server::store::{Bounds, Record, Store, StoreUrl, open};
 
 const SESSIONS: usize = 1000;
 const FILE: usize = 300 << 10;
@@ -80,7 +80,7 @@ fn main() {
     let server = redis::Redis::start(&[]);
     println!("{SESSIONS} sessions, one at a time{:14} {:>10} {:>10}", "", "median", "99 %");
     for (name, place) in [("memory", "memory".to_owned()), ("file", format!("file:{}", path.display())), ("Redis", server.address())] {
-        let place: Place = place.parse().unwrap();
+        let place: StoreUrl = place.parse().unwrap();
         runtime.block_on(async { measure(name, open(&place, BOUNDS).unwrap().as_ref(), &all).await });
     }
     // The store is closed on a thread that may still be at it.
@@ -89,7 +89,7 @@ fn main() {
     let held = SESSIONS * (FILE + 8);
     println!("file     {size} bytes for {held} bytes of pictures: {:.2}", size as f64 / held as f64);
     let began = Instant::now();
-    let store = open(&Place::File(path.clone()), BOUNDS).unwrap();
+    let store = open(&StoreUrl::File(path.clone()), BOUNDS).unwrap();
     println!("file     start with {} sessions, every picture checked: {:.1?}", store.figures().sessions, began.elapsed());
     drop(store);
     std::fs::remove_file(&path).unwrap();

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use mlswarp_server::client::{Client as Who, Owner};
 use mlswarp_server::limits::memory::Purpose;
-use mlswarp_server::pool::{Lane, Work};
+use mlswarp_server::pool::{QueueKey, Work};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -255,7 +255,7 @@ async fn a_full_queue_makes_room_at_the_cost_of_the_client_that_has_most() {
     }
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     // The turn and the spare one.
-    let turn = |party: &Party| server.app.pool().admit(Work::Drag, Lane::client(party.who()));
+    let turn = |party: &Party| server.app.pool().admit(Work::Drag, QueueKey::client(party.who()));
     let held = (turn(&busy).await.unwrap(), turn(&third).await.unwrap());
     let ask = |party: &Party, id: &str| tokio::spawn(party.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[21, 20]]})).send());
     let many: Vec<_> = ids.iter().map(|id| ask(&busy, id)).collect();

@@ -135,7 +135,7 @@ async fn who_was_refused_and_stays_is_closed() {
     let server = Server::start(&[]).await;
     let mut stream = TcpStream::connect(server.address).await.unwrap();
     stream.write_all(b"\0\r\n\r\n").await.unwrap();
-    crate::support::eventually("its place is given back", || server.app.doors().places().open() == 0).await;
+    crate::support::eventually("its place is given back", || server.app.access().places().open() == 0).await;
     problem(&said(stream).await, 400, "malformed_request");
 }
 

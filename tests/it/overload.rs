@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mlswarp_server::client::Client;
 use mlswarp_server::limits::memory::Purpose;
-use mlswarp_server::pool::{Lane, Ticket, Work};
+use mlswarp_server::pool::{QueueKey, Ticket, Work};
 use reqwest::Response;
 use serde_json::json;
 
@@ -15,7 +15,7 @@ use crate::support::{Server, eventually, photo};
 /// A turn of the gate's only worker, held by the client that also sends the test's requests: it gets no other.
 async fn busy(server: &Server, work: Work) -> Ticket {
     eventually("nothing runs", || server.app.pool().running() == 0).await;
-    server.app.pool().admit(work, Lane::client(this_client())).await.unwrap()
+    server.app.pool().admit(work, QueueKey::client(this_client())).await.unwrap()
 }
 
 async fn refused(response: Response) {
@@ -40,7 +40,7 @@ async fn a_full_queue_refuses_at_once_and_recovers() {
     let uploads = busy(&server, Work::Upload).await;
     // Another client would still get the spare turn.
     assert_eq!(server.get("/readyz").send().await.unwrap().status(), 200);
-    let spare = Lane::client(Client { address: [192, 0, 2, 1].into(), ..Client::default() });
+    let spare = QueueKey::client(Client { address: [192, 0, 2, 1].into(), ..Client::default() });
     let spare = server.app.pool().admit(Work::Drag, spare).await.unwrap();
     let upload =
         |width: u32| server.post("/warp").multipart(form(&photo(width, 12), json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string())).send();

@@ -38,7 +38,7 @@ pub struct Opened<'a> {
 /// memory that decoding takes.
 ///
 /// # Errors
-/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::GivenUp`].
+/// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
 pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
     limits.check(parsed.header().extent)?;
@@ -68,11 +68,11 @@ impl Opened<'_> {
     ///
     /// # Errors
     /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
-    /// file's end are ignored. [`CodecError::GivenUp`].
+    /// file's end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;
         // What ends because its input is withheld calls it damage.
-        let wanted = |error| if work.is_gone() { CodecError::GivenUp } else { error };
+        let wanted = |error| if work.is_gone() { CodecError::Cancelled } else { error };
         let samples = contained(header.format, || match parsed {
             Parsed::Png(file) => file.samples(header.decode_bytes, work),
             Parsed::Jpeg(file) => file.samples(work),

@@ -31,7 +31,7 @@ pub enum CodecError {
     },
     /// The picture is no longer wanted; nothing is known about the file.
     #[error("the picture is no longer wanted")]
-    GivenUp,
+    Cancelled,
 }
 
 impl CodecError {

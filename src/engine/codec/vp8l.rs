@@ -463,7 +463,7 @@ mod tests {
         (0..4).for_each(|_| pen.put(0b0001, 4));
         pen.bytes.extend(vec![0; 3 << 20]);
         let told = |gone: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &Work::new(gone)).unwrap_err();
-        assert_eq!(told(&|| true), CodecError::GivenUp);
+        assert_eq!(told(&|| true), CodecError::Cancelled);
         assert_eq!(told(&|| false), damaged(), "behind it there is no picture");
     }
 }

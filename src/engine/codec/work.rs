@@ -62,7 +62,7 @@ impl<'a> Work<'a> {
 
     /// Asks at once.
     pub(super) fn check(&self) -> Result<(), CodecError> {
-        if self.is_gone() { Err(CodecError::GivenUp) } else { Ok(()) }
+        if self.is_gone() { Err(CodecError::Cancelled) } else { Ok(()) }
     }
 
     pub(super) fn is_gone(&self) -> bool {

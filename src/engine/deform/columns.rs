@@ -31,7 +31,7 @@ pub(super) struct Segment {
 
 /// A point at rest.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Mark {
+pub(super) struct PointSource {
     pub(super) p: Point,
     pub(super) mass: f64,
     pub(super) column: usize,
@@ -40,7 +40,7 @@ pub(super) struct Mark {
 /// The elements by kind, each with its own columns: what a row is summed over.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sources {
-    pub(super) points: Vec<Mark>,
+    pub(super) points: Vec<PointSource>,
     pub(super) segments: Vec<Segment>,
 }
 
@@ -49,7 +49,7 @@ impl Sources {
         let mut sources = Self::default();
         for element in elements {
             match *element {
-                Element::Point { p, mass, column } => sources.points.push(Mark { p, mass, column }),
+                Element::Point { p, mass, column } => sources.points.push(PointSource { p, mass, column }),
                 Element::Segment(segment) => sources.segments.push(segment),
             }
         }

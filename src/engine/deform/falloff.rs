@@ -1,7 +1,7 @@
 //! The fall-off `w = |p - v|^(-2 alpha)`, always as a power of a ratio of squared distances so that it never overflows.
 
 use super::DeformError;
-use super::elementary::pow;
+use super::lane_math::pow;
 
 /// The exponent alpha, checked. `0 < alpha <= 8`, with lines at least 1/2.
 #[derive(Clone, Copy, Debug, PartialEq)]

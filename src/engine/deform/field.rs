@@ -3,13 +3,13 @@
 
 use std::cell::RefCell;
 
+use super::coincidences::Coincidences;
 use super::columns::{Element, Rank, Sources, elements, rank};
 use super::falloff::Falloff;
 use super::family::displacement;
 use super::handles::Handles;
 use super::kernel;
-use super::meetings::Meetings;
-use super::row::{Rows, Scratch, Vertices, Waist};
+use super::row::{RowInputs, Rows, Scratch, Vertices};
 use super::{DeformError, Handle, Method, Pose, Warning};
 use crate::geometry::Point;
 
@@ -28,7 +28,7 @@ pub struct Field {
     elements: Vec<Element>,
     sources: Sources,
     owners: Vec<usize>,
-    meetings: Meetings,
+    coincidences: Coincidences,
     warnings: Vec<Warning>,
 }
 
@@ -69,7 +69,7 @@ impl Field {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
         let (elements, owners) = elements(&handles, point_mass);
-        let meetings = Meetings::find(&elements, handles.extent(), gone)?;
+        let coincidences = Coincidences::find(&elements, handles.extent(), gone)?;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {
@@ -85,7 +85,7 @@ impl Field {
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        Ok(Self { handles, falloff, point_mass, family, rank, sources: Sources::of(&elements), elements, owners, meetings, warnings })
+        Ok(Self { handles, falloff, point_mass, family, rank, sources: Sources::of(&elements), elements, owners, coincidences, warnings })
     }
 
     /// The handles at rest.
@@ -118,7 +118,7 @@ impl Field {
     /// Shapes, numbers, contradictory targets.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
         let pose = Pose::new(&self.handles, posed)?;
-        self.meetings.check(&self.elements, &self.owners, &pose)?;
+        self.coincidences.check(&self.elements, &self.owners, &pose)?;
         Ok(pose)
     }
 
@@ -126,7 +126,7 @@ impl Field {
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
-        if self.meetings.tears(&self.elements, pose) {
+        if self.coincidences.tears(&self.elements, pose) {
             warnings.push(Warning::NearDuplicateHandles);
         }
         warnings.sort_unstable();
@@ -154,7 +154,7 @@ impl Field {
             Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => {
                 let (extent, falloff, method) = (self.handles.extent(), self.falloff, self.family);
-                kernel::rows(&Waist { sources: &self.sources, extent, falloff, method, exact }, v, scratch, rows);
+                kernel::rows(&RowInputs { sources: &self.sources, extent, falloff, method, exact }, v, scratch, rows);
             }
         }
     }

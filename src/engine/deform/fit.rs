@@ -2,8 +2,8 @@
 //! The mass of a segment is spread along its direction t: sums over it need its moments alone, so it stands beside a point as a few more terms.
 
 use super::Method;
-use super::columns::{Mark, Segment, Sources};
-use super::row::{Place, Rows, Scratch, Span};
+use super::columns::{PointSource, Segment, Sources};
+use super::row::{PointMass, Rows, Scratch, Span};
 
 /// `tau`: direction of the frame, `at_v`: v in it. Leaves places relative to p* and masses that add up to 1.
 #[inline(always)]
@@ -19,8 +19,8 @@ pub(super) fn fit<const N: usize>(
     if method == Method::Affine {
         return affine(sources, &e, &per_mu, scratch, rows);
     }
-    let turn = Turn { rigid: method == Method::Rigid, tau, e: &e };
-    for (Mark { column, .. }, Place { x, y, w }) in sources.points.iter().zip(&scratch.places) {
+    let turn = Rotation { rigid: method == Method::Rigid, tau, e: &e };
+    for (PointSource { column, .. }, PointMass { x, y, w }) in sources.points.iter().zip(&scratch.places) {
         let (mut gx, mut gy) = ([0.0; N], [0.0; N]);
         for k in 0..N {
             let g = w[k] * per_mu[k];
@@ -29,7 +29,7 @@ pub(super) fn fit<const N: usize>(
         turn.put(&gx, &gy, w, &mut rows.h[*column], &mut rows.wn[*column]);
     }
     for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span { place: Place { x, y, .. }, x: tx, y: ty, .. } = span;
+        let Span { place: PointMass { x, y, .. }, x: tx, y: ty, .. } = span;
         for (column, [mass, along]) in [(*column, span.of_a()), (column + 1, span.of_b())] {
             let (mut gx, mut gy) = ([0.0; N], [0.0; N]);
             for k in 0..N {
@@ -47,13 +47,13 @@ pub(super) fn fit<const N: usize>(
 }
 
 /// The last step of similarity and rigid.
-struct Turn<'a, const N: usize> {
+struct Rotation<'a, const N: usize> {
     rigid: bool,
     tau: &'a [[f64; N]; 2],
     e: &'a [[f64; N]; 2],
 }
 
-impl<const N: usize> Turn<'_, N> {
+impl<const N: usize> Rotation<'_, N> {
     /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, turned back by conj(tau), and wn; similarity `C = wn + e H`, where
     /// turning back cancels.
     #[inline(always)]
@@ -78,7 +78,7 @@ impl<const N: usize> Turn<'_, N> {
 #[inline(always)]
 fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[f64; N]; 2], [f64; N]) {
     let (mut total, mut px, mut py, mut mu) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
-    for Place { x, y, w } in places(scratch) {
+    for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
             total[k] += w[k];
             px[k] += x[k] * w[k];
@@ -98,7 +98,7 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
         py[k] *= total[k];
         (e[0][k], e[1][k]) = (at_v[0][k] - px[k], at_v[1][k] - py[k]);
     }
-    for Place { x, y, w } in scratch.places.iter_mut().chain(scratch.spans.iter_mut().map(|span| &mut span.place)) {
+    for PointMass { x, y, w } in scratch.places.iter_mut().chain(scratch.spans.iter_mut().map(|span| &mut span.place)) {
         for k in 0..N {
             x[k] -= px[k];
             y[k] -= py[k];
@@ -121,7 +121,7 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
 
 /// The masses of points and segments alike.
 #[inline(always)]
-fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &Place<N>> {
+fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMass<N>> {
     scratch.places.iter().chain(scratch.spans.iter().map(|span| &span.place))
 }
 
@@ -153,14 +153,14 @@ impl<const N: usize> Span<N> {
 #[inline(always)]
 fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N], scratch: &Scratch<N>, rows: &mut Rows<N>) {
     let (mut a, mut b, mut c) = ([0.0; N], [0.0; N], [0.0; N]);
-    for Place { x, y, w } in places(scratch) {
+    for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
             let g = w[k] * per_mu[k];
             a[k] += g * x[k] * x[k];
             b[k] += g * x[k] * y[k];
         }
     }
-    for Span { place: Place { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
+    for Span { place: PointMass { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
         for k in 0..N {
             a[k] += (2.0 * first[k] * x[k] * tx[k] + second[k] * tx[k] * tx[k]) * per_mu[k];
             b[k] += (first[k] * (x[k] * ty[k] + tx[k] * y[k]) + second[k] * tx[k] * ty[k]) * per_mu[k];
@@ -170,13 +170,13 @@ fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N
     for k in 0..N {
         r[k] = b[k] / a[k];
     }
-    for Place { x, y, w } in places(scratch) {
+    for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
             let y = y[k] - r[k] * x[k];
             c[k] += w[k] * per_mu[k] * y * y;
         }
     }
-    for Span { place: Place { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
+    for Span { place: PointMass { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
         for k in 0..N {
             let (y, ty) = (y[k] - r[k] * x[k], ty[k] - r[k] * tx[k]);
             c[k] += (2.0 * first[k] * y * ty + second[k] * ty * ty) * per_mu[k];
@@ -187,14 +187,14 @@ fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N
         ey[k] = (e[1][k] - r[k] * e[0][k]) / c[k] * per_mu[k];
         ex[k] = e[0][k] / a[k] * per_mu[k];
     }
-    for (Mark { column, .. }, Place { x, y, w }) in sources.points.iter().zip(&scratch.places) {
+    for (PointSource { column, .. }, PointMass { x, y, w }) in sources.points.iter().zip(&scratch.places) {
         let [h, _] = &mut rows.h[*column];
         for k in 0..N {
             h[k] = w[k] + w[k] * (ex[k] * x[k] + ey[k] * (y[k] - r[k] * x[k]));
         }
     }
     for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span { place: Place { x, y, .. }, x: tx, y: ty, .. } = span;
+        let Span { place: PointMass { x, y, .. }, x: tx, y: ty, .. } = span;
         for (column, [mass, along]) in [(*column, span.of_a()), (column + 1, span.of_b())] {
             let [h, _] = &mut rows.h[column];
             for k in 0..N {

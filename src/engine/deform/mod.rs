@@ -2,9 +2,9 @@
 //! its digits next to handles and on the extension of segments. No pixels, no bytes, no time.
 
 #[forbid(unsafe_code)]
-mod columns;
+mod coincidences;
 #[forbid(unsafe_code)]
-mod elementary;
+mod columns;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
@@ -19,7 +19,7 @@ mod fit;
 mod handles;
 mod kernel;
 #[forbid(unsafe_code)]
-mod meetings;
+mod lane_math;
 #[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]

@@ -8,7 +8,7 @@
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
 use super::Method;
-use super::columns::{Mark, Sources};
+use super::columns::{PointSource, Sources};
 use super::falloff::Falloff;
 use super::fit::fit;
 use super::segments::{Moments, View};
@@ -21,7 +21,7 @@ const NONE: u64 = u64::MAX;
 
 /// What a row needs of the set.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Waist<'a> {
+pub(super) struct RowInputs<'a> {
     pub(super) sources: &'a Sources,
     pub(super) extent: f64,
     pub(super) falloff: Falloff,
@@ -50,7 +50,7 @@ pub(super) struct Rows<const N: usize> {
 
 /// A mass and its place (of a segment: the place nearest to v), from the anchor in the frame, later from p*.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place<const N: usize> {
+pub(super) struct PointMass<const N: usize> {
     pub(super) x: [f64; N],
     pub(super) y: [f64; N],
     pub(super) w: [f64; N],
@@ -60,7 +60,7 @@ pub(super) struct Place<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span<const N: usize> {
     pub(super) view: View<N>,
-    pub(super) place: Place<N>,
+    pub(super) place: PointMass<N>,
     pub(super) first: [f64; N],
     pub(super) second: [f64; N],
     pub(super) x: [f64; N],
@@ -70,7 +70,7 @@ pub(super) struct Span<const N: usize> {
 /// Reused from row to row: one place a point, one span a segment.
 #[derive(Debug, Default)]
 pub(super) struct Scratch<const N: usize> {
-    pub(super) places: Vec<Place<N>>,
+    pub(super) places: Vec<PointMass<N>>,
     pub(super) spans: Vec<Span<N>>,
 }
 
@@ -106,24 +106,24 @@ impl<const N: usize> Rows<N> {
     }
 }
 
-impl<const N: usize> Place<N> {
+impl<const N: usize> PointMass<N> {
     const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], w: [0.0; N] };
 }
 
 impl<const N: usize> Span<N> {
-    const ZERO: Self = Self { view: View::ZERO, place: Place::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
+    const ZERO: Self = Self { view: View::ZERO, place: PointMass::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
 }
 
-impl Waist<'_> {
+impl RowInputs<'_> {
     /// The rows of `v`. The body of every instruction set's function in `kernel`.
     #[inline(always)]
     pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
-        scratch.places.resize(self.sources.points.len(), Place::ZERO);
+        scratch.places.resize(self.sources.points.len(), PointMass::ZERO);
         scratch.spans.resize(self.sources.segments.len(), Span::ZERO);
-        let r2min = self.look(v, scratch);
-        let mut anchor = self.weigh(v, &r2min, scratch);
-        self.frame(&mut anchor, scratch);
-        let at_v = self.bring(v, &anchor, scratch);
+        let r2min = self.nearest(v, scratch);
+        let mut anchor = self.weights(v, &r2min, scratch);
+        self.choose_frame(&mut anchor, scratch);
+        let at_v = self.to_frame(v, &anchor, scratch);
         fit(self.method, self.sources, &anchor.tau, &at_v, scratch, rows);
         let snap = SNAP_SHARE * self.extent;
         for k in 0..N {
@@ -135,9 +135,9 @@ impl Waist<'_> {
 
     /// Squared distance of the nearest source; a point's own is left in its mass.
     #[inline(always)]
-    fn look<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>) -> [f64; N] {
+    fn nearest<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>) -> [f64; N] {
         let mut nearest = [f64::INFINITY; N];
-        for (Mark { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
+        for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
             for k in 0..N {
                 let (x, y) = (p.x - v.x[k], p.y - v.y[k]);
                 place.w[k] = x * x + y * y;
@@ -153,7 +153,7 @@ impl Waist<'_> {
 
     /// Weights relative to the nearest source's, ratio first and power after; the heaviest source becomes the anchor.
     #[inline(always)]
-    fn weigh<const N: usize>(&self, v: &Vertices<N>, r2min: &[f64; N], scratch: &mut Scratch<N>) -> Anchor<N> {
+    fn weights<const N: usize>(&self, v: &Vertices<N>, r2min: &[f64; N], scratch: &mut Scratch<N>) -> Anchor<N> {
         let mut anchor = Anchor {
             weight: [-1.0; N],
             source: [NONE; N],
@@ -164,7 +164,7 @@ impl Waist<'_> {
             reach: [0.0; N],
         };
         let mut index = 0;
-        for (Mark { p, mass, .. }, Place { w, .. }) in self.sources.points.iter().zip(&mut scratch.places) {
+        for (PointSource { p, mass, .. }, PointMass { w, .. }) in self.sources.points.iter().zip(&mut scratch.places) {
             for k in 0..N {
                 w[k] = r2min[k] / w[k];
             }
@@ -185,9 +185,9 @@ impl Waist<'_> {
 
     /// Where a point is the anchor, the frame looks from it to the place with the largest mass * distance^2.
     #[inline(always)]
-    fn frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
+    fn choose_frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
         let mut axis = Axis { moment: [0.0; N], x: [1.0; N], y: [0.0; N], defining: [NONE; N] };
-        for ((Mark { p, .. }, place), index) in self.sources.points.iter().zip(&scratch.places).zip(0..) {
+        for ((PointSource { p, .. }, place), index) in self.sources.points.iter().zip(&scratch.places).zip(0..) {
             axis.consider(*p, &anchor.o, &place.w, index);
         }
         for (s, span) in self.sources.segments.iter().zip(&scratch.spans) {
@@ -206,10 +206,10 @@ impl Waist<'_> {
 
     /// Brings all places into the anchor's frame, formed from the handles themselves: exact where they are whole numbers. Returns v's place.
     #[inline(always)]
-    fn bring<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
+    fn to_frame<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
         let ([tx, ty], [sx, sy], o) = (&anchor.tau, &anchor.shift, &anchor.o);
         let mut index = 0;
-        for (Mark { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
+        for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
             for k in 0..N {
                 let (x, y) = turned(p.x - o.x[k], p.y - o.y[k], tx[k], ty[k]);
                 let defines = anchor.defining[k] == index;

@@ -5,8 +5,8 @@
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
 use super::columns::Segment;
-use super::elementary::angle;
 use super::falloff::{Falloff, Power};
+use super::lane_math::angle;
 use super::quadrature::Sight;
 use super::row::Vertices;
 

@@ -6,7 +6,7 @@
 //! squares within from the list around them. So the segments of a border that crosses the picture back and forth, whose boxes overlap everywhere, are
 //! looked at once a square and not once a pixel. The work has a bound for every border, because lists have one ([`SQUARES`]).
 
-use super::kernel::BARE;
+use super::kernel::UNCOVERED;
 use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
 use crate::geometry::Point;
 use crate::pixmap::Extent;
@@ -178,7 +178,7 @@ impl<'a> Search<'a> {
         let (side, most) = SQUARES[level];
         let (xs, ys) = (x0..(x0 + side).min(rows.width), y0.max(rows.first as usize)..(y0 + side).min(rows.end()));
         self.work += (xs.len() * ys.len()) as u64;
-        if !ys.clone().any(|y| rows.u[rows.at(xs.start, y)..rows.at(xs.end, y)].contains(&BARE)) {
+        if !ys.clone().any(|y| rows.u[rows.at(xs.start, y)..rows.at(xs.end, y)].contains(&UNCOVERED)) {
             return;
         }
         let half = |corner: usize| column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(ONE);
@@ -212,7 +212,7 @@ impl<'a> Search<'a> {
         for y in ys {
             for x in xs.clone() {
                 let at = rows.at(x, y);
-                if rows.u[at] == BARE {
+                if rows.u[at] == UNCOVERED {
                     let list = &self.lists[level];
                     self.work += list.len() as u64;
                     #[expect(clippy::cast_possible_truncation, reason = "a row of the target")]
@@ -375,7 +375,7 @@ mod tests {
         let mut work = 0;
         for rows in [0..height / 3, height / 3..height] {
             let pitch = width + 5;
-            let (mut u, mut v) = (vec![BARE; rows.len() * pitch], vec![0.0; rows.len() * pitch]);
+            let (mut u, mut v) = (vec![UNCOVERED; rows.len() * pitch], vec![0.0; rows.len() * pitch]);
             let mut search = Search::new(border);
             search.fill(&mut Rows { first: rows.start as u32, width, pitch, u: &mut u, v: &mut v });
             work += search.work;

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::ops::Range;
 
 use super::edge::{self, Crossing};
-use super::kernel::{BARE, Canvas, Glance, Kernel, Piece};
+use super::kernel::{Canvas, CellBlock, Kernel, Piece, UNCOVERED};
 use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
@@ -26,7 +26,7 @@ pub(super) fn draw_row(
     rows: &Range<u32>,
     canvas: &mut Canvas<'_>,
 ) {
-    let mut seen = Glance::default();
+    let mut seen = CellBlock::default();
     for (n, b) in (0..lattice.blocks()).rev().enumerate() {
         if n % BLOCKS_PER_LOOK == 0 {
             canvas.shrink();
@@ -161,7 +161,7 @@ fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, place: impl Fn
     }
     let (u, v) = (&mut canvas.u[start..][pixels.clone()], &mut canvas.v[start..][pixels.clone()]);
     for (pixel, (u, v)) in pixels.zip(u.iter_mut().zip(v)) {
-        if canvas.over || *u == BARE {
+        if canvas.over || *u == UNCOVERED {
             let at = place(pixel);
             #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
             ((*u, *v) = (at.0 as f32, at.1 as f32));

@@ -6,13 +6,13 @@ use std::ops::Range;
 
 use super::border::{Border, Rows, Search};
 use super::cell;
-use super::division::{DOUBT, Division};
 use super::edge::Edge;
-use super::kernel::{BARE, Canvas, Kernel, LANES, NOTES, Spans};
+use super::kernel::{Canvas, Kernel, LANES, NOTES, Spans, UNCOVERED};
 use super::lattice::{BLOCK, Lattice, row_centre};
+use super::row_split::{DOUBT, RowSplit};
+use super::row_strategy::{RowStrategies, RowStrategy};
 use super::sampler;
 use super::source::Source;
-use super::ways::{Way, Ways};
 use super::{Outside, RenderOptions};
 use crate::pixmap::Channels;
 
@@ -29,7 +29,7 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is read reduced by 2^level.
     level: u32,
-    ways: Ways,
+    ways: RowStrategies,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
 }
@@ -50,7 +50,7 @@ struct Scratch {
     covered: Vec<Range<usize>>,
     /// Where each row has pixels that nothing is painted on.
     bare: Vec<Range<usize>>,
-    division: Division,
+    division: RowSplit,
 }
 
 impl Drawing {
@@ -60,7 +60,7 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let ways = Ways::new(&lattice, options.target, kernel);
+        let ways = RowStrategies::new(&lattice, options.target, kernel);
         Self { lattice, border, options, kernel, level, ways, covered }
     }
 
@@ -98,7 +98,7 @@ impl Drawing {
         for row in strip.clone() {
             let start = self.coordinates(row, strip, scratch);
             for gap in gaps(&scratch.runs, width) {
-                scratch.u[start..][gap].fill(BARE);
+                scratch.u[start..][gap].fill(UNCOVERED);
             }
         }
         let rows = pitch..(1 + strip.len()) * pitch;
@@ -130,7 +130,7 @@ impl Drawing {
     /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let all_plain = strip.clone().all(|row| self.ways.of(row) == Way::Plain);
+        let all_plain = strip.clone().all(|row| self.ways.of(row) == RowStrategy::Plain);
         let pitch = width as usize + SLACK;
         // Plain rows are made and used one by one, in the first place, unless they are extended; the others stand behind it.
         let size = if all_plain && !self.is_extended() { 1 } else { 1 + strip.len() } * pitch;
@@ -138,9 +138,9 @@ impl Drawing {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        let rows_of = |way: Way| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.ways.of(row) == way));
-        let (mended, divided) = (rows_of(Way::Mended), rows_of(Way::Divided));
-        if strip.clone().any(|row| self.ways.of(row) != Way::Divided || self.ways.is_divisible(row)) {
+        let rows_of = |way: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.ways.of(row) == way));
+        let (mended, divided) = (rows_of(RowStrategy::Mended), rows_of(RowStrategy::Divided));
+        if strip.clone().any(|row| self.ways.of(row) != RowStrategy::Divided || self.ways.is_divisible(row)) {
             scratch.x_crossings.fill(0.0);
             scratch.v_crossings.fill(0.0);
             self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
@@ -155,9 +155,9 @@ impl Drawing {
             scratch.runs.clear();
             let mut bare = 0..0;
             match self.ways.of(row) {
-                Way::Plain => {}
-                Way::Mended => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
-                Way::Divided => bare = self.divided(row, index, (index + 1) * pitch, scratch),
+                RowStrategy::Plain => {}
+                RowStrategy::Mended => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
+                RowStrategy::Divided => bare = self.divided(row, index, (index + 1) * pitch, scratch),
             }
             scratch.bare.push(bare);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
@@ -165,7 +165,7 @@ impl Drawing {
         let drawn = mended | divided;
         let (u, v, bare) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.bare);
         let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: drawn };
-        let Division { loose, blocks, .. } = &scratch.division;
+        let RowSplit { loose, blocks, .. } = &scratch.division;
         let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !loose[b * BLOCK + k] != 0) << k);
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
@@ -188,13 +188,13 @@ impl Drawing {
         let index = (row - strip.start) as usize;
         let width = self.options.target.width() as usize;
         let way = self.ways.of(row);
-        let start = if way == Way::Plain && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
+        let start = if way == RowStrategy::Plain && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
         match way {
-            Way::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
-            Way::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            Way::Divided if scratch.bare[index].is_empty() => scratch.runs.push(0..width),
-            Way::Divided => runs(&scratch.u[start..start + width], &mut scratch.runs),
+            RowStrategy::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
+            RowStrategy::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            RowStrategy::Divided if scratch.bare[index].is_empty() => scratch.runs.push(0..width),
+            RowStrategy::Divided => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
     }
@@ -209,7 +209,7 @@ impl Drawing {
         let mut clear = |pixels: Range<usize>, u: &mut [f32]| {
             if !pixels.is_empty() {
                 bare = bare.start.min(pixels.start)..pixels.end;
-                u[start..][pixels].fill(BARE);
+                u[start..][pixels].fill(UNCOVERED);
             }
         };
         let cells = self.lattice.columns - 1;
@@ -307,19 +307,19 @@ impl Drawing {
     /// Whether a row is drawn by column crossings, mended or not.
     #[cfg(test)]
     pub(super) fn crosses(&self, row: u32) -> bool {
-        self.ways.of(row) != Way::Divided
+        self.ways.of(row) != RowStrategy::Divided
     }
 
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.ways.of(row) == Way::Plain
+        self.ways.of(row) == RowStrategy::Plain
     }
 
     /// Whether a row is drawn by crossings on some columns and by cells on others.
     #[cfg(test)]
     pub(super) fn is_divided(&self, row: u32) -> bool {
-        self.ways.of(row) == Way::Divided && self.ways.is_divisible(row)
+        self.ways.of(row) == RowStrategy::Divided && self.ways.is_divisible(row)
     }
 
     /// A row's coordinates and the runs that are covered.
@@ -337,11 +337,11 @@ impl Drawing {
 /// The runs of painted pixels.
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
-    while let Some(start) = u[at..].iter().position(|&u| u != BARE).map(|k| at + k) {
+    while let Some(start) = u[at..].iter().position(|&u| u != UNCOVERED).map(|k| at + k) {
         // Whole groups first: runs are long as a rule.
-        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != BARE));
+        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != UNCOVERED));
         at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
-        at = u[at..].iter().position(|&u| u == BARE).map_or(u.len(), |k| at + k);
+        at = u[at..].iter().position(|&u| u == UNCOVERED).map_or(u.len(), |k| at + k);
         runs.push(start..at);
     }
 }

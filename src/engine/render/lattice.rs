@@ -23,12 +23,12 @@ pub(super) const BLOCK: usize = 8;
 
 /// A range of lattice y, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Reach {
+pub(super) struct YRange {
     pub(super) top: i32,
     pub(super) bottom: i32,
 }
 
-impl Reach {
+impl YRange {
     pub(super) const NOWHERE: Self = Self { top: i32::MAX, bottom: i32::MIN };
 
     pub(super) fn join(self, other: Self) -> Self {
@@ -94,9 +94,9 @@ pub(super) struct Lattice {
     /// Cells with longer sides are drawn in double precision, lattice steps.
     pub(super) longest_side: i32,
     /// Reach of each row of cells.
-    pub(super) row_reach: Vec<Reach>,
+    pub(super) row_reach: Vec<YRange>,
     /// Reach of each block of cells, `[rows - 1][pitch / BLOCK]`.
-    pub(super) block_reach: Vec<Reach>,
+    pub(super) block_reach: Vec<YRange>,
 }
 
 /// From a place at rest to the sampler's coordinate: `scale * x + offset`.
@@ -161,11 +161,11 @@ impl Lattice {
     }
 
     /// How far a cell reaches up and down.
-    pub(super) fn cell_reach(&self, i: usize, j: usize) -> Reach {
+    pub(super) fn cell_reach(&self, i: usize, j: usize) -> YRange {
         let above = j * self.pitch + i;
         let below = above + self.pitch;
         let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
-        Reach { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) }
+        YRange { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) }
     }
 
     /// The rows of cells that may touch target rows.
@@ -188,7 +188,7 @@ impl Lattice {
     /// The cells that may touch target rows, in painter's order: row by row, `(column, row)`.
     pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
-        let meets = move |reach: &Reach| reach.meets(&rows);
+        let meets = move |reach: &YRange| reach.meets(&rows);
         let rows = meets.clone();
         (0..self.rows - 1).filter(move |&j| rows(&self.row_reach[j])).flat_map(move |j| {
             let meets = meets.clone();
@@ -201,13 +201,13 @@ impl Lattice {
 }
 
 /// Reaches of the rows of cells and of their blocks.
-fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<Reach>, Vec<Reach>) {
+fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
     let blocks = pitch / BLOCK;
-    let mut lines = vec![Reach::NOWHERE; y.len() / pitch * blocks];
+    let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];
     for (y, reaches) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
         kernel.reaches(y, reaches);
     }
-    let block_reach: Vec<Reach> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
-    let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(Reach::NOWHERE, Reach::join)).collect();
+    let block_reach: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
+    let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
     (row_reach, block_reach)
 }

@@ -14,8 +14,6 @@ mod border;
 #[forbid(unsafe_code)]
 mod cell;
 #[forbid(unsafe_code)]
-mod division;
-#[forbid(unsafe_code)]
 mod drawing;
 #[forbid(unsafe_code)]
 mod edge;
@@ -25,14 +23,16 @@ mod lattice;
 #[forbid(unsafe_code)]
 mod patch;
 #[forbid(unsafe_code)]
+mod row_split;
+#[forbid(unsafe_code)]
+mod row_strategy;
+#[forbid(unsafe_code)]
 mod sampler;
 #[forbid(unsafe_code)]
 mod source;
 #[cfg(test)]
 #[forbid(unsafe_code)]
 mod tests;
-#[forbid(unsafe_code)]
-mod ways;
 
 pub use source::Source;
 

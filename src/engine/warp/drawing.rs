@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::digest::Collector;
 use super::posed::Posed;
-use super::writing::{Watch, Writing};
+use super::strip_scheduler::{StripScheduler, WriteObserver};
 use super::{Digest, Image, Limits, OutputSpec, WarpError};
 use crate::codec::{Compression, Encoding, Format, PngShape, Writer};
 use crate::pixmap::Extent;
@@ -74,9 +74,14 @@ impl Warp {
     /// Renders and encodes strip by strip and hands the bytes to `sink` in order: the head with the first strip, the tail with the last. This
     /// thread works, and up to `helpers` tasks of the current rayon pool beside it; the bytes are the same whatever their number. `sink` says
     /// `Break` when nobody listens any more: the work ends at the next strip, and `Break` comes back. Where this thread must not wait for
-    /// the others: [`Writing`].
-    pub fn write(&self, helpers: usize, watch: &dyn Watch, sink: &mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send)) -> ControlFlow<()> {
-        let writing = Writing::new(self, |bytes, _| sink(bytes));
+    /// the others: [`StripScheduler`].
+    pub fn write(
+        &self,
+        helpers: usize,
+        watch: &dyn WriteObserver,
+        sink: &mut (dyn FnMut(Vec<u8>) -> ControlFlow<()> + Send),
+    ) -> ControlFlow<()> {
+        let writing = StripScheduler::new(self, |bytes, _| sink(bytes));
         let ended = AtomicBool::new(false);
         let work = || {
             if writing.work(watch) {

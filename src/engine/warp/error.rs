@@ -29,7 +29,7 @@ pub enum WarpError {
     },
     /// Nobody waits for the result any more.
     #[error("the work was given up: nobody waits for it any more")]
-    GivenUp,
+    Cancelled,
     /// Over a limit.
     #[error("{}; at most {limit}", measured(what, *actual))]
     TooLarge {
@@ -54,7 +54,7 @@ pub enum WarpError {
 impl From<CodecError> for WarpError {
     fn from(error: CodecError) -> Self {
         match error {
-            CodecError::GivenUp => Self::GivenUp,
+            CodecError::Cancelled => Self::Cancelled,
             error => Self::Codec(error),
         }
     }

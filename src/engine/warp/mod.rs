@@ -2,7 +2,7 @@
 //!
 //! The walk: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
 //! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (its existence proves that nothing of the
-//! client's can fail any more) -> [`Warp::write`] or [`Writing`] (strips of PNG, rendered and
+//! client's can fail any more) -> [`Warp::write`] or [`StripScheduler`] (strips of PNG, rendered and
 //! encoded in parallel, handed over in order).
 
 mod digest;
@@ -12,7 +12,7 @@ mod image;
 mod posed;
 mod setup;
 mod spec;
-mod writing;
+mod strip_scheduler;
 
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
@@ -21,5 +21,5 @@ pub use self::image::Image;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, OutputSpec, RestSpec, Units};
-pub use self::writing::{Stage, Watch, Writing};
+pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use crate::codec::Limits as ImageLimits;

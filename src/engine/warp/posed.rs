@@ -38,7 +38,7 @@ impl Posed {
     /// `folds: reject` and it folds; given up.
     pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: Gone<'_>) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cell_count(gone).ok_or(WarpError::GivenUp)?;
+        let cells = mesh.folded_cell_count(gone).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
@@ -108,7 +108,7 @@ impl Posed {
         let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
         for row in 0..self.mesh.grid().rows() {
             if gone() {
-                return Err(WarpError::GivenUp);
+                return Err(WarpError::Cancelled);
             }
             for vertex in self.row(row) {
                 #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]

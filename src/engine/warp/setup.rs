@@ -76,7 +76,7 @@ impl Setup {
         let mixed = handles.has_points() && handles.has_lines();
         let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
         let field = Field::new_unless(handles, rest.method, falloff, given, gone).map_err(|error| match error {
-            DeformError::GivenUp => WarpError::GivenUp,
+            DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
         let plan_key = plan_key(&field, &grid, mixed);
@@ -123,7 +123,7 @@ impl Setup {
     /// # Errors
     /// Given up.
     pub fn plan_unless(&self, gone: Gone<'_>) -> Result<Plan, WarpError> {
-        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, gone).ok_or(WarpError::GivenUp);
+        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, gone).ok_or(WarpError::Cancelled);
         self.plan_bytes.map(fill).transpose().map(Plan)
     }
 
@@ -167,7 +167,7 @@ impl Setup {
         }
         let map = |p: &Point| {
             if gone() {
-                return Err(WarpError::GivenUp);
+                return Err(WarpError::Cancelled);
             }
             let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
             Ok(Point::new(mapped.x / ux, mapped.y / uy))
@@ -195,7 +195,7 @@ impl Setup {
             Some(table) => table.pose_unless(&self.grid, pose, gone),
             None => pose_without_table(&self.field, &self.grid, pose, gone),
         };
-        posed.ok_or(WarpError::GivenUp)
+        posed.ok_or(WarpError::Cancelled)
     }
 }
 

@@ -13,33 +13,33 @@ use mlswarp::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpEr
 
 use super::App;
 use super::causes::Origin;
-use super::draw::{Drawn, Sitting};
+use super::draw::{DrawJob, Drawn};
 use super::warp::{ATTEMPTS, Source, Timing, json_unless};
-use crate::cache::{Kept, Key};
+use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
-use crate::pool::{Cancel, Lane, Ticket, Work};
+use crate::pool::{Cancel, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
-use crate::session::{Place, SessionId};
+use crate::session::{SequencePosition, SessionId};
 use crate::store::{Record, Session, StoreError};
 use crate::wire::formats::Formats;
-use crate::wire::{DragObject, MeshObject, MeshShape, Wire};
+use crate::wire::{AsJson, DragObject, MeshObject, MeshShape};
 
 /// Vertices that are written as JSON, some 40 bytes each.
 const JSON_VERTICES: u64 = 1 << 20;
 
 /// A step of a drag that holds its place while it waits.
-struct Turn {
+struct SequencedRequest {
     record: Arc<Record>,
-    place: Option<(Place, u64)>,
+    place: Option<(SequencePosition, u64)>,
 }
 
 /// What a mesh is posed with.
 pub(crate) struct Walked {
     setup: Arc<Setup>,
-    plan: Arc<Kept<Plan>>,
+    plan: Arc<CacheEntry<Plan>>,
     timing: Timing,
     plan_built: bool,
 }
@@ -47,7 +47,7 @@ pub(crate) struct Walked {
 /// What a picture is drawn with, and the right to draw it.
 pub(crate) struct Warm {
     ticket: Ticket,
-    image: Arc<Kept<Image>>,
+    image: Arc<CacheEntry<Image>>,
     walked: Walked,
 }
 
@@ -92,7 +92,7 @@ impl MeshForm {
 
     fn write(self, posed: &Posed, shape: MeshShape, cancel: &Cancel) -> Result<Vec<u8>, WarpError> {
         match self {
-            Self::Json => json_unless(cancel, &MeshObject { shape, vertices: Wire(posed) }, 0),
+            Self::Json => json_unless(cancel, &MeshObject { shape, vertices: AsJson(posed) }, 0),
             Self::Numbers => posed.numbers(&|| cancel.is_cancelled()),
         }
     }
@@ -120,7 +120,7 @@ impl App {
         let turn = self.turn(id, drag.seq).await?;
         let (record, warm) = self.unless_superseded(&turn, self.warm_newest(client, Arc::clone(&turn.record))).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
-        let output = OutputSpec { format, ..drag.output.over(&record.output) };
+        let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         self.draw_warm(warm, drag.q, record.folds, output, self.share(client)).await
     }
 
@@ -158,9 +158,9 @@ impl App {
         let setup = self.session_setup(client, record).await?;
         let source = self.session_source(client, record).await?;
         let is_warm = matches!(source, Source::Image(_))
-            && self.0.plans.has(Key::new(record.id.owner(), setup.plan_key()))
+            && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key()))
             && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
+        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, QueueKey::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let image = self.session_image(&ticket, record, source).await?;
@@ -180,15 +180,15 @@ impl App {
         share: Share,
     ) -> Result<Drawn, Problem> {
         let Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } } = warm;
-        self.draw(ticket, Sitting { image, setup, plan, q, folds, output, share }, timing, plan_built).await
+        self.draw(ticket, DrawJob { image, setup, plan, q, folds, output, share }, timing, plan_built).await
     }
 
     /// All that a mesh of the session is made of, under a ticket.
     pub(crate) async fn walk(&self, client: Client, record: &Arc<Record>, form: MeshForm) -> Result<(Ticket, Walked), Problem> {
         let setup = self.session_setup(client, record).await?;
         form.bounded(setup.grid())?;
-        let is_warm = self.0.plans.has(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, Lane::session(client, record.id)).await?;
+        let is_warm = self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
+        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, QueueKey::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;
         Ok((ticket, Walked { setup, plan, timing, plan_built }))
@@ -212,33 +212,33 @@ impl App {
             let gone = || cancel.is_cancelled();
             let mut held = app.reserve_for(Purpose::Frame, &share, setup.posed_bytes())?;
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
-            let posed = if setup.is_wide() { app.0.pool.spread(pose) } else { pose() }?;
+            let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
             let body = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
             held.shrink_to(body.len() as u64);
-            let body = held.with(body);
+            let body = held.attach(body);
             Ok::<_, Problem>(PosedMesh { report: posed.into_report(), timing, plan_built, body })
         };
         self.0.pool.run(&ticket, pose).await?
     }
 
     /// Uses the session, and takes the request's place among those that are numbered.
-    async fn turn(&self, id: SessionId, seq: Option<u64>) -> Result<Turn, Problem> {
+    async fn turn(&self, id: SessionId, seq: Option<u64>) -> Result<SequencedRequest, Problem> {
         let Session { record, seq: newest, .. } = self.touch(id, seq).await?;
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
             Some(seq) => {
                 let place = self.0.lanes.enter((id, record.created), seq);
-                Ok(Turn { record, place: Some((place, seq)) })
+                Ok(SequencedRequest { record, place: Some((place, seq)) })
             }
-            None => Ok(Turn { record, place: None }),
+            None => Ok(SequencedRequest { record, place: None }),
         }
     }
 
     /// Gives up `work` when a newer request of the same session arrives.
-    async fn unless_superseded<T>(&self, turn: &Turn, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+    async fn unless_superseded<T>(&self, turn: &SequencedRequest, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
         match &turn.place {
             None => work.await,
             Some((place, seq)) => tokio::select! {

@@ -12,18 +12,20 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, Warp, WarpError, Watch, Writing};
+use mlswarp::warp::{
+    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Warp, WarpError, WriteObserver,
+};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
 use super::warp::Timing;
-use crate::cache::Kept;
+use crate::cache::CacheEntry;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::Scope;
 use crate::observe::scope::stage;
-use crate::pool::{Drawer, Pool, PoolError, Ticket};
+use crate::pool::{DrawGuard, Pool, PoolError, Ticket};
 use crate::problem::Problem;
 
 /// How long a helper waits for the first strip to begin. Posing takes less, or nobody was asked to help so early.
@@ -68,22 +70,22 @@ pub struct Cost {
 /// What the stages of drawing cost, and where they are traced, from when to when they went on: both on many threads, and at the same time.
 #[derive(Debug)]
 struct Clock {
-    render: Lap,
-    encode: Lap,
-    /// What `Lap`s count from.
+    render: StageTimer,
+    encode: StageTimer,
+    /// What `StageTimer`s count from.
     began: Instant,
     scope: Scope,
 }
 
 /// Nanoseconds.
 #[derive(Debug)]
-struct Lap {
+struct StageTimer {
     spent: AtomicU64,
     first: AtomicU64,
     last: AtomicU64,
 }
 
-impl Default for Lap {
+impl Default for StageTimer {
     fn default() -> Self {
         Self { spent: AtomicU64::new(0), first: AtomicU64::new(u64::MAX), last: AtomicU64::new(0) }
     }
@@ -92,11 +94,11 @@ impl Default for Lap {
 impl Default for Clock {
     /// For the request that is worked on here.
     fn default() -> Self {
-        Self { render: Lap::default(), encode: Lap::default(), began: Instant::now(), scope: Scope::current() }
+        Self { render: StageTimer::default(), encode: StageTimer::default(), began: Instant::now(), scope: Scope::current() }
     }
 }
 
-impl Watch for Clock {
+impl WriteObserver for Clock {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
         let began = Instant::now();
         work();
@@ -121,7 +123,7 @@ struct Attended<'a> {
     answer: &'a oneshot::Sender<Result<Drawn, Problem>>,
 }
 
-impl Watch for Attended<'_> {
+impl WriteObserver for Attended<'_> {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
         self.clock.around(stage, work);
     }
@@ -137,7 +139,7 @@ struct Helping<'a> {
     ticket: &'a Ticket,
 }
 
-impl Watch for Helping<'_> {
+impl WriteObserver for Helping<'_> {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
         self.clock.around(stage, work);
     }
@@ -149,13 +151,13 @@ impl Watch for Helping<'_> {
 
 impl Clock {
     fn cost(&self) -> Cost {
-        let read = |lap: &Lap| Duration::from_nanos(lap.spent.load(Ordering::Relaxed));
+        let read = |lap: &StageTimer| Duration::from_nanos(lap.spent.load(Ordering::Relaxed));
         Cost { render: read(&self.render), encode: read(&self.encode) }
     }
 
     /// Tells the stages to the trace, from the first thread's beginning to the last one's end.
     fn tell(&self) {
-        for (name, Lap { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
+        for (name, StageTimer { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
             let (first, last) = (first.load(Ordering::Relaxed), last.load(Ordering::Relaxed));
             if first <= last {
                 self.scope.stage(name, self.began + Duration::from_nanos(first), self.began + Duration::from_nanos(last));
@@ -166,10 +168,10 @@ impl Clock {
 
 /// All that a picture is made of.
 #[derive(Debug)]
-pub(crate) struct Sitting {
-    pub(crate) image: Arc<Kept<Image>>,
+pub(crate) struct DrawJob {
+    pub(crate) image: Arc<CacheEntry<Image>>,
     pub(crate) setup: Arc<Setup>,
-    pub(crate) plan: Arc<Kept<Plan>>,
+    pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) q: Vec<Handle>,
     pub(crate) folds: Folds,
     pub(crate) output: OutputSpec,
@@ -177,7 +179,7 @@ pub(crate) struct Sitting {
     pub(crate) share: Share,
 }
 
-impl Sitting {
+impl DrawJob {
     fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
         let Self { image, setup, plan, q, folds, output, .. } = self;
         output.target(image.extent(), limits)?;
@@ -206,12 +208,12 @@ pub struct Drawn {
 }
 
 /// Counts a picture when it is dropped: abandoned unless it was finished.
-struct Begun {
+struct PictureGuard {
     app: App,
     finished: AtomicBool,
 }
 
-impl Begun {
+impl PictureGuard {
     fn new(app: &App) -> Self {
         app.0.pictures.begun.fetch_add(1, Ordering::Relaxed);
         Self { app: app.clone(), finished: AtomicBool::new(false) }
@@ -226,7 +228,7 @@ impl Begun {
     }
 }
 
-impl Drop for Begun {
+impl Drop for PictureGuard {
     fn drop(&mut self) {
         if !*self.finished.get_mut() {
             self.app.0.pictures.abandoned.fetch_add(1, Ordering::Relaxed);
@@ -236,18 +238,18 @@ impl Drop for Begun {
 
 /// A picture that several threads draw.
 struct Work {
-    writing: Writing<Box<Warp>, Sink>,
+    writing: StripScheduler<Box<Warp>, Sink>,
     /// In the account of memory for as long as it is drawn from.
-    _image: Arc<Kept<Image>>,
+    _image: Arc<CacheEntry<Image>>,
     clock: Clock,
-    begun: Begun,
+    begun: PictureGuard,
     end: UnboundedSender<Piece>,
 }
 
 type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 
 impl Work {
-    fn take_part(&self, watch: &dyn Watch) {
+    fn take_part(&self, watch: &dyn WriteObserver) {
         if self.writing.work(watch) {
             self.begun.finish(&self.clock);
             // A client that leaves after the last strip has missed nothing.
@@ -257,10 +259,10 @@ impl Work {
 }
 
 /// Where helpers wait for the work: the empty meeting is over when nobody will fill it any more.
-type Meeting = Arc<OnceLock<Option<Arc<Work>>>>;
+type HelperHandoff = Arc<OnceLock<Option<Arc<Work>>>>;
 
 /// Waits for the work, a short while, and takes part in it.
-fn help(meeting: &Meeting, ticket: &Ticket) {
+fn help(meeting: &HelperHandoff, ticket: &Ticket) {
     let began = Instant::now();
     while began.elapsed() < PATIENCE {
         for _ in 0..LOOKS {
@@ -274,15 +276,15 @@ fn help(meeting: &Meeting, ticket: &Ticket) {
 }
 
 /// What the job of a request is given beside the sitting.
-struct Easel {
+struct DrawTask {
     app: App,
     pool: Pool,
     ticket: Ticket,
     timing: Timing,
     plan_built: bool,
-    drawer: Drawer,
+    drawer: DrawGuard,
     helpers: usize,
-    meeting: Meeting,
+    meeting: HelperHandoff,
     answer: oneshot::Sender<Result<Drawn, Problem>>,
 }
 
@@ -291,12 +293,12 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with q, folds that are refused, or a computation that failed.
-    pub(crate) async fn draw(&self, ticket: Ticket, sitting: Sitting, timing: Timing, plan_built: bool) -> Result<Drawn, Problem> {
+    pub(crate) async fn draw(&self, ticket: Ticket, sitting: DrawJob, timing: Timing, plan_built: bool) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
         let (drawer, helpers) = self.0.pool.draws();
-        let meeting = Meeting::default();
+        let meeting = HelperHandoff::default();
         let pool = self.0.pool.clone();
-        let easel = Easel {
+        let easel = DrawTask {
             app: self.clone(),
             pool,
             ticket: ticket.clone(),
@@ -316,22 +318,22 @@ impl App {
     }
 }
 
-impl Easel {
-    fn draw(self, sitting: &Sitting) {
+impl DrawTask {
+    fn draw(self, sitting: &DrawJob) {
         let meeting = Arc::clone(&self.meeting);
         self.draw_at(sitting);
         // Where nobody was needed, or nothing came about.
         let _ = meeting.set(None);
     }
 
-    fn draw_at(mut self, sitting: &Sitting) {
+    fn draw_at(mut self, sitting: &DrawJob) {
         let began = Instant::now();
         let limits = self.app.config().limits;
         let gone = || self.answer.is_closed();
         let prepare = || {
             let mut held = self.app.reserve_for(Purpose::Frame, &sitting.share, sitting.setup.posed_bytes())?;
             let pose = || sitting.warp(&limits, &gone);
-            let (warp, report) = if sitting.setup.is_wide() { self.pool.spread(pose) } else { pose() }?;
+            let (warp, report) = if sitting.setup.is_wide() { self.pool.run_parallel(pose) } else { pose() }?;
             self.app.reserve_more(&mut held, warp.work_bytes())?;
             Ok((warp, report, held))
         };
@@ -353,7 +355,7 @@ impl Easel {
     }
 
     fn whole(self, warp: &Warp, report: Report, mut held: Reservation) {
-        let (begun, mut file) = (Begun::new(&self.app), Vec::new());
+        let (begun, mut file) = (PictureGuard::new(&self.app), Vec::new());
         let watch = Attended { clock: Clock::default(), answer: &self.answer };
         let flow = warp.write(0, &watch, &mut |bytes| {
             if file.is_empty() {
@@ -367,14 +369,14 @@ impl Easel {
             begun.finish(&watch.clock);
         }
         held.shrink_to(file.len() as u64);
-        let picture = Picture::Whole { bytes: held.with(file), cost: watch.clock.cost() };
+        let picture = Picture::Whole { bytes: held.attach(file), cost: watch.clock.cost() };
         drop(self.drawer);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
-    fn strips(self, warp: Warp, report: Report, mut held: Reservation, image: Arc<Kept<Image>>, began: Instant) {
+    fn strips(self, warp: Warp, report: Report, mut held: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {
         let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
@@ -385,13 +387,13 @@ impl Easel {
                 // The client may come again before this thread has gone on.
                 drop(drawer.take());
             }
-            let heard = pieces.send(Piece::Bytes(held.split(bytes.len() as u64).with(bytes))).is_ok();
+            let heard = pieces.send(Piece::Bytes(held.split(bytes.len() as u64).attach(bytes))).is_ok();
             // The head of the answer leaves with the first strip: one thing to wake for, not two.
             let heard = heard && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
             if heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         });
-        let (clock, begun) = (Clock::default(), Begun::new(&app));
-        let work = Work { writing: Writing::new(Box::new(warp), sink), _image: image, clock, begun, end };
+        let (clock, begun) = (Clock::default(), PictureGuard::new(&app));
+        let work = Work { writing: StripScheduler::new(Box::new(warp), sink), _image: image, clock, begun, end };
         let helpers = helpers.min(work.writing.strips() - 1);
         let work = Arc::new(work);
         let _ = meeting.set(Some(Arc::clone(&work)));

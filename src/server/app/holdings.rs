@@ -22,10 +22,10 @@ const RETRY: u32 = 30;
 
 /// What every client keeps. Cloning shares it.
 #[derive(Clone, Debug)]
-pub struct Holdings(Arc<Shared>);
+pub struct Holdings(Arc<HoldingsState>);
 
 #[derive(Debug)]
-struct Shared {
+struct HoldingsState {
     idle: Duration,
     sessions: u64,
     bytes: u64,
@@ -34,14 +34,14 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Held {
-    sessions: HashMap<SessionId, Kept>,
+    sessions: HashMap<SessionId, CacheEntry>,
     clients: HashMap<Tenant, Sum>,
     claims: u64,
 }
 
 /// A session.
 #[derive(Clone, Copy, Debug)]
-struct Kept {
+struct CacheEntry {
     tenant: Tenant,
     image: Digest,
     file: u64,
@@ -65,11 +65,11 @@ struct Sum {
 pub struct Claim {
     id: SessionId,
     claim: u64,
-    before: Option<Kept>,
+    before: Option<CacheEntry>,
 }
 
 impl Held {
-    fn add(&mut self, id: SessionId, kept: Kept) {
+    fn add(&mut self, id: SessionId, kept: CacheEntry) {
         let sum = self.clients.entry(kept.tenant).or_default();
         let files = sum.files.entry(kept.image).or_default();
         *files += 1;
@@ -78,7 +78,7 @@ impl Held {
         self.sessions.insert(id, kept);
     }
 
-    fn remove(&mut self, id: SessionId) -> Option<Kept> {
+    fn remove(&mut self, id: SessionId) -> Option<CacheEntry> {
         let kept = self.sessions.remove(&id)?;
         if let Some(sum) = self.clients.get_mut(&kept.tenant) {
             sum.sessions -= 1;
@@ -110,7 +110,7 @@ impl Holdings {
     #[must_use]
     pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> u64) -> Self {
         let (sessions, bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
-        Self(Arc::new(Shared { idle: bounds.idle, sessions, bytes, held: Mutex::default() }))
+        Self(Arc::new(HoldingsState { idle: bounds.idle, sessions, bytes, held: Mutex::default() }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Held> {
@@ -124,7 +124,7 @@ impl Holdings {
     /// [`Code::RateLimited`]: the client keeps as much as it may.
     pub fn claim(&self, tenant: Tenant, record: &Record, file: u64) -> Result<Claim, Problem> {
         let used = Instant::now();
-        self.change(record.id, |_| Some(Kept { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0 }))
+        self.change(record.id, |_| Some(CacheEntry { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0 }))
     }
 
     /// Counts a record that is about to take the place of another one of its session.
@@ -132,10 +132,10 @@ impl Holdings {
     /// # Errors
     /// As [`Holdings::claim`].
     pub fn claim_revision(&self, record: &Record) -> Result<Claim, Problem> {
-        self.change(record.id, |before| before.map(|before| Kept { record: record_bytes(record), ..before }))
+        self.change(record.id, |before| before.map(|before| CacheEntry { record: record_bytes(record), ..before }))
     }
 
-    fn change(&self, id: SessionId, to: impl Fn(Option<Kept>) -> Option<Kept>) -> Result<Claim, Problem> {
+    fn change(&self, id: SessionId, to: impl Fn(Option<CacheEntry>) -> Option<CacheEntry>) -> Result<Claim, Problem> {
         let mut held = self.lock();
         let first = self.try_change(&mut held, id, &to);
         if first.is_err() {
@@ -145,12 +145,12 @@ impl Holdings {
         first
     }
 
-    fn try_change(&self, held: &mut Held, id: SessionId, to: impl Fn(Option<Kept>) -> Option<Kept>) -> Result<Claim, Problem> {
+    fn try_change(&self, held: &mut Held, id: SessionId, to: impl Fn(Option<CacheEntry>) -> Option<CacheEntry>) -> Result<Claim, Problem> {
         held.claims += 1;
         let claim = held.claims;
         let before = held.remove(id);
         let Some(kept) = to(before) else { return Ok(Claim { id, claim, before }) };
-        held.add(id, Kept { claim, ..kept });
+        held.add(id, CacheEntry { claim, ..kept });
         let sum = &held.clients[&kept.tenant];
         let limits =
             [("client_sessions", "sessions", self.0.sessions, sum.sessions), ("client_store_bytes", "bytes", self.0.bytes, sum.bytes)];

@@ -19,18 +19,18 @@ use bytes::Bytes;
 use mlswarp::warp::{Image, Plan, Setup};
 use thiserror::Error;
 
-use crate::auth::Doors;
-use crate::cache::Shelf;
+use crate::auth::AccessControl;
+use crate::cache::Cache;
 use crate::client::Client;
 use crate::config::{Config, WorkConfig};
 use crate::limits::client_quota::{Quota, Share, Shares};
-use crate::limits::memory::{Budget, NoRoom, Purpose, Reservation, Short};
-use crate::limits::sockets::Seats;
+use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
+use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
 use crate::observe::tracer::{Exporting, NotTraced, Outbox, Tracer};
-use crate::pool::{Lane, Pool, PoolError, Shape, Work};
+use crate::pool::{Pool, PoolError, QueueKey, Shape, Work};
 use crate::problem::{Code, Problem};
-use crate::session::Lanes;
+use crate::session::Sequencer;
 use crate::store::timed::Timed;
 use crate::store::{NotOpened, Store, StoreError};
 use causes::Causes;
@@ -56,12 +56,12 @@ const RETRY_OTHER_VERSION: u32 = 30;
 
 /// Everything that requests share. Cloning shares it.
 #[derive(Clone, Debug)]
-pub struct App(pub(crate) Arc<Shared>);
+pub struct App(pub(crate) Arc<AppState>);
 
 #[derive(Debug)]
-pub(crate) struct Shared {
+pub(crate) struct AppState {
     pub(crate) config: Config,
-    pub(crate) doors: Doors,
+    pub(crate) access: AccessControl,
     pub(crate) budget: Budget,
     /// Of memory for answers.
     pub(crate) answers: Shares,
@@ -69,17 +69,17 @@ pub(crate) struct Shared {
     pub(crate) requests: Shares,
     pub(crate) holdings: Holdings,
     pub(crate) pool: Pool,
-    pub(crate) images: Shelf<Image>,
-    pub(crate) plans: Shelf<Plan>,
-    pub(crate) setups: Shelf<Arc<Setup>>,
+    pub(crate) images: Cache<Image>,
+    pub(crate) plans: Cache<Plan>,
+    pub(crate) setups: Cache<Arc<Setup>>,
     /// Keeps nothing: those who wait for one session's file share one look at the store.
-    pub(crate) files: Shelf<Bytes>,
+    pub(crate) files: Cache<Bytes>,
     pub(crate) store: Arc<dyn Store>,
-    pub(crate) lanes: Lanes,
+    pub(crate) lanes: Sequencer,
     pub(crate) phases: Phases,
     pub(crate) causes: Causes,
     pub(crate) pictures: Pictures,
-    pub(crate) seats: Seats,
+    pub(crate) seats: SocketSlots,
     pub(crate) drags: Drags,
     pub(crate) metrics: Metrics,
     pub(crate) tracer: Option<Tracer>,
@@ -158,27 +158,27 @@ impl App {
         let (tracer, outbox) = Tracer::new(&config.telemetry)?.unzip();
         let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
         let work = config.work;
-        let of_client = |total| config.doors.client_share.of(total);
+        let of_client = |total| config.access.client_share.of(total);
         let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
         let shape = Shape { workers, queue, drag_wait, upload_wait };
-        Ok(Self(Arc::new(Shared {
-            doors: Doors::new(&config.doors),
+        Ok(Self(Arc::new(AppState {
+            access: AccessControl::new(&config.access),
             budget: Budget::new(work.memory_bytes),
             answers: Shares::new(Quota::Answers, work.memory_bytes / UNREAD_PART),
             requests: Shares::new(Quota::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
             holdings: Holdings::new(config.store.bounds, of_client),
             pool: Pool::new(shape)?,
-            images: Shelf::new(work.image_cache_bytes),
-            plans: Shelf::new(work.plan_cache_bytes),
-            setups: Shelf::new(work.plan_cache_bytes / SETUP_SHARE),
-            files: Shelf::new(0),
+            images: Cache::new(work.image_cache_bytes),
+            plans: Cache::new(work.plan_cache_bytes),
+            setups: Cache::new(work.plan_cache_bytes / SETUP_SHARE),
+            files: Cache::new(0),
             store,
-            lanes: Lanes::default(),
+            lanes: Sequencer::default(),
             phases: Phases::default(),
             causes: Causes::default(),
             pictures: Pictures::default(),
             // Half of the places for the frames of one client: the others are left to requests.
-            seats: Seats::new(config.max_sockets, of_client(config.max_sockets as u64), workers.max(queue / 2)),
+            seats: SocketSlots::new(config.max_sockets, of_client(config.max_sockets as u64), workers.max(queue / 2)),
             drags: Drags::default(),
             metrics: Metrics::default(),
             tracer,
@@ -195,8 +195,8 @@ impl App {
 
     /// Who is let in.
     #[must_use]
-    pub fn doors(&self) -> &Doors {
-        &self.0.doors
+    pub fn access(&self) -> &AccessControl {
+        &self.0.access
     }
 
     /// Admission and compute threads.
@@ -216,7 +216,7 @@ impl App {
     /// # Errors
     /// [`Code::TooLarge`] for what never fits, [`Code::Overloaded`] for what does not fit now.
     pub fn reserve(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, Problem> {
-        self.giving_way(|| self.0.budget.take(purpose, bytes))
+        self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
     /// Takes memory that counts for a client, and makes room for it as [`App::reserve`].
@@ -225,7 +225,7 @@ impl App {
     /// As [`App::reserve`]; [`Code::Overloaded`] for a client that does not read its answers, [`Code::RateLimited`] for one whose
     /// requests take too much.
     pub fn reserve_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
-        self.giving_way(|| self.0.budget.take_for(purpose, share, bytes))
+        self.evicting_idle(|| self.0.budget.take_for(purpose, share, bytes))
     }
 
     /// What the client holds by answers that it has not read.
@@ -245,16 +245,16 @@ impl App {
     /// # Errors
     /// As [`App::reserve`].
     pub fn reserve_more(&self, held: &mut Reservation, more: u64) -> Result<(), Problem> {
-        self.giving_way(|| held.grow(more))
+        self.evicting_idle(|| held.grow(more))
     }
 
-    fn giving_way<T>(&self, mut take: impl FnMut() -> Result<T, NoRoom>) -> Result<T, Problem> {
+    fn evicting_idle<T>(&self, mut take: impl FnMut() -> Result<T, BudgetExceeded>) -> Result<T, Problem> {
         loop {
             let refused = match take() {
                 Ok(taken) => return Ok(taken),
                 Err(refused) => refused,
             };
-            if refused.is_forever() || refused.short != Short::Memory || !self.give_way() {
+            if refused.is_forever() || refused.short != Exhausted::Memory || !self.evict_idle() {
                 self.0.budget.count_refusal();
                 return Err(refused.into());
             }
@@ -267,12 +267,12 @@ impl App {
     }
 
     /// Drops something that is cached and not in use. False when there is nothing.
-    fn give_way(&self) -> bool {
-        let Shared { images, plans, setups, .. } = &*self.0;
+    fn evict_idle(&self) -> bool {
+        let AppState { images, plans, setups, .. } = &*self.0;
         let mut shelves: [(u64, &dyn Fn() -> bool); 3] = [
-            (images.usage().bytes, &|| images.give_way()),
-            (plans.usage().bytes, &|| plans.give_way()),
-            (setups.usage().bytes, &|| setups.give_way()),
+            (images.usage().bytes, &|| images.evict_idle()),
+            (plans.usage().bytes, &|| plans.evict_idle()),
+            (setups.usage().bytes, &|| setups.evict_idle()),
         ];
         shelves.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
         shelves.iter().any(|(_, give_way)| give_way())
@@ -328,7 +328,7 @@ impl App {
 
     /// Waits until the session store knows of every number that was answered.
     pub async fn settled(&self) {
-        if let Err(error) = self.0.store.settle().await {
+        if let Err(error) = self.0.store.flush().await {
             tracing::warn!(%error, "the sessions' last numbers were not told");
         }
     }
@@ -360,7 +360,7 @@ impl App {
     /// # Errors
     /// [`Code::Overloaded`].
     pub fn admits(&self, client: Client) -> Result<(), Problem> {
-        if self.0.pool.refuses(Work::Upload, Lane::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
+        if self.0.pool.refuses(Work::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
     }
 
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
@@ -391,18 +391,18 @@ impl From<PoolError> for Problem {
     }
 }
 
-impl From<NoRoom> for Problem {
-    fn from(error: NoRoom) -> Self {
+impl From<BudgetExceeded> for Problem {
+    fn from(error: BudgetExceeded) -> Self {
         let problem = if error.is_forever() {
             Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
         } else {
-            let code = if error.short == Short::Share(Quota::Requests) { Code::RateLimited } else { Code::Overloaded };
+            let code = if error.short == Exhausted::Share(Quota::Requests) { Code::RateLimited } else { Code::Overloaded };
             Self::new(code, error.to_string()).retry_after(RETRY_MEMORY)
         };
         match error.short {
-            Short::Memory => problem.limit("memory_bytes", error.limit, error.asked),
-            Short::Share(Quota::Answers) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
-            Short::Share(Quota::Requests) => problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked)),
+            Exhausted::Memory => problem.limit("memory_bytes", error.limit, error.asked),
+            Exhausted::Share(Quota::Answers) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
+            Exhausted::Share(Quota::Requests) => problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked)),
         }
     }
 }

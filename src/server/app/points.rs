@@ -14,10 +14,10 @@ use crate::client::Client;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
-use crate::pool::{Lane, Ticket, Work};
+use crate::pool::{QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{PointsObject, Wire};
+use crate::wire::{AsJson, PointsObject};
 
 /// Places that are mapped sooner than other threads wake.
 const PLACES_ALONE: usize = 256;
@@ -31,7 +31,7 @@ const AROUND: usize = r#"{"points":[]}"#.len();
 /// The answer.
 #[derive(Serialize)]
 struct Mapped<'a> {
-    points: Wire<&'a [Point]>,
+    points: AsJson<&'a [Point]>,
 }
 
 impl App {
@@ -40,7 +40,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with the handles, or no room.
     pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
@@ -57,7 +57,7 @@ impl App {
     pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;
-        let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
+        let ticket = self.0.pool.admit(Work::Upload, QueueKey::session(client, id)).await?;
         let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
         self.map(&ticket, self.share(client), setup, object).await
     }
@@ -71,13 +71,13 @@ impl App {
             let mut held = app.reserve_for(Purpose::Frame, &share, (text + size_of_val(places.as_slice())) as u64)?;
             let pose = setup.pose(&q)?;
             let map = || setup.map(&pose, &places, &|| cancel.is_cancelled());
-            let mapped = if places.len() > PLACES_ALONE { app.0.pool.spread(map) } else { map() }?;
+            let mapped = if places.len() > PLACES_ALONE { app.0.pool.run_parallel(map) } else { map() }?;
             stage("deform", began);
-            let mut body = json_unless(cancel, &Mapped { points: Wire(&mapped) }, text)?;
+            let mut body = json_unless(cancel, &Mapped { points: AsJson(&mapped) }, text)?;
             // It may wait long for its reader.
             body.shrink_to_fit();
             held.shrink_to(body.len() as u64);
-            Ok::<_, Problem>(held.with(body))
+            Ok::<_, Problem>(held.attach(body))
         });
         mapped.await?
     }

@@ -7,11 +7,11 @@ use mlswarp::warp::Setup;
 
 use super::App;
 use super::causes::Origin;
-use super::warp::{ATTEMPTS, Material, Timing, image_key, lost, resolve, shelf_key, weight};
-use crate::cache::{Kept, Key};
+use super::warp::{ATTEMPTS, PreparedWarp, Timing, build_aborted, image_key, resolve, shelf_key, weight};
+use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
-use crate::pool::{Cancel, Lane, Work};
+use crate::pool::{Cancel, QueueKey, Work};
 use crate::problem::Problem;
 use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, StoreError};
@@ -23,7 +23,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with either, or no room.
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
         let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
@@ -34,12 +34,12 @@ impl App {
     ///
     /// # Errors
     /// No room.
-    pub async fn keep(&self, client: Client, material: Material) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn keep(&self, client: Client, material: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
         // Its picture was bent once so far; now it will be again.
-        let _ = self.0.images.has(Key::new(client.owner, material.digest));
+        let _ = self.0.images.touch(Key::new(client.owner, material.digest));
         let (record, file, setup) = material.recorded(SessionId::random(client.owner));
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.store_counted(client, record, file).await?;
-        self.know(&session.record, &setup).await;
+        self.cache_setup(&session.record, &setup).await;
         Ok((session, setup))
     }
 
@@ -48,17 +48,17 @@ impl App {
     /// # Errors
     /// Whatever is wrong with either, or no room.
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
         let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
         let (record, file, setup) = material.recorded(id);
         let put = self.store_counted(client, record, file).await?;
         match &put {
-            Put::Created(session) | Put::Same(session) => self.know(&session.record, &setup).await,
+            Put::Created(session) | Put::Same(session) => self.cache_setup(&session.record, &setup).await,
             Put::Replaced(session, old) => {
-                self.know(&session.record, &setup).await;
-                self.forget(old).await;
+                self.cache_setup(&session.record, &setup).await;
+                self.evict_session(old).await;
             }
         }
         Ok((put, setup))
@@ -72,10 +72,11 @@ impl App {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             // For as long as this computes, and not while it waits for the store.
-            let ticket = self.0.pool.admit(Work::Upload, Lane::session(client, id)).await?;
+            let ticket = self.0.pool.admit(Work::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
             let (json, limits, extent) = (json.clone(), self.0.config.limits, old.extent);
-            let resolve = move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.over(base), extent, &limits, cancel)?);
+            let resolve =
+                move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
             drop(ticket);
@@ -88,7 +89,7 @@ impl App {
             }
             // Whoever was faster has changed fields that this request may not have named: they are kept.
             if let Some(session) = revised? {
-                self.know(&session.record, &setup).await;
+                self.cache_setup(&session.record, &setup).await;
                 self.0.setups.remove(shelf_key(&old));
                 return Ok((session, setup));
             }
@@ -121,15 +122,15 @@ impl App {
     }
 
     /// The setup of a record is at hand, where there is room for it: the session has been made whether there is or not.
-    async fn know(&self, record: &Record, setup: &Arc<Setup>) {
+    async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
         if let Ok(held) = self.reserve(Purpose::Plan, weight(record)) {
-            let known = Kept::new(Arc::clone(setup), held);
-            let _ = self.0.setups.get(shelf_key(record), async { Ok(known) }, lost).await;
+            let known = CacheEntry::new(Arc::clone(setup), held);
+            let _ = self.0.setups.get(shelf_key(record), async { Ok(known) }, build_aborted).await;
         }
     }
 
     /// Drops what was made for a record that is no session's any more.
-    async fn forget(&self, record: &Record) {
+    async fn evict_session(&self, record: &Record) {
         let setup = self.0.setups.remove(shelf_key(record));
         // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the
         // same size and handles, if there is one, builds them again.
@@ -161,7 +162,7 @@ impl App {
         self.0.store.delete(id).await?;
         self.0.holdings.ended(id);
         if let Ok(session) = known {
-            self.forget(&session.record).await;
+            self.evict_session(&session.record).await;
         }
         Ok(())
     }

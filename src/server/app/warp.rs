@@ -15,12 +15,12 @@ pub use super::drag::{MeshForm, PosedMesh};
 
 use super::App;
 use super::causes::Origin;
-use super::draw::{Drawn, Sitting};
-use crate::cache::{Fetched, Kept, Key};
+use super::draw::{DrawJob, Drawn};
+use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
-use crate::pool::{Cancel, Lane, PoolError, Ticket, Work};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::Record;
@@ -47,17 +47,17 @@ pub struct Timing {
 
 /// What a warp is made of, and what a session keeps.
 #[derive(Debug)]
-pub struct Material {
+pub struct PreparedWarp {
     file: Bytes,
     pub(crate) digest: Digest,
     object: WarpObject,
     /// Of this picture; a session keeps what was asked for.
     format: Format,
-    image: Arc<Kept<Image>>,
+    image: Arc<CacheEntry<Image>>,
     setup: Arc<Setup>,
 }
 
-impl Material {
+impl PreparedWarp {
     /// As a session keeps it: the record, the file, and what they resolve to.
     pub(crate) fn recorded(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
         let Self { file, digest, object, image, setup, .. } = self;
@@ -77,12 +77,12 @@ impl Material {
 
 /// What a session's picture comes from.
 pub(crate) enum Source {
-    Image(Arc<Kept<Image>>),
+    Image(Arc<CacheEntry<Image>>),
     File(File),
 }
 
 /// A file that was fetched from the store, with the memory that it takes.
-pub(crate) struct File(Arc<Kept<Bytes>>);
+pub(crate) struct File(Arc<CacheEntry<Bytes>>);
 
 impl AsRef<[u8]> for File {
     fn as_ref(&self) -> &[u8] {
@@ -95,14 +95,14 @@ impl App {
     ///
     /// # Errors
     /// Whatever is wrong with either, or no room.
-    pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, Material), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, Lane::client(client)).await?;
+    pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
+        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
         let (material, plan, timing, plan_built) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
         let q = material.object.q.clone().unwrap_or_default();
         let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
         let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
         let drawn =
-            self.draw(ticket, Sitting { image, setup, plan, q, folds, output, share: self.share(client) }, timing, plan_built).await?;
+            self.draw(ticket, DrawJob { image, setup, plan, q, folds, output, share: self.share(client) }, timing, plan_built).await?;
         Ok((drawn, material))
     }
 
@@ -113,14 +113,14 @@ impl App {
     pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let build = async move {
-            let ticket = app.0.pool.admit(Work::Upload, Lane::session(client, theirs.id)).await?;
+            let ticket = app.0.pool.admit(Work::Upload, QueueKey::session(client, theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
             let limits = app.0.config.limits;
             let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
             let setup = app.0.pool.run(&ticket, new).await??;
-            Ok(Kept::new(Arc::new(setup), held))
+            Ok(CacheEntry::new(Arc::new(setup), held))
         };
-        let known = self.0.setups.get(shelf_key(record), build, lost).await?;
+        let known = self.0.setups.get(shelf_key(record), build, build_aborted).await?;
         Ok(Arc::clone(&known.value))
     }
 
@@ -133,7 +133,7 @@ impl App {
         file: Bytes,
         json: Bytes,
         draws: Option<Formats>,
-    ) -> Result<(Material, Arc<Kept<Plan>>, Timing, bool), Problem> {
+    ) -> Result<(PreparedWarp, Arc<CacheEntry<Plan>>, Timing, bool), Problem> {
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let read = {
@@ -141,7 +141,7 @@ impl App {
             move |_: &_| {
                 let patch = WarpPatch::parse(&json).map_err(of_the_part)?;
                 let asked = patch.output.format;
-                let object = patch.over(WarpObject::default());
+                let object = patch.merge_onto(WarpObject::default());
                 let format = draws.unwrap_or(Formats::ANY).choose(asked, object.output.format)?;
                 Ok::<_, Problem>((object, format, Image::digest_of(&file)))
             }
@@ -160,7 +160,7 @@ impl App {
         let (limits, extent) = (self.0.config.limits, image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
         let (plan, plan_built) = self.plan(owner, ticket, &setup, Origin::Handles, &mut timing).await?;
-        Ok((Material { file, digest, object, format, image, setup }, plan, timing, plan_built))
+        Ok((PreparedWarp { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
     async fn image(
@@ -180,7 +180,7 @@ impl App {
                 let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;
                 held.shrink_to(image.bytes());
-                Ok(Kept::new(image, held))
+                Ok(CacheEntry::new(image, held))
             };
             match app.0.pool.run(&ticket, decode).await {
                 // Decoders are known to panic on hostile files: the file is at fault, not the request's other parts.
@@ -191,7 +191,7 @@ impl App {
                 Ok(decoded) => decoded,
             }
         };
-        self.0.images.get(Key::new(owner, digest), decode, lost).await
+        self.0.images.get(Key::new(owner, digest), decode, build_aborted).await
     }
 
     /// The session's picture, or the file that it is decoded from when the cache has dropped it. The store is asked here and under no ticket: a store
@@ -202,18 +202,18 @@ impl App {
         }
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let fetch = async move {
-            let _turn = app.0.pool.admit(Work::Fetch, Lane::session(client, theirs.id)).await?;
+            let _turn = app.0.pool.admit(Work::Fetch, QueueKey::session(client, theirs.id)).await?;
             let bytes = app.0.store.image_bytes(theirs.id, theirs.image).await?;
             let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
             let file = app.0.store.image(theirs.id, theirs.image).await?;
             held.shrink_to((file.len() as u64).max(LEAST_KEPT));
-            Ok(Kept::new(file, held))
+            Ok(CacheEntry::new(file, held))
         };
-        Ok(Source::File(File(self.0.files.get(shelf_key(record), fetch, lost).await?.value)))
+        Ok(Source::File(File(self.0.files.get(shelf_key(record), fetch, build_aborted).await?.value)))
     }
 
     /// The picture of its source.
-    pub(crate) async fn session_image(&self, ticket: &Ticket, record: &Record, source: Source) -> Result<Arc<Kept<Image>>, Problem> {
+    pub(crate) async fn session_image(&self, ticket: &Ticket, record: &Record, source: Source) -> Result<Arc<CacheEntry<Image>>, Problem> {
         match source {
             Source::Image(image) => Ok(image),
             Source::File(file) => Ok(self.image(record.id.owner(), ticket, record.image, file).await?.value),
@@ -227,20 +227,20 @@ impl App {
         setup: &Arc<Setup>,
         origin: Origin,
         timing: &mut Timing,
-    ) -> Result<(Arc<Kept<Plan>>, bool), Problem> {
+    ) -> Result<(Arc<CacheEntry<Plan>>, bool), Problem> {
         let began = Instant::now();
         let (app, ticket, theirs) = (self.clone(), ticket.clone(), Arc::clone(setup));
         let key = Key::new(owner, setup.plan_key());
         let build = async move {
             let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
             let threads = app.0.pool.clone();
-            let fill = move |cancel: &Cancel| threads.spread(|| theirs.plan_unless(&|| cancel.is_cancelled()));
+            let fill = move |cancel: &Cancel| threads.run_parallel(|| theirs.plan_unless(&|| cancel.is_cancelled()));
             let plan = app.0.pool.run(&ticket, fill).await??;
             let cause = app.0.causes.built(key, origin);
             tracing::debug!(cause = cause.name(), "a plan was built");
-            Ok(Kept::new(plan, held))
+            Ok(CacheEntry::new(plan, held))
         };
-        let fetched = self.0.plans.get(key, build, lost).await?;
+        let fetched = self.0.plans.get(key, build, build_aborted).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
         Ok((fetched.value, fetched.built))
@@ -261,7 +261,7 @@ pub(crate) fn q_is_missing() -> Problem {
 }
 
 /// The task that built a cached value was torn down: the runtime is stopping.
-pub(crate) fn lost() -> Problem {
+pub(crate) fn build_aborted() -> Problem {
     PoolError::Panicked.into()
 }
 
@@ -288,7 +288,7 @@ pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usi
         }
     }
     let mut text = Text(Vec::with_capacity(capacity), cancel);
-    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::GivenUp)?;
+    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::Cancelled)?;
     Ok(text.0)
 }
 

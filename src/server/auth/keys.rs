@@ -19,14 +19,14 @@ const LONGEST_NAME: usize = 64;
 
 /// What somebody came in by: a key, of which its digest and its owner are kept, or nothing where nobody needs one. It is good for as long as the key is.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Pass(Option<Key>);
+pub struct Credential(Option<Key>);
 
-impl Pass {
+impl Credential {
     /// Where there are no keys.
     pub const ANYBODY: Self = Self(None);
 }
 
-impl fmt::Debug for Pass {
+impl fmt::Debug for Credential {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Pass({})", if self.0.is_some() { "a key" } else { "anybody" })
     }
@@ -88,11 +88,11 @@ impl Keys {
     /// Whose key it is, and what shows that it is still one. Takes as long for a wrong key as for a right one, wherever it stands and however much of it is right: digests are compared,
     /// each in constant time, every one of them, and the owner is chosen without a branch.
     #[must_use]
-    pub fn look_up(&self, key: &str) -> Option<(Owner, Pass)> {
+    pub fn look_up(&self, key: &str) -> Option<(Owner, Credential)> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
         let owner = Owner::from_bytes(owner);
-        bool::from(found).then_some((owner, Pass(Some(Key { digest, owner }))))
+        bool::from(found).then_some((owner, Credential(Some(Key { digest, owner }))))
     }
 
     /// Whose key it is.
@@ -103,7 +103,7 @@ impl Keys {
 
     /// Whether the pass's key is still one of the same name's.
     #[must_use]
-    pub fn honour(&self, pass: Pass) -> bool {
+    pub fn is_valid(&self, pass: Credential) -> bool {
         pass.0.is_none_or(|key| {
             let Search { found, owner, .. } = self.search(&key.digest);
             bool::from(found) && Owner::from_bytes(owner) == key.owner
@@ -213,11 +213,11 @@ mod tests {
         let keys = |text: &str| Keys::parse(text).unwrap();
         let (owner, pass) = keys(&format!("ann {ONE}")).look_up(ONE).unwrap();
         assert_eq!(owner, owner_of_name("ann"));
-        assert!(keys(&format!("bob {TWO}\nann {ONE}")).honour(pass));
+        assert!(keys(&format!("bob {TWO}\nann {ONE}")).is_valid(pass));
         for others in ["", &format!("ann {TWO}"), &format!("bob {ONE}")] {
-            assert!(!keys(others).honour(pass), "{others}");
-            assert!(keys(others).honour(Pass::ANYBODY));
+            assert!(!keys(others).is_valid(pass), "{others}");
+            assert!(keys(others).is_valid(Credential::ANYBODY));
         }
-        assert_eq!(format!("{pass:?} {:?}", Pass::ANYBODY), "Pass(a key) Pass(anybody)");
+        assert_eq!(format!("{pass:?} {:?}", Credential::ANYBODY), "Pass(a key) Pass(anybody)");
     }
 }

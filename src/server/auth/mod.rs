@@ -14,37 +14,37 @@ use std::time::Instant;
 use tokio::sync::watch;
 
 use crate::client::{Owner, Tenant};
-use crate::config::DoorsConfig;
-use crate::limits::connections::Places;
-use crate::limits::rate_limit::Rates;
+use crate::config::AccessConfig;
+use crate::limits::connections::ConnectionLimiter;
+use crate::limits::rate_limit::RateLimit;
 use crate::problem::{Code, Problem};
-use keys::{Keys, Pass};
+use keys::{Credential, Keys};
 
 /// What decides at the doors.
 #[derive(Debug)]
-pub struct Doors {
+pub struct AccessControl {
     /// None where no keys are configured.
     keys: Option<watch::Sender<Arc<Keys>>>,
-    by_address: Option<Rates<Tenant>>,
-    by_owner: Option<Rates<Tenant>>,
-    places: Places,
+    by_address: Option<RateLimit<Tenant>>,
+    by_owner: Option<RateLimit<Tenant>>,
+    places: ConnectionLimiter,
 }
 
-impl Doors {
+impl AccessControl {
     /// Doors as configured.
     #[must_use]
-    pub fn new(config: &DoorsConfig) -> Self {
+    pub fn new(config: &AccessConfig) -> Self {
         Self {
             keys: config.keys.as_ref().map(|keys| watch::Sender::new(Arc::new(keys.all.clone()))),
-            by_address: config.rate_per_address.map(Rates::new),
-            by_owner: config.rate_per_key.map(Rates::new),
-            places: Places::new(config.max_connections, config.max_connections_per_address),
+            by_address: config.rate_per_address.map(RateLimit::new),
+            by_owner: config.rate_per_key.map(RateLimit::new),
+            places: ConnectionLimiter::new(config.max_connections, config.max_connections_per_address),
         }
     }
 
     /// Places for connections.
     #[must_use]
-    pub const fn places(&self) -> &Places {
+    pub const fn places(&self) -> &ConnectionLimiter {
         &self.places
     }
 
@@ -56,8 +56,8 @@ impl Doors {
     }
 
     /// Waits until the pass is good no more.
-    pub async fn revoked(&self, pass: Pass) {
-        let revoked = async { self.keys.as_ref()?.subscribe().wait_for(|keys| !keys.honour(pass)).await.is_ok().then_some(()) };
+    pub async fn revoked(&self, pass: Credential) {
+        let revoked = async { self.keys.as_ref()?.subscribe().wait_for(|keys| !keys.is_valid(pass)).await.is_ok().then_some(()) };
         // Without keys none can be revoked, and the sender lives as long as `self`.
         if revoked.await.is_none() {
             std::future::pending().await
@@ -68,11 +68,11 @@ impl Doors {
     ///
     /// # Errors
     /// [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
-    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<(Owner, Pass), Problem> {
+    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<(Owner, Credential), Problem> {
         let now = Instant::now();
         // The address first: guesses count too.
         count(self.by_address.as_ref(), Tenant::of_address(address), now)?;
-        let Some(keys) = &self.keys else { return Ok((Owner::ANYBODY, Pass::ANYBODY)) };
+        let Some(keys) = &self.keys else { return Ok((Owner::ANYBODY, Credential::ANYBODY)) };
         let keys = Arc::clone(&keys.borrow());
         let Some(key) = key else {
             return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
@@ -84,7 +84,7 @@ impl Doors {
 }
 
 /// Takes one of whoever asks.
-fn count(rates: Option<&Rates<Tenant>>, who: Tenant, now: Instant) -> Result<(), Problem> {
+fn count(rates: Option<&RateLimit<Tenant>>, who: Tenant, now: Instant) -> Result<(), Problem> {
     let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
     Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
 }

@@ -28,7 +28,7 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
     let patch = WarpPatch::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
     // As `Accept` does for a request.
     let format = patch.output.format.or_else(|| format_of(out));
-    let mut object = patch.over(WarpObject::default());
+    let mut object = patch.merge_onto(WarpObject::default());
     object.output.format = format.unwrap_or(object.output.format);
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;

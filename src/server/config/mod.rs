@@ -1,7 +1,7 @@
 //! Flags and `MLSWARP_*` variables. A flag wins over its variable, a variable over the default. Every value travels as text until
 //! [`Options::resolve`] reads all of them, so that all mistakes are told at once.
 
-mod doors;
+mod access;
 mod memory;
 mod store;
 mod telemetry;
@@ -17,7 +17,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
-pub use doors::{DoorsConfig, KeysConfig};
+pub use access::{AccessConfig, KeysConfig};
 pub use store::StoreConfig;
 pub use telemetry::{Collector, TelemetryConfig};
 pub use work::{WorkConfig, WorkOptions};
@@ -97,7 +97,7 @@ pub struct Options {
     #[arg(long, env = "MLSWARP_SOCKET_TIMEOUT", value_name = "TIME", default_value = "30s", global = true)]
     socket_timeout: String,
     #[command(flatten)]
-    doors: doors::DoorsArgs,
+    access: access::AccessArgs,
     #[command(flatten)]
     telemetry: telemetry::TelemetryArgs,
     /// What is logged, such as `info`, `mlswarp=debug,warn` or `off`.
@@ -139,7 +139,7 @@ pub struct Config {
     /// Longest time for a drag socket's client to take what it is sent, and to acknowledge a frame.
     pub socket_timeout: Duration,
     /// Who is let in, and how long clients may take.
-    pub doors: DoorsConfig,
+    pub access: AccessConfig,
     /// What is told of the service, and to whom.
     pub telemetry: TelemetryConfig,
     /// What is logged.
@@ -192,7 +192,7 @@ impl Options {
     pub fn resolve_to_serve(&self) -> Result<Config, Mistakes> {
         let mut m = Mistakes(Vec::new());
         let config = self.read(&mut m);
-        self.doors.check_open(&mut m, config.listen, &config.doors);
+        self.access.check_open(&mut m, config.listen, &config.access);
         if m.0.is_empty() { Ok(config) } else { Err(m) }
     }
 
@@ -215,7 +215,7 @@ impl Options {
             max_sockets: m.read("max-sockets", &self.max_sockets, |t| whole(t, 0, 1_000_000)),
             socket_idle: m.read("socket-idle", &self.socket_idle, units::span),
             socket_timeout: m.read("socket-timeout", &self.socket_timeout, units::span),
-            doors: self.doors.resolve(m),
+            access: self.access.resolve(m),
             telemetry: self.telemetry.resolve(m, listen),
             log: m.read("log", &self.log, filter),
             log_format: m.read("log-format", &self.log_format, log_format).unwrap_or(LogFormat::Text),

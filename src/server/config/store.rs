@@ -5,7 +5,7 @@ use std::fmt;
 use clap::Args;
 
 use super::{Mistakes, units, whole};
-use crate::store::{Bounds, Place};
+use crate::store::{Bounds, StoreUrl};
 
 /// Options of the store, as text.
 #[derive(Debug, Args)]
@@ -45,7 +45,7 @@ impl fmt::Debug for Secret {
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoreConfig {
     /// Where.
-    pub place: Place,
+    pub place: StoreUrl,
     /// How many, and for how long.
     pub bounds: Bounds,
 }

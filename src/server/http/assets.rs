@@ -16,7 +16,7 @@ use sha2::{Digest as _, Sha256};
 use crate::app::App;
 use crate::config::Config;
 use crate::problem::{Code, Problem};
-use crate::store::Place;
+use crate::store::StoreUrl;
 
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -110,7 +110,7 @@ fn limits(config: &Config) -> String {
         image.max_pixels,
         image.max_side,
         config.store.bounds.idle.as_secs(),
-        u8::from(config.store.place == Place::Memory)
+        u8::from(config.store.place == StoreUrl::Memory)
     )
 }
 

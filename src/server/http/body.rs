@@ -32,7 +32,7 @@ pub(crate) enum ReadError {
     },
     /// What a multipart body says beside its parts.
     #[error("the heads of the parts, and what lies between the parts, are longer than {limit} bytes")]
-    Wordy {
+    PartOverheadTooLarge {
         /// The limit.
         limit: u64,
     },
@@ -48,7 +48,7 @@ impl From<ReadError> for Problem {
     fn from(error: ReadError) -> Self {
         match error {
             ReadError::TooLarge { limit } => too_large("body_bytes", limit, limit.saturating_add(1)),
-            ReadError::Wordy { .. } => Self::new(Code::MalformedRequest, error.to_string()),
+            ReadError::PartOverheadTooLarge { .. } => Self::new(Code::MalformedRequest, error.to_string()),
             ReadError::TooSlow { .. } => Self::new(Code::Timeout, error.to_string()),
         }
     }
@@ -92,7 +92,7 @@ impl Waiting {
 
 /// A body with a limit and a deadline.
 #[derive(Debug)]
-pub(crate) struct Guard {
+pub(crate) struct LimitedBody {
     body: Option<Body>,
     left: u64,
     limit: u64,
@@ -101,18 +101,18 @@ pub(crate) struct Guard {
     waiting: Waiting,
 }
 
-impl Guard {
+impl LimitedBody {
     /// `waits`: the client asked for permission first (`Expect: 100-continue`); there is nothing to drain.
     pub(crate) fn wrap(body: Body, limit: u64, within: Duration, waits: bool, waiting: Waiting) -> Body {
         if body.is_end_stream() {
             return body;
         }
         let guard = Self { body: Some(body), left: limit, limit, within, deadline: Box::pin(sleep(within)), waiting };
-        if waits { Body::new(Patient(guard)) } else { Body::new(guard) }
+        if waits { Body::new(ExpectContinueBody(guard)) } else { Body::new(guard) }
     }
 }
 
-impl HttpBody for Guard {
+impl HttpBody for LimitedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -150,7 +150,7 @@ impl HttpBody for Guard {
     }
 }
 
-impl Drop for Guard {
+impl Drop for LimitedBody {
     fn drop(&mut self) {
         self.waiting.set(false);
         if let Some(body) = self.body.take().filter(|body| !body.is_end_stream())
@@ -169,9 +169,9 @@ async fn drain(mut body: Body, within: Duration) {
 
 /// A guarded body whose client sends nothing before it is told to.
 #[derive(Debug)]
-struct Patient(Guard);
+struct ExpectContinueBody(LimitedBody);
 
-impl HttpBody for Patient {
+impl HttpBody for ExpectContinueBody {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -188,7 +188,7 @@ impl HttpBody for Patient {
     }
 }
 
-impl Drop for Patient {
+impl Drop for ExpectContinueBody {
     fn drop(&mut self) {
         // Reading would give the permission.
         if self.0.left == self.0.limit {
@@ -207,13 +207,13 @@ pub(crate) fn media_type(request: &Request) -> Option<String> {
 const BESIDE: u64 = 16 << 10;
 
 /// Bytes that grow as they arrive; their memory is in the account before they are kept.
-pub(crate) struct Received<'a> {
+pub(crate) struct BodyBuffer<'a> {
     app: &'a App,
     bytes: Vec<u8>,
     held: Reservation,
 }
 
-impl<'a> Received<'a> {
+impl<'a> BodyBuffer<'a> {
     pub(crate) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
         Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_share(client), BESIDE)? })
     }
@@ -238,7 +238,7 @@ impl<'a> Received<'a> {
     /// As they are; a buffer that grew is up to twice as large as what it holds.
     pub(crate) fn finish(mut self) -> Bytes {
         self.held.shrink_to(self.bytes.capacity() as u64);
-        self.held.with(self.bytes)
+        self.held.attach(self.bytes)
     }
 
     /// Exactly: a session keeps them for minutes.
@@ -265,7 +265,7 @@ pub(crate) async fn json(
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut read = Received::new(app, client, purpose)?;
+    let mut read = BodyBuffer::new(app, client, purpose)?;
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
         if let Ok(data) = frame.into_data() {

@@ -12,7 +12,7 @@ use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
 use bytes::Bytes;
 use http_body::Frame;
 
-use super::body::{ReadError, Received, media_type, read_problem, too_large};
+use super::body::{BodyBuffer, ReadError, media_type, read_problem, too_large};
 use crate::app::App;
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -46,7 +46,7 @@ pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Res
     DefaultBodyLimit::disable().apply(&mut request);
     let _parser = app.reserve_for(Purpose::Upload, &app.request_share(client), PARSER)?;
     let unread = Unread::default();
-    let request = request.map(|body| Body::new(Fed { body, unread: unread.clone(), fed: false }));
+    let request = request.map(|body| Body::new(FrameGate { body, unread: unread.clone(), fed: false }));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|e| malformed(e.body_text()))?;
     let (mut image, mut warp) = (None, None);
     while let Some(part) = parts.next_field().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
@@ -78,7 +78,7 @@ fn malformed(detail: impl Into<String>) -> Problem {
 }
 
 async fn part_bytes(app: &App, client: Client, mut part: Field<'_>, limit: u64, unread: &Unread) -> Result<Bytes, Problem> {
-    let mut read = Received::new(app, client, Purpose::Upload)?;
+    let mut read = BodyBuffer::new(app, client, Purpose::Upload)?;
     while let Some(chunk) = part.chunk().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
         unread.begin();
         let length = read.len() + chunk.len() as u64;
@@ -101,14 +101,14 @@ impl Unread {
 }
 
 /// A body that is handed over a frame at a time, as long as something comes of it.
-struct Fed {
+struct FrameGate {
     body: Body,
     unread: Unread,
     /// The parser has a frame that it has not looked at: it asks until there is none.
     fed: bool,
 }
 
-impl HttpBody for Fed {
+impl HttpBody for FrameGate {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -119,7 +119,7 @@ impl HttpBody for Fed {
             return Poll::Pending;
         }
         if this.unread.0.load(Ordering::Relaxed) > HEADS {
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::Wordy { limit: HEADS }))));
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: HEADS }))));
         }
         let frame = ready!(Pin::new(&mut this.body).poll_frame(cx));
         if let Some(data) = frame.as_ref().and_then(|frame| frame.as_ref().ok()).and_then(Frame::data_ref) {

@@ -10,10 +10,10 @@ use crate::client::Tenant;
 
 /// Places for connections.
 #[derive(Clone, Debug)]
-pub struct Places(Arc<Shared>);
+pub struct ConnectionLimiter(Arc<LimiterState>);
 
 #[derive(Debug)]
-struct Shared {
+struct LimiterState {
     most: usize,
     most_of_one: usize,
     taken: Mutex<Taken>,
@@ -28,21 +28,21 @@ struct Taken {
 
 /// The place of one connection; given back when dropped.
 #[derive(Debug)]
-pub struct Place {
-    places: Places,
+pub struct ConnectionPermit {
+    places: ConnectionLimiter,
     client: Tenant,
 }
 
-impl Places {
+impl ConnectionLimiter {
     /// So many, and so many from one address (from one /64 of IPv6).
     #[must_use]
     pub fn new(most: usize, most_of_one: usize) -> Self {
-        Self(Arc::new(Shared { most, most_of_one, taken: Mutex::default(), refused: AtomicU64::new(0) }))
+        Self(Arc::new(LimiterState { most, most_of_one, taken: Mutex::default(), refused: AtomicU64::new(0) }))
     }
 
     /// A place, if there is one. A proxy that is trusted to count by itself may have all.
     #[must_use]
-    pub fn take(&self, peer: IpAddr, is_proxy: bool) -> Option<Place> {
+    pub fn take(&self, peer: IpAddr, is_proxy: bool) -> Option<ConnectionPermit> {
         let client = Tenant::of_address(peer);
         let mut taken = self.taken();
         let of_one = taken.by_client.get(&client).copied().unwrap_or(0);
@@ -52,7 +52,7 @@ impl Places {
         }
         taken.all += 1;
         taken.by_client.insert(client, of_one + 1);
-        Some(Place { places: self.clone(), client })
+        Some(ConnectionPermit { places: self.clone(), client })
     }
 
     /// Connections that there are.
@@ -72,7 +72,7 @@ impl Places {
     }
 }
 
-impl Drop for Place {
+impl Drop for ConnectionPermit {
     fn drop(&mut self) {
         let mut taken = self.places.taken();
         taken.all = taken.all.saturating_sub(1);
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn places_are_counted_and_come_back() {
-        let places = Places::new(4, 2);
+        let places = ConnectionLimiter::new(4, 2);
         let ip = |text: &str| text.parse::<IpAddr>().unwrap();
         let first = places.take(ip("192.0.2.1"), false);
         let second = places.take(ip("192.0.2.1"), false);

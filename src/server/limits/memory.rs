@@ -58,14 +58,14 @@ impl Purpose {
 
 /// What there is not enough of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Short {
+pub enum Exhausted {
     /// All of the memory that the purpose may use.
     Memory,
     /// What one client may hold.
     Share(Quota),
 }
 
-impl Short {
+impl Exhausted {
     const fn by(self) -> &'static str {
         match self {
             Self::Memory => "",
@@ -78,9 +78,9 @@ impl Short {
 /// There is not so much left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .short.by())]
-pub struct NoRoom {
+pub struct BudgetExceeded {
     /// Of what.
-    pub short: Short,
+    pub short: Exhausted,
     /// For what.
     pub purpose: Purpose,
     /// How many bytes.
@@ -91,11 +91,11 @@ pub struct NoRoom {
     pub taken: u64,
 }
 
-impl NoRoom {
+impl BudgetExceeded {
     /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
     #[must_use]
     pub fn is_forever(&self) -> bool {
-        self.short != Short::Share(Quota::Answers) && self.asked > self.limit
+        self.short != Exhausted::Share(Quota::Answers) && self.asked > self.limit
     }
 }
 
@@ -172,8 +172,8 @@ impl Budget {
     /// Takes memory, at once or not at all.
     ///
     /// # Errors
-    /// [`NoRoom`].
-    pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, NoRoom> {
+    /// [`BudgetExceeded`].
+    pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: None };
         reservation.grow(bytes)?;
         Ok(reservation)
@@ -182,8 +182,8 @@ impl Budget {
     /// Takes memory that counts for a client until it is given back.
     ///
     /// # Errors
-    /// [`NoRoom`].
-    pub fn take_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, NoRoom> {
+    /// [`BudgetExceeded`].
+    pub fn take_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
         reservation.grow(bytes)?;
         Ok(reservation)
@@ -200,12 +200,12 @@ impl Reservation {
     /// Takes so much more, at once or not at all.
     ///
     /// # Errors
-    /// [`NoRoom`].
-    pub fn grow(&mut self, more: u64) -> Result<(), NoRoom> {
+    /// [`BudgetExceeded`].
+    pub fn grow(&mut self, more: u64) -> Result<(), BudgetExceeded> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
         if let Some(share) = &self.share {
-            share.take(self.bytes, more).map_err(|taken| NoRoom {
-                short: Short::Share(share.quota()),
+            share.take(self.bytes, more).map_err(|taken| BudgetExceeded {
+                short: Exhausted::Share(share.quota()),
                 purpose,
                 asked,
                 limit: share.limit(),
@@ -221,7 +221,7 @@ impl Reservation {
             if let Some(share) = &self.share {
                 share.give(more);
             }
-            return Err(NoRoom { short: Short::Memory, purpose, asked, limit, taken });
+            return Err(BudgetExceeded { short: Exhausted::Memory, purpose, asked, limit, taken });
         }
         account.by_purpose[self.purpose as usize].fetch_add(more, Ordering::Relaxed);
         self.bytes += more;
@@ -249,17 +249,17 @@ impl Reservation {
 
     /// Bytes that hold the reservation for as long as anyone holds them.
     #[must_use]
-    pub fn with(self, bytes: Vec<u8>) -> Bytes {
-        struct Held {
+    pub fn attach(self, bytes: Vec<u8>) -> Bytes {
+        struct HeldBytes {
             bytes: Vec<u8>,
             _reservation: Reservation,
         }
-        impl AsRef<[u8]> for Held {
+        impl AsRef<[u8]> for HeldBytes {
             fn as_ref(&self) -> &[u8] {
                 &self.bytes
             }
         }
-        Bytes::from_owner(Held { bytes, _reservation: self })
+        Bytes::from_owner(HeldBytes { bytes, _reservation: self })
     }
 }
 
@@ -295,7 +295,7 @@ mod tests {
         let budget = Budget::new(800);
         let upload = budget.take(Purpose::Upload, 600).unwrap();
         let refused = budget.take(Purpose::Upload, 1).unwrap_err();
-        assert_eq!(refused, NoRoom { short: Short::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert_eq!(refused, BudgetExceeded { short: Exhausted::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
         assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
         let image = budget.take(Purpose::Image, 100).unwrap();
         assert!(budget.take(Purpose::Plan, 1).is_err());
@@ -326,13 +326,16 @@ mod tests {
         let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
         answer.grow(50).unwrap();
         let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
-        assert_eq!(refused, NoRoom { short: Short::Share(Quota::Answers), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 });
+        assert_eq!(
+            refused,
+            BudgetExceeded { short: Exhausted::Share(Quota::Answers), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
+        );
         assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
-        let strip = answer.split(120).with(vec![0; 120]);
+        let strip = answer.split(120).attach(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
         // What the account refuses is nobody's.
-        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Short::Memory);
+        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Exhausted::Memory);
         assert_eq!((other.held(), budget.taken()), (0, 120));
         let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
         drop((strip, whole));
@@ -342,7 +345,7 @@ mod tests {
     #[test]
     fn bytes_hold_their_memory_as_long_as_anyone_holds_them() {
         let budget = Budget::new(800);
-        let bytes = budget.take(Purpose::Frame, 10).unwrap().with(vec![7; 10]);
+        let bytes = budget.take(Purpose::Frame, 10).unwrap().attach(vec![7; 10]);
         let part = bytes.slice(3..5);
         drop(bytes);
         assert_eq!((budget.taken(), &part[..]), (10, &[7, 7][..]));

@@ -49,7 +49,7 @@ const fn mask(bits: u8, width: u8) -> u128 {
 /// Where a request comes from: the peer, or, where the peer is a trusted proxy, the last address of `forwarded` (a whole `X-Forwarded-For`, first
 /// hop first) that is not one. What stands further to the left was written by whoever asked and says nothing.
 #[must_use]
-pub fn origin<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
+pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
     let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.has(address));
     let mut at = peer.to_canonical();
     for hop in forwarded.rev() {
@@ -107,7 +107,7 @@ mod tests {
         let trusted = [Network::parse("10.0.0.0/8").unwrap(), Network::parse("::1").unwrap()];
         let from = |peer: &str, forwarded: &str| {
             let hops: Vec<&str> = if forwarded.is_empty() { Vec::new() } else { forwarded.split(',').collect() };
-            origin(ip(peer), hops.into_iter(), &trusted)
+            client_ip(ip(peer), hops.into_iter(), &trusted)
         };
         // No proxy: whatever is claimed, the peer is meant.
         assert_eq!(from("203.0.113.9", "198.51.100.1"), ip("203.0.113.9"));

@@ -18,20 +18,20 @@ const BURST: f64 = 2.0;
 type Row<K> = [Option<(K, Bucket)>; NEIGHBOURS];
 
 /// Buckets by who asks.
-pub struct Rates<K> {
+pub struct RateLimit<K> {
     a_second: f64,
     // Keyed by the operating system's randomness: nobody can choose whom to meet in a place.
     hasher: RandomState,
     places: Vec<Mutex<Row<K>>>,
 }
 
-impl<K> std::fmt::Debug for Rates<K> {
+impl<K> std::fmt::Debug for RateLimit<K> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Rates").field("a_second", &self.a_second).finish_non_exhaustive()
     }
 }
 
-impl<K: Copy + Eq + Hash> Rates<K> {
+impl<K: Copy + Eq + Hash> RateLimit<K> {
     /// So many requests a second, and twice as many at once.
     #[must_use]
     pub fn new(a_second: u32) -> Self {
@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     fn each_has_its_own_rate() {
-        let rates = Rates::new(10);
+        let rates = RateLimit::new(10);
         let now = Instant::now();
         let taken = |who: u32, at: Instant| (0..1000).take_while(|_| rates.take(who, at).is_ok()).count();
         assert_eq!(taken(1, now), 20);
@@ -81,7 +81,7 @@ mod tests {
     /// A million others come between, and the table has no more places than before; one who floods among them is still held back.
     #[test]
     fn a_crowd_takes_no_more_places_and_hides_no_flood() {
-        let rates = Rates::new(1);
+        let rates = RateLimit::new(1);
         let now = Instant::now();
         let mut taken = 0;
         for other in 0..300_000_u64 {

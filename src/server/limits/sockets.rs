@@ -16,10 +16,10 @@ const RETRY: u32 = 5;
 
 /// All seats. Cloning shares them.
 #[derive(Clone, Debug)]
-pub struct Seats(Arc<Hall>);
+pub struct SocketSlots(Arc<SlotState>);
 
 #[derive(Debug)]
-struct Hall {
+struct SlotState {
     most: usize,
     of_client: usize,
     frames: usize,
@@ -35,19 +35,19 @@ struct Taken {
 
 /// A socket's seat, free again when it is dropped.
 #[derive(Debug)]
-pub struct Seat {
-    hall: Arc<Hall>,
+pub struct SocketSlot {
+    hall: Arc<SlotState>,
     id: SessionId,
     tenant: Tenant,
     frames: Arc<Semaphore>,
 }
 
-impl Seats {
+impl SocketSlots {
     /// `most` sockets in all, `of_client` of one client. At most `frames` frames of one client stand before the pool at one time: its others
     /// wait here, in order of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
     #[must_use]
     pub fn new(most: usize, of_client: u64, frames: usize) -> Self {
-        Self(Arc::new(Hall {
+        Self(Arc::new(SlotState {
             most,
             of_client: usize::try_from(of_client).unwrap_or(usize::MAX),
             frames: frames.clamp(1, Semaphore::MAX_PERMITS),
@@ -60,7 +60,7 @@ impl Seats {
     ///
     /// # Errors
     /// [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
-    pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<Seat, Problem> {
+    pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
         let hall = &self.0;
         let mut taken = hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
         let (all, of_session) = (*hall.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
@@ -80,7 +80,7 @@ impl Seats {
         *sockets += 1;
         let frames = Arc::clone(frames);
         hall.open.send_modify(|open| *open += 1);
-        Ok(Seat { hall: Arc::clone(hall), id, tenant, frames })
+        Ok(SocketSlot { hall: Arc::clone(hall), id, tenant, frames })
     }
 
     /// Seats that are taken now.
@@ -96,7 +96,7 @@ impl Seats {
     }
 }
 
-impl Seat {
+impl SocketSlot {
     /// Where the client's frames wait for their turn.
     #[must_use]
     pub fn frames(&self) -> Arc<Semaphore> {
@@ -104,7 +104,7 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for SocketSlot {
     fn drop(&mut self) {
         let mut taken = self.hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(of_session) = taken.sessions.get_mut(&self.id) {
@@ -132,9 +132,9 @@ mod tests {
     async fn seats_are_bounded_in_all_for_a_client_and_for_a_session_and_given_back() {
         let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
         let session = || SessionId::random(Owner::ANYBODY);
-        let seats = Seats::new(OF_A_SESSION + 3, OF_A_SESSION as u64 + 1, 4);
+        let seats = SocketSlots::new(OF_A_SESSION + 3, OF_A_SESSION as u64 + 1, 4);
         let one = session();
-        let mut held: Vec<Seat> = (0..OF_A_SESSION).map(|_| seats.take(tenant(1), one).unwrap()).collect();
+        let mut held: Vec<SocketSlot> = (0..OF_A_SESSION).map(|_| seats.take(tenant(1), one).unwrap()).collect();
         let refused = seats.take(tenant(1), one).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::Overloaded, Some("session_sockets"), Some(RETRY)));
         held.push(seats.take(tenant(1), session()).unwrap());
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn frames_of_one_client_wait_for_its_own_alone() {
         let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
-        let seats = Seats::new(9, 9, 2);
+        let seats = SocketSlots::new(9, 9, 2);
         let [a, b, other] = [1, 1, 2].map(|n| seats.take(tenant(n), SessionId::random(Owner::ANYBODY)).unwrap());
         let _turns = [a.frames().try_acquire_owned().unwrap(), b.frames().try_acquire_owned().unwrap()];
         assert!(a.frames().try_acquire_owned().is_err() && other.frames().try_acquire_owned().is_ok());

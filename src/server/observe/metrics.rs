@@ -17,7 +17,7 @@ use crate::app::App;
 use crate::app::causes::Cause;
 use crate::app::draw::Cost;
 use crate::app::warp::Timing;
-use crate::cache::Use;
+use crate::cache::CacheStats;
 use crate::limits::memory::Purpose;
 use crate::pool::Work;
 use crate::problem::Problem;
@@ -209,7 +209,7 @@ impl App {
     }
 
     fn write_doors(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let places = self.0.doors.places();
+        let places = self.0.access.places();
         sheet.gauge("connections", "Connections that are open", &one(places.open() as u64))?;
         sheet.counter("connections_refused", "Connections that were closed at once because there were too many", &one(places.refused()))
     }
@@ -227,7 +227,7 @@ impl App {
 
     fn write_caches(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
         let shelves = [("images", self.0.images.usage()), ("plans", self.0.plans.usage()), ("setups", self.0.setups.usage())];
-        let each = |value: fn(&Use) -> u64| shelves.each_ref().map(|(name, usage)| (label("cache", name), value(usage)));
+        let each = |value: fn(&CacheStats) -> u64| shelves.each_ref().map(|(name, usage)| (label("cache", name), value(usage)));
         sheet.bytes("cache_size", "What is kept", &each(|usage| usage.bytes))?;
         sheet.gauge("cache_values", "Values that are kept", &each(|usage| usage.values))?;
         sheet.counter("cache_hits", "Looks that found a value", &each(|usage| usage.hits))?;

@@ -46,9 +46,9 @@ pub struct NotTraced {
 
 /// Begins traces. Cloning shares it.
 #[derive(Clone, Debug)]
-pub struct Tracer(Arc<Shared>);
+pub struct Tracer(Arc<TracerState>);
 
-struct Shared {
+struct TracerState {
     share: f64,
     obeyed: Mutex<Bucket>,
     queue: mpsc::Sender<Collected>,
@@ -57,7 +57,7 @@ struct Shared {
     tally: Arc<Tally>,
 }
 
-impl fmt::Debug for Shared {
+impl fmt::Debug for TracerState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Shared").field("share", &self.share).field("tally", &self.tally).finish_non_exhaustive()
     }
@@ -129,7 +129,7 @@ impl Tracer {
         let (open, opened) = watch::channel(0);
         let tally = Arc::<Tally>::default();
         let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
-        let shared = Shared { share: config.otlp_sample, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
+        let shared = TracerState { share: config.otlp_sample, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
         Ok(Some((Self(Arc::new(shared)), Outbox { queue, open: opened, exporter, rejected, collector, tally })))
     }
 

@@ -14,10 +14,10 @@
 //! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
 //! request's future was dropped before.
 
-mod crew;
-mod crowd;
-mod gate;
+mod admission;
 mod queue;
+mod recent_concurrency;
+mod worker_threads;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -27,12 +27,12 @@ use std::time::{Duration, Instant};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::oneshot;
 
-use crew::Crew;
-use crowd::Crowd;
-pub use crowd::Drawer;
-pub use gate::Load;
-use gate::{Gate, Turn};
-pub use queue::Lane;
+pub use admission::Load;
+use admission::{AdmissionPermit, AdmissionQueue};
+pub use queue::QueueKey;
+pub use recent_concurrency::DrawGuard;
+use recent_concurrency::RecentConcurrency;
+use worker_threads::WorkerThreads;
 
 use crate::observe::Scope;
 use crate::observe::scope::stage;
@@ -49,10 +49,10 @@ pub enum PoolError {
     #[error("all workers are busy and the queue is full")]
     Full,
     /// The turn did not come in time.
-    #[error("no worker was free within the {} ms that this may wait", .patience.as_millis())]
+    #[error("no worker was free within the {} ms that this may wait", .max_wait.as_millis())]
     Late {
         /// The longest wait.
-        patience: Duration,
+        max_wait: Duration,
     },
     /// A computation panicked; its message is in the log.
     #[error("a computation failed")]
@@ -93,12 +93,12 @@ pub struct Shape {
 /// Compute threads behind bounded queues. Cloning shares them.
 #[derive(Clone, Debug)]
 pub struct Pool {
-    drags: Arc<Gate>,
-    uploads: Arc<Gate>,
-    fetches: Arc<Gate>,
+    drags: Arc<AdmissionQueue>,
+    uploads: Arc<AdmissionQueue>,
+    fetches: Arc<AdmissionQueue>,
     /// For what is split, while the thread that split it sleeps; one thing at a time.
     wide: Arc<Mutex<ThreadPool>>,
-    crowd: Crowd,
+    crowd: RecentConcurrency,
     workers: usize,
     running: Arc<AtomicUsize>,
 }
@@ -106,8 +106,8 @@ pub struct Pool {
 /// The right to compute, for the request that has waited for it.
 #[derive(Clone, Debug)]
 pub struct Ticket {
-    gate: Arc<Gate>,
-    _turn: Arc<Turn>,
+    gate: Arc<AdmissionQueue>,
+    _turn: Arc<AdmissionPermit>,
     scope: Scope,
     waited: Duration,
 }
@@ -177,22 +177,22 @@ impl Pool {
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let gate = |name: &str, patience: Duration, nice: i32| {
-            let crew = Crew::start(name, workers + queue::SPARE, nice).map_err(|e| NoThreads(e.to_string()))?;
-            Ok(Gate::new(crew, workers, queue, patience))
+        let gate = |name: &str, max_wait: Duration, nice: i32| {
+            let crew = WorkerThreads::start(name, workers + queue::SPARE, nice).map_err(|e| NoThreads(e.to_string()))?;
+            Ok(AdmissionQueue::new(crew, workers, queue, max_wait))
         };
         Ok(Self {
             drags: gate("drag", drag_wait, 0)?,
             uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
-            fetches: Gate::new(Crew::default(), FETCHES, queue, upload_wait),
+            fetches: AdmissionQueue::new(WorkerThreads::default(), FETCHES, queue, upload_wait),
             wide: Arc::new(Mutex::new(wide)),
-            crowd: Crowd::default(),
+            crowd: RecentConcurrency::default(),
             workers,
             running: Arc::new(AtomicUsize::new(0)),
         })
     }
 
-    const fn gate(&self, work: Work) -> &Arc<Gate> {
+    const fn gate(&self, work: Work) -> &Arc<AdmissionQueue> {
         match work {
             Work::Drag => &self.drags,
             Work::Upload => &self.uploads,
@@ -208,7 +208,7 @@ impl Pool {
 
     /// A request of this lane would be refused now.
     #[must_use]
-    pub fn refuses(&self, work: Work, lane: Lane) -> bool {
+    pub fn refuses(&self, work: Work, lane: QueueKey) -> bool {
         self.gate(work).refuses(lane)
     }
 
@@ -228,7 +228,7 @@ impl Pool {
     ///
     /// # Errors
     /// [`PoolError::Full`], [`PoolError::Late`].
-    pub async fn admit(&self, work: Work, lane: Lane) -> Result<Ticket, PoolError> {
+    pub async fn admit(&self, work: Work, lane: QueueKey) -> Result<Ticket, PoolError> {
         let began = Instant::now();
         let gate = self.gate(work);
         let turn = gate.enter(lane).await;
@@ -257,7 +257,7 @@ impl Pool {
 
     /// Starts `work` on a compute thread and does not wait. A panic ends `work` alone, and drops what it holds.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
-        ticket.gate.crew.hand_over([self.job(ticket, work)]);
+        ticket.gate.crew.submit([self.job(ticket, work)]);
     }
 
     /// The same with `helpers` more threads that are woken at the same time, each of which calls `help`.
@@ -269,7 +269,7 @@ impl Pool {
         help: impl Fn() + Clone + Send + 'static,
     ) {
         let help = (0..helpers).map(|_| self.job(ticket, help.clone()));
-        ticket.gate.crew.hand_over(std::iter::once(self.job(ticket, work)).chain(help));
+        ticket.gate.crew.submit(std::iter::once(self.job(ticket, work)).chain(help));
     }
 
     fn job(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce() + Send> {
@@ -289,7 +289,7 @@ impl Pool {
 
     /// Runs `work` on as many threads as it splits into, while this compute thread sleeps; on this thread alone when they are taken (a thread
     /// that waits for a part of one thing would take up all of another). A panic comes through.
-    pub fn spread<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+    pub fn run_parallel<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match self.wide.try_lock() {
             Ok(wide) => wide.install(work),
             // Nothing of the pool is broken by a panic that went through it.
@@ -300,7 +300,7 @@ impl Pool {
 
     /// Joins those who draw; the number is how many threads beside its own the picture may take.
     #[must_use]
-    pub fn draws(&self) -> (Drawer, usize) {
+    pub fn draws(&self) -> (DrawGuard, usize) {
         let (drawer, most) = self.crowd.join();
         (drawer, (self.workers / most).saturating_sub(1))
     }
@@ -325,8 +325,8 @@ mod tests {
     const LONG: Duration = Duration::from_secs(600);
 
     /// A session of one client.
-    fn lane(n: u8) -> Lane {
-        Lane::session(Client::default(), SessionId::from_bytes(&[n; 32]))
+    fn lane(n: u8) -> QueueKey {
+        QueueKey::session(Client::default(), SessionId::from_bytes(&[n; 32]))
     }
 
     async fn drag(pool: &Pool, n: u8) -> Result<Ticket, PoolError> {
@@ -359,7 +359,7 @@ mod tests {
     async fn whoever_waits_too_long_is_told_and_nothing_is_left_of_it() {
         let pool = pool(8, Duration::from_millis(20));
         let first = drag(&pool, 1).await.unwrap();
-        assert_eq!(drag(&pool, 2).await.unwrap_err(), PoolError::Late { patience: Duration::from_millis(20) });
+        assert_eq!(drag(&pool, 2).await.unwrap_err(), PoolError::Late { max_wait: Duration::from_millis(20) });
         assert_eq!(pool.load(Work::Drag), Load { running: 1, waiting: 0, full: 0, late: 1 });
         drop(first);
         drag(&pool, 3).await.unwrap();
@@ -405,7 +405,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         let other = Client { address: [192, 0, 2, 1].into(), ..Client::default() };
-        let ticket = pool.admit(Work::Drag, Lane::client(other)).await.unwrap();
+        let ticket = pool.admit(Work::Drag, QueueKey::client(other)).await.unwrap();
         assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7), "it has a turn and a thread");
         assert!(pool.refuses(Work::Drag, lane(2)) && pool.is_full(Work::Drag));
         drop((go, long, ticket));

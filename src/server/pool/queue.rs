@@ -33,7 +33,7 @@ const MANY: usize = 1024;
 
 /// Requests that wait together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Lane {
+pub struct QueueKey {
     tenant: Tenant,
     within: Within,
 }
@@ -46,7 +46,7 @@ enum Within {
     Address(Tenant),
 }
 
-impl Lane {
+impl QueueKey {
     /// Of what a client asks of a session.
     #[must_use]
     pub fn session(client: Client, id: SessionId) -> Self {
@@ -89,7 +89,7 @@ pub(crate) struct Queue<W> {
     most: usize,
     running: usize,
     waiting: usize,
-    lanes: HashMap<Lane, VecDeque<(u64, W)>>,
+    lanes: HashMap<QueueKey, VecDeque<(u64, W)>>,
     accounts: HashMap<Tenant, Account>,
     /// Clients of whom a request waits; the one that got a turn last is the last.
     order: VecDeque<Tenant>,
@@ -101,7 +101,7 @@ pub(crate) struct Queue<W> {
 struct Account {
     waiting: usize,
     /// Lanes in which a request waits, the next one first.
-    lanes: VecDeque<Lane>,
+    lanes: VecDeque<QueueKey>,
     running: usize,
     /// Worker time used lately, in seconds, as it counted at `at`. Since then `running` requests have run.
     used: f64,
@@ -148,16 +148,16 @@ impl<W> Queue<W> {
 
     /// A client that has no request here yet would be refused.
     pub(crate) fn is_full(&self) -> bool {
-        self.refuses(Lane::client(Client::default()))
+        self.refuses(QueueKey::client(Client::default()))
     }
 
     /// A request of this lane would be refused.
-    pub(crate) fn refuses(&self, lane: Lane) -> bool {
+    pub(crate) fn refuses(&self, lane: QueueKey) -> bool {
         !self.may_run(lane.tenant) && self.waiting >= self.most && self.gives_way(lane).is_none()
     }
 
     /// The lane that makes room in a full queue for a newcomer of this one.
-    fn gives_way(&self, lane: Lane) -> Option<Lane> {
+    fn gives_way(&self, lane: QueueKey) -> Option<QueueKey> {
         let number = |tenant: &Tenant| self.accounts.get(tenant).map_or(0, |account| account.waiting);
         let most = self.order.iter().map(number).max().unwrap_or(0);
         if most > number(&lane.tenant) + 1 {
@@ -173,7 +173,7 @@ impl<W> Queue<W> {
     }
 
     /// The longest lane of a client and how many wait there; among equals, the one whose turn is farthest away.
-    fn longest(&self, tenant: Tenant) -> Option<(Lane, usize)> {
+    fn longest(&self, tenant: Tenant) -> Option<(QueueKey, usize)> {
         let lanes = self.accounts.get(&tenant)?.lanes.iter();
         lanes.map(|lane| (*lane, self.lanes.get(lane).map_or(0, VecDeque::len))).max_by_key(|(_, length)| *length)
     }
@@ -199,7 +199,7 @@ impl<W> Queue<W> {
     }
 
     /// A newcomer; `waiter` is made only if it has to wait.
-    pub(crate) fn arrive(&mut self, lane: Lane, now: Instant, waiter: impl FnOnce() -> W) -> Arrival<W> {
+    pub(crate) fn arrive(&mut self, lane: QueueKey, now: Instant, waiter: impl FnOnce() -> W) -> Arrival<W> {
         // A request that waits would have been given a free turn.
         if self.may_run(lane.tenant) {
             self.run(lane.tenant, now);
@@ -233,7 +233,7 @@ impl<W> Queue<W> {
     }
 
     /// Takes a request out of a lane.
-    fn take(&mut self, lane: Lane, which: impl FnOnce(&mut VecDeque<(u64, W)>) -> Option<(u64, W)>) -> Option<(u64, W)> {
+    fn take(&mut self, lane: QueueKey, which: impl FnOnce(&mut VecDeque<(u64, W)>) -> Option<(u64, W)>) -> Option<(u64, W)> {
         let waiters = self.lanes.get_mut(&lane)?;
         let taken = which(waiters)?;
         self.waiting -= 1;
@@ -277,7 +277,7 @@ impl<W> Queue<W> {
     }
 
     /// The lane whose turn it is. It comes last from now on among its client's, and its client last among equals.
-    fn next_lane(&mut self, now: Instant) -> Option<Lane> {
+    fn next_lane(&mut self, now: Instant) -> Option<QueueKey> {
         let rank = |tenant: &Tenant| self.accounts.get(tenant).map_or((0.0, 0), |account| (account.used(now), account.running));
         let candidates = self.order.iter().enumerate().filter(|(_, tenant)| self.may_run(**tenant)).map(|(at, tenant)| (at, rank(tenant)));
         let (at, _) = candidates.min_by(|(_, a), (_, b)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
@@ -289,7 +289,7 @@ impl<W> Queue<W> {
     }
 
     /// A request that waited has left.
-    pub(crate) fn leave(&mut self, lane: Lane, id: u64) {
+    pub(crate) fn leave(&mut self, lane: QueueKey, id: u64) {
         self.take(lane, |waiters| waiters.iter().position(|(other, _)| *other == id).and_then(|at| waiters.remove(at)));
     }
 }
@@ -314,12 +314,12 @@ mod tests {
         SessionId::from_bytes(&std::array::from_fn(|at| if at < 16 { 0 } else { n }))
     }
 
-    fn session(n: u8) -> Lane {
-        Lane::session(at(n), id(n))
+    fn session(n: u8) -> QueueKey {
+        QueueKey::session(at(n), id(n))
     }
 
-    fn client(n: u8) -> Lane {
-        Lane::client(at(n))
+    fn client(n: u8) -> QueueKey {
+        QueueKey::client(at(n))
     }
 
     /// A queue whose turns are all taken, by clients 98 and 99, at a time that stands still.
@@ -337,7 +337,7 @@ mod tests {
     }
 
     impl Busy {
-        fn arrive(&mut self, lane: Lane, waiter: u32) -> Arrival<u32> {
+        fn arrive(&mut self, lane: QueueKey, waiter: u32) -> Arrival<u32> {
             self.queue.arrive(lane, self.now, || waiter)
         }
 
@@ -396,12 +396,12 @@ mod tests {
         for [one, other] in [[keyed(1), keyed(2)], [at(1), at(2)]] {
             let mut busy = busy(4);
             for n in 0..4 {
-                busy.arrive(Lane::session(one, id(n)), u32::from(n));
+                busy.arrive(QueueKey::session(one, id(n)), u32::from(n));
             }
-            assert!(busy.queue.refuses(Lane::session(one, id(9))) && !busy.queue.refuses(Lane::session(other, id(10))));
-            assert_eq!(busy.arrive(Lane::session(other, id(10)), 20), Arrival::Replaces(4, 3));
-            assert_eq!(busy.arrive(Lane::session(other, id(11)), 21), Arrival::Replaces(5, 2));
-            assert_eq!(busy.arrive(Lane::session(other, id(12)), 22), Arrival::Refused);
+            assert!(busy.queue.refuses(QueueKey::session(one, id(9))) && !busy.queue.refuses(QueueKey::session(other, id(10))));
+            assert_eq!(busy.arrive(QueueKey::session(other, id(10)), 20), Arrival::Replaces(4, 3));
+            assert_eq!(busy.arrive(QueueKey::session(other, id(11)), 21), Arrival::Replaces(5, 2));
+            assert_eq!(busy.arrive(QueueKey::session(other, id(12)), 22), Arrival::Refused);
             assert_eq!(busy.served(), [0, 20, 1, 21], "clients take turns, however many sessions each has");
         }
     }
@@ -499,7 +499,7 @@ mod tests {
         for n in 0..10_000_u32 {
             let address = Client { address: Ipv4Addr::from_bits(n).into(), ..Client::default() };
             let now = later + step * n;
-            queue.arrive(Lane::client(address), now, || 0);
+            queue.arrive(QueueKey::client(address), now, || 0);
             queue.end(address.tenant(), now + step);
             assert!(queue.accounts.len() <= 2 * MANY);
         }
@@ -511,7 +511,7 @@ mod tests {
         #[test]
         fn everyone_is_accounted_for(steps in prop::collection::vec((0_u8..4, 0_u8..6), 1..400), turns in 1_usize..4, most in 0_usize..8) {
             let mut queue: Queue<u32> = Queue::new(turns, most);
-            let (mut running, mut waiting, mut name) = (Vec::new(), Vec::<(Lane, u64, u32)>::new(), 0);
+            let (mut running, mut waiting, mut name) = (Vec::new(), Vec::<(QueueKey, u64, u32)>::new(), 0);
             let mut now = Instant::now();
             for (what, n) in steps {
                 now += MS * u32::from(n);

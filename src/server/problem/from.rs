@@ -20,7 +20,7 @@ impl From<WarpError> for Problem {
             WarpError::BadPlace { index, value, limit } => {
                 Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
             }
-            WarpError::GivenUp => Self::new(Code::Overloaded, detail).retry_after(RETRY_GIVEN_UP),
+            WarpError::Cancelled => Self::new(Code::Overloaded, detail).retry_after(RETRY_GIVEN_UP),
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
@@ -43,7 +43,7 @@ impl From<CodecError> for Problem {
             CodecError::Unsupported { .. } => Self::new(Code::UnsupportedFormat, detail),
             CodecError::TooLarge { what, limit, actual } => Self::new(Code::TooLarge, detail).limit(what, limit, actual),
             CodecError::Bad { .. } => Self::new(Code::BadImage, detail),
-            CodecError::GivenUp => Self::new(Code::Timeout, detail),
+            CodecError::Cancelled => Self::new(Code::Timeout, detail),
         }
     }
 }
@@ -71,7 +71,7 @@ fn of_handles(side: &str, error: &DeformError) -> Problem {
         DeformError::TooManyNeighbours { limit } => {
             new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_comparisons", limit, limit + 1)
         }
-        DeformError::GivenUp => new(Code::Timeout),
+        DeformError::Cancelled => new(Code::Timeout),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
     }
 }

@@ -24,7 +24,7 @@ pub(crate) struct Index {
     /// Sessions whose record another version of the program has written.
     unread: HashMap<SessionId, Unread>,
     /// Ended sessions, remembered for a while. At most as many as there may be sessions.
-    graves: HashMap<SessionId, Grave>,
+    tombstones: HashMap<SessionId, Grave>,
     /// In the order in which they were made.
     graves_by_age: VecDeque<(SessionId, Grave)>,
 }
@@ -67,7 +67,7 @@ struct File {
 
 /// What a record that is put will come to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Will {
+pub(crate) enum PutOutcome {
     /// There is no such session.
     Create,
     /// The session that is there was made from the same.
@@ -84,7 +84,7 @@ impl Index {
             files: HashMap::new(),
             bytes: 0,
             unread: HashMap::new(),
-            graves: HashMap::new(),
+            tombstones: HashMap::new(),
             graves_by_age: VecDeque::new(),
         }
     }
@@ -119,7 +119,7 @@ impl Index {
             Some(entry) if !self.is_over(entry, now) => return Ok(entry),
             Some(entry) => Some(entry.used + 2 * self.bounds.idle),
             None if self.unread.contains_key(&id) => return Err(StoreError::OtherVersion),
-            None => self.graves.get(&id).filter(|grave| grave.end == End::Expired).map(|grave| grave.until),
+            None => self.tombstones.get(&id).filter(|grave| grave.end == End::Expired).map(|grave| grave.until),
         };
         if until.is_some_and(|until| now < until) { Err(StoreError::Expired) } else { Err(StoreError::NoSuchSession) }
     }
@@ -130,7 +130,7 @@ impl Index {
         let is_deleted = |grave: &Grave| grave.end == End::Deleted && now < grave.until;
         match self.living(id, now) {
             Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
-            Err(StoreError::NoSuchSession) if self.graves.get(&id).is_some_and(is_deleted) => Ok(false),
+            Err(StoreError::NoSuchSession) if self.tombstones.get(&id).is_some_and(is_deleted) => Ok(false),
             Err(error) => Err(error),
         }
     }
@@ -162,13 +162,13 @@ impl Index {
     }
 
     /// What putting the record will come to, and whether there is room for it.
-    pub(crate) fn weigh(&self, record: &Record, file: u64) -> Result<Will, StoreError> {
+    pub(crate) fn weigh(&self, record: &Record, file: u64) -> Result<PutOutcome, StoreError> {
         let old = match self.living(record.id, Instant::now()) {
             Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
             living => living.ok(),
         };
         if old.is_some_and(|old| old.record.is_made_like(record)) {
-            return Ok(Will::Stay);
+            return Ok(PutOutcome::Stay);
         }
         let there = self.sessions.get(&record.id);
         let sessions = self.len() + usize::from(there.is_none());
@@ -179,7 +179,7 @@ impl Index {
         let file = if self.names(record.id.owner(), record.image) { 0 } else { file };
         // A replaced session's file is held until the new one is there.
         self.room(self.bytes - there.map_or(0, |there| there.bytes) + record_bytes(record) + file)?;
-        Ok(if old.is_some() { Will::Replace } else { Will::Create })
+        Ok(if old.is_some() { PutOutcome::Replace } else { PutOutcome::Create })
     }
 
     fn room(&self, bytes: u64) -> Result<(), StoreError> {
@@ -188,8 +188,8 @@ impl Index {
     }
 
     /// Puts a record that has been weighed.
-    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, will: Will) -> Put {
-        if will == Will::Stay
+    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, will: PutOutcome) -> Put {
+        if will == PutOutcome::Stay
             && let Some(session) = self.use_now(record.id, None)
         {
             return Put::Same(session);
@@ -198,7 +198,7 @@ impl Index {
         let old = self.insert(record, file, None);
         let session = self.told(&self.sessions[&id]);
         match old {
-            Some(old) if will == Will::Replace => Put::Replaced(session, old),
+            Some(old) if will == PutOutcome::Replace => Put::Replaced(session, old),
             _ => Put::Created(session),
         }
     }
@@ -250,7 +250,7 @@ impl Index {
         // The new file is counted before the old one is let go: it may be the same.
         self.name_file(record.image, file);
         let old = self.remove(record.id);
-        if self.graves.remove(&record.id).is_some() {
+        if self.tombstones.remove(&record.id).is_some() {
             self.graves_by_age.retain(|(id, _)| *id != record.id);
         }
         let bytes = record_bytes(&record);
@@ -313,24 +313,24 @@ impl Index {
     }
 
     /// Takes expired sessions out, to be told from unknown ones for a while.
-    pub(crate) fn bury(&mut self, ended: &[SessionId]) {
+    pub(crate) fn expire(&mut self, ended: &[SessionId]) {
         let now = Instant::now();
         for &id in ended {
             let Some(used) = self.sessions.get(&id).map(|entry| entry.used) else { continue };
             self.remove(id);
             self.remember(id, Grave { end: End::Expired, until: used + 2 * self.bounds.idle });
         }
-        self.graves.retain(|_, grave| now < grave.until);
-        let graves = &self.graves;
-        self.graves_by_age.retain(|(id, grave)| graves.get(id) == Some(grave));
+        self.tombstones.retain(|_, grave| now < grave.until);
+        let tombstones = &self.tombstones;
+        self.graves_by_age.retain(|(id, grave)| tombstones.get(id) == Some(grave));
     }
 
     fn remember(&mut self, id: SessionId, grave: Grave) {
-        self.graves.insert(id, grave);
+        self.tombstones.insert(id, grave);
         self.graves_by_age.push_back((id, grave));
         while self.graves_by_age.len() > self.bounds.sessions {
             if let Some((oldest, _)) = self.graves_by_age.pop_front() {
-                self.graves.remove(&oldest);
+                self.tombstones.remove(&oldest);
             }
         }
     }
@@ -364,7 +364,7 @@ impl Index {
                 (entry.used, entry.seq) = (known.used, entry.seq.max(known.seq));
             }
         }
-        (self.graves, self.graves_by_age) = (old.graves, old.graves_by_age);
+        (self.tombstones, self.graves_by_age) = (old.tombstones, old.graves_by_age);
     }
 }
 
@@ -386,10 +386,10 @@ mod tests {
         let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 });
         let record = suite::record(1);
         for _ in 0..3 {
-            index.put(Arc::clone(&record), 1000, Will::Create);
+            index.put(Arc::clone(&record), 1000, PutOutcome::Create);
             std::thread::sleep(idle);
-            index.bury(&index.expired());
-            assert_eq!((index.graves.len(), index.graves_by_age.len()), (1, 1));
+            index.expire(&index.expired());
+            assert_eq!((index.tombstones.len(), index.graves_by_age.len()), (1, 1));
         }
     }
 
@@ -399,12 +399,12 @@ mod tests {
         let ids: Vec<SessionId> = (0..5)
             .map(|_| {
                 let record = suite::record(1);
-                index.put(Arc::clone(&record), 1000, Will::Create);
+                index.put(Arc::clone(&record), 1000, PutOutcome::Create);
                 index.delete(record.id);
                 record.id
             })
             .collect();
-        assert_eq!((index.graves.len(), index.graves_by_age.len(), index.bytes()), (3, 3, 0));
+        assert_eq!((index.tombstones.len(), index.graves_by_age.len(), index.bytes()), (3, 3, 0));
         let again: Vec<_> = ids.iter().map(|id| index.weigh_delete(*id)).collect();
         assert_eq!(again, [Err(StoreError::NoSuchSession), Err(StoreError::NoSuchSession), Ok(false), Ok(false), Ok(false)]);
     }

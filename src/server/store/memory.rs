@@ -13,10 +13,10 @@ use crate::session::{Revision, SessionId};
 
 /// The store that is built in.
 #[derive(Debug)]
-pub struct MemoryStore(Mutex<Held>);
+pub struct MemoryStore(Mutex<MemoryState>);
 
 #[derive(Debug)]
-struct Held {
+struct MemoryState {
     index: Index,
     files: HashMap<Digest, Bytes>,
 }
@@ -25,16 +25,16 @@ impl MemoryStore {
     /// An empty store.
     #[must_use]
     pub fn new(bounds: Bounds) -> Self {
-        Self(Mutex::new(Held { index: Index::new(bounds), files: HashMap::new() }))
+        Self(Mutex::new(MemoryState { index: Index::new(bounds), files: HashMap::new() }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
+    fn lock(&self) -> MutexGuard<'_, MemoryState> {
         // No operation leaves the maps half-changed where it could panic.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Held {
+impl MemoryState {
     fn put(&mut self, record: Arc<Record>, file: Bytes) -> Result<Put, StoreError> {
         let len = file.len() as u64;
         if self.index.weigh(&record, len).is_err() {
@@ -61,7 +61,7 @@ impl Held {
     fn sweep(&mut self) -> usize {
         let ended = self.index.expired();
         self.free(&ended, None);
-        self.index.bury(&ended);
+        self.index.expire(&ended);
         ended.len()
     }
 

@@ -18,12 +18,12 @@ mod index;
 pub mod memory;
 #[cfg(test)]
 mod model;
-mod place;
 pub mod record;
 pub mod redis;
 #[cfg(test)]
 mod suite;
 pub mod timed;
+mod url;
 
 use std::fmt;
 use std::future::Future;
@@ -37,7 +37,7 @@ use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use thiserror::Error;
 
 pub use index::record_bytes;
-pub use place::{Address, Place};
+pub use url::{Address, StoreUrl};
 
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
@@ -194,7 +194,7 @@ pub trait Store: Send + Sync + fmt::Debug {
     fn ready(&self) -> Answer<'_, ()>;
 
     /// Waits until the numbers that were answered are where others will look for them; for whoever is about to end.
-    fn settle(&self) -> Answer<'_, ()> {
+    fn flush(&self) -> Answer<'_, ()> {
         Box::pin(std::future::ready(Ok(())))
     }
 
@@ -206,11 +206,11 @@ pub trait Store: Send + Sync + fmt::Debug {
 ///
 /// # Errors
 /// The file cannot be opened, is none of ours, is damaged beyond reading, or is another process's.
-pub fn open(place: &Place, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
+pub fn open(place: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
     Ok(match place {
-        Place::Memory => Arc::new(memory::MemoryStore::new(bounds)),
-        Place::File(path) => Arc::new(file::FileStore::open(path, bounds)?),
-        Place::Redis(address) => Arc::new(redis::RedisStore::new(address, bounds)?),
+        StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),
+        StoreUrl::File(path) => Arc::new(file::FileStore::open(path, bounds)?),
+        StoreUrl::Redis(address) => Arc::new(redis::RedisStore::new(address, bounds)?),
     })
 }
 

@@ -26,7 +26,7 @@ use serde_json::value::RawValue;
 
 use super::Record;
 use crate::session::{Revision, SessionId};
-use crate::wire::{WarpObject, WarpPatch, Wire};
+use crate::wire::{AsJson, WarpObject, WarpPatch};
 
 /// The version of the form. It changes when a program that does not know of the change would misunderstand a record.
 const VERSION: u32 = 1;
@@ -82,9 +82,9 @@ impl Defaults {
     /// Writes the field unless it is at its default and left out.
     fn field<M: SerializeMap, T: PartialEq>(self, object: &mut M, name: &'static str, value: T, default: &T) -> Result<(), M::Error>
     where
-        Wire<T>: Serialize,
+        AsJson<T>: Serialize,
     {
-        if self == Self::LeftOut && value == *default { Ok(()) } else { object.serialize_entry(name, &Wire(value)) }
+        if self == Self::LeftOut && value == *default { Ok(()) } else { object.serialize_entry(name, &AsJson(value)) }
     }
 }
 
@@ -217,7 +217,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
         return Err(Unreadable::OtherVersion(format!("its form is version {version}; this program knows {VERSION}")));
     }
     let read: Read<'_> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
-    let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.over(base());
+    let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.merge_onto(base());
     if warp.q.is_some() {
         return Err(other("it has posed handles"));
     }

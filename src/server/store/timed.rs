@@ -64,8 +64,8 @@ impl Store for Timed {
         self.0.ready()
     }
 
-    fn settle(&self) -> Answer<'_, ()> {
-        self.0.settle()
+    fn flush(&self) -> Answer<'_, ()> {
+        self.0.flush()
     }
 
     fn figures(&self) -> Figures {

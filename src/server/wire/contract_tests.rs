@@ -9,8 +9,8 @@ use mlswarp::warp::Units;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
+use super::enum_name::{Canvas, EnumName, Metric};
 use super::tests::{warp_object, written};
-use super::word::{Canvas, Metric, Word};
 use super::*;
 
 fn document() -> Value {
@@ -159,7 +159,7 @@ fn problems_are_valid_documents() {
     assert!(!schema.is_valid(&json!({"code": "internal"})));
 }
 
-fn words<T: Word>(place: &str) {
+fn words<T: EnumName>(place: &str) {
     let document = document();
     let node = document["components"]["schemas"].pointer(place).expect(place);
     let here: Vec<&str> = T::ALL.iter().map(|v| v.word()).collect();

@@ -5,7 +5,7 @@ use mlswarp::warp::{Posed, Setup};
 use serde::Serialize;
 use serde::ser::{SerializeSeq as _, Serializer};
 
-use super::Wire;
+use super::AsJson;
 
 /// What a mesh is laid over: the shape of everything that is sent for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -38,10 +38,10 @@ pub struct MeshObject<'a> {
     #[serde(flatten)]
     pub shape: MeshShape,
     /// Row by row, in the session's units.
-    pub vertices: Wire<&'a Posed>,
+    pub vertices: AsJson<&'a Posed>,
 }
 
-impl Serialize for Wire<&Posed> {
+impl Serialize for AsJson<&Posed> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let mut array = s.serialize_seq(Some(self.0.mesh().grid().len()))?;
         self.0.vertices().try_for_each(|vertex| array.serialize_element(&vertex))?;

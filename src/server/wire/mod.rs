@@ -3,6 +3,7 @@
 //! given twice is 400 `malformed_request`; everything else is 422 with a JSON pointer. A field that is not known is refused, never
 //! ignored. Cost: a few scans of the text and the values themselves; a drag of twelve points takes about two microseconds.
 
+mod enum_name;
 pub mod formats;
 mod handles;
 mod json;
@@ -12,7 +13,6 @@ mod output;
 mod rest;
 mod session;
 mod socket;
-mod word;
 mod write;
 
 #[cfg(test)]
@@ -33,7 +33,7 @@ pub use output::OutputPatch;
 pub use rest::WarpPatch;
 pub use session::{SessionGrid, SessionImage, SessionObject};
 pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming, UnreadHandles};
-pub use write::Wire;
+pub use write::AsJson;
 
 const HANDLES: &str = "an array of handles";
 
@@ -56,7 +56,7 @@ impl WarpObject {
     /// # Errors
     /// A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        WarpPatch::parse(json).map(|patch| patch.over(Self::default()))
+        WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
 
     /// The posed handles where they are needed: `q`, or none when there are none at rest.
@@ -164,7 +164,7 @@ impl PointsObject {
             refine,
         ] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
         let warp = WarpPatch::read([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
-        let warp = warp.over(WarpObject::default());
+        let warp = warp.merge_onto(WarpObject::default());
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = asked([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();

@@ -4,9 +4,9 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::OutputSpec;
 
+use super::enum_name::{Canvas, refuse, word};
 use super::json::{Kind, Node, quote};
 use super::number::count;
-use super::word::{Canvas, refuse, word};
 use crate::problem::{Code, Problem};
 
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
@@ -31,7 +31,7 @@ pub struct OutputPatch {
 impl OutputPatch {
     /// The session's output with the given fields replaced.
     #[must_use]
-    pub fn over(&self, base: &OutputSpec) -> OutputSpec {
+    pub fn merge_onto(&self, base: &OutputSpec) -> OutputSpec {
         OutputSpec {
             format: self.format.unwrap_or(base.format),
             quality: self.quality.unwrap_or(base.quality),

@@ -3,11 +3,11 @@
 use mlswarp::deform::{Handle, Method};
 use mlswarp::warp::{Folds, GridSpec, RestSpec, Units};
 
+use super::enum_name::{Metric, refuse, word};
 use super::handles::{handles, weights};
 use super::json::{Kind, Node};
 use super::number::{count, number, positive};
 use super::output::OutputPatch;
-use super::word::{Metric, refuse, word};
 use super::{WarpObject, json};
 use crate::problem::{Code, Problem};
 
@@ -93,7 +93,7 @@ impl WarpPatch {
     /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. What had been left to its default
     /// (`alpha`, `point_mass`) is left to it again.
     #[must_use]
-    pub fn over(self, base: WarpObject) -> WarpObject {
+    pub fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
         WarpObject {
             rest: RestSpec {
@@ -107,7 +107,7 @@ impl WarpPatch {
             },
             q: self.q,
             folds: self.folds.unwrap_or(base.folds),
-            output: self.output.over(&base.output),
+            output: self.output.merge_onto(&base.output),
         }
     }
 }

@@ -6,7 +6,7 @@ use mlswarp::deform::{Handle, Method};
 use mlswarp::warp::{Digest, Folds, GridSpec, OutputSpec, Units};
 use serde::Serialize;
 
-use super::Wire;
+use super::AsJson;
 
 /// The answer of `POST /sessions` and `GET /sessions/{id}`.
 #[derive(Debug, Serialize)]
@@ -16,25 +16,25 @@ pub struct SessionObject<'a> {
     /// The uploaded picture.
     pub image: SessionImage,
     /// Handles at rest, in the session's units.
-    pub p: Wire<&'a [Handle]>,
+    pub p: AsJson<&'a [Handle]>,
     /// One a handle, when the client gave them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<&'a [f64]>,
     /// The class of maps.
-    pub method: Wire<Method>,
+    pub method: AsJson<Method>,
     /// Effective exponent.
     pub alpha: f64,
     /// Effective mass of a point, px; mixed sets only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<f64>,
     /// Unit of p and q.
-    pub units: Wire<Units>,
+    pub units: AsJson<Units>,
     /// The grid.
     pub grid: SessionGrid,
     /// What is done about folds.
-    pub folds: Wire<Folds>,
+    pub folds: AsJson<Folds>,
     /// How pictures are made unless a drag says otherwise.
-    pub output: Wire<&'a OutputSpec>,
+    pub output: AsJson<&'a OutputSpec>,
     /// RFC 3339, UTC.
     pub created: &'a str,
     /// RFC 3339, UTC.
@@ -51,7 +51,7 @@ pub struct SessionImage {
     /// Upright height, px.
     pub height: u32,
     /// Of the file's bytes: `sha256:<hex>`.
-    pub digest: Wire<Digest>,
+    pub digest: AsJson<Digest>,
 }
 
 /// The grid of a session.
@@ -64,16 +64,16 @@ pub struct SessionGrid {
     /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the picture's edge.
     pub cell: [f64; 2],
     /// As the client asked for it.
-    pub requested: Wire<GridSpec>,
+    pub requested: AsJson<GridSpec>,
 }
 
-impl Serialize for Wire<Digest> {
+impl Serialize for AsJson<Digest> {
     fn serialize<S: serde::Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         s.collect_str(self)
     }
 }
 
-impl fmt::Display for Wire<Digest> {
+impl fmt::Display for AsJson<Digest> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("sha256:")?;
         self.0.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))

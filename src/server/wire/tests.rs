@@ -345,7 +345,7 @@ fn output_patch_replaces_only_what_it_gives() {
         filter: Filter::Nearest,
         outside: Outside::Edge,
     };
-    assert_eq!(OutputPatch::default().over(&base), base);
+    assert_eq!(OutputPatch::default().merge_onto(&base), base);
     let (format, quality, compression, width) = (Format::WebP, 70, Compression::Best, 8);
     let (filter, outside) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]));
     let all = OutputPatch {
@@ -356,8 +356,8 @@ fn output_patch_replaces_only_what_it_gives() {
         filter: Some(filter),
         outside: Some(outside),
     };
-    assert_eq!(all.over(&base), OutputSpec { format, quality, compression, width: Some(width), filter, outside });
-    assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.over(&base), OutputSpec { width: Some(8), ..base });
+    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, width: Some(width), filter, outside });
+    assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.merge_onto(&base), OutputSpec { width: Some(8), ..base });
 }
 
 #[test]
@@ -435,16 +435,16 @@ fn session_object_is_written_in_wire_form() {
     let output = OutputSpec { width: Some(9), outside: Outside::Colour([1, 2, 3, 255]), ..OutputSpec::default() };
     let session = SessionObject {
         id: "0f8fad5b-d9cb-469f-a165-70867728950e",
-        image: SessionImage { width: 640, height: 480, digest: Wire(Digest([0xab; 32])) },
-        p: Wire(&p),
+        image: SessionImage { width: 640, height: 480, digest: AsJson(Digest([0xab; 32])) },
+        p: AsJson(&p),
         weights: None,
-        method: Wire(Method::Rigid),
+        method: AsJson(Method::Rigid),
         alpha: 2.0,
         point_mass: Some(2.5),
-        units: Wire(Units::Px),
-        grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: Wire(GridSpec::Auto) },
-        folds: Wire(Folds::Report),
-        output: Wire(&output),
+        units: AsJson(Units::Px),
+        grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
+        folds: AsJson(Folds::Report),
+        output: AsJson(&output),
         created: "2026-11-20T12:00:00Z",
         expires: "2026-11-20T12:15:00Z",
         seq: None,
@@ -519,7 +519,7 @@ fn handle() -> impl Strategy<Value = Handle> {
     prop_oneof![place().prop_map(Handle::Point), prop::collection::vec(place(), 2..5).prop_map(Handle::Polyline)]
 }
 
-fn all<T: word::Word + std::fmt::Debug>() -> impl Strategy<Value = T> {
+fn all<T: enum_name::EnumName + std::fmt::Debug>() -> impl Strategy<Value = T> {
     prop::sample::select(T::ALL)
 }
 
@@ -553,8 +553,8 @@ pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output } = warp;
     let RestSpec { p, weights, method, alpha, point_mass, units, grid } = rest;
     let mut object = json!({
-        "p": Wire(p.as_slice()), "q": q.as_deref().map(Wire), "weights": weights, "method": Wire(*method), "alpha": alpha, "point_mass": point_mass,
-        "units": Wire(*units), "grid": Wire(*grid), "folds": Wire(*folds), "output": Wire(output)
+        "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha, "point_mass": point_mass,
+        "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
     object.as_object_mut().unwrap().retain(|_, value| !value.is_null());
     object

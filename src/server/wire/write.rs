@@ -8,15 +8,15 @@ use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::{Folds, GridSpec, OutputSpec, Units};
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
-use super::word::{Canvas, Word};
+use super::enum_name::{Canvas, EnumName};
 
-/// A value in its wire form: `Wire(&spec)` serialises as a client would write it.
+/// A value in its wire form: `AsJson(&spec)` serialises as a client would write it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wire<T>(pub T);
+pub struct AsJson<T>(pub T);
 
 macro_rules! words_are_strings {
     ($($type:ty),+) => {
-        $(impl Serialize for Wire<$type> {
+        $(impl Serialize for AsJson<$type> {
             fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
                 s.serialize_str(self.0.word())
             }
@@ -26,38 +26,38 @@ macro_rules! words_are_strings {
 
 words_are_strings!(Method, Units, Folds, Format, Compression, Filter);
 
-impl Serialize for Wire<Point> {
+impl Serialize for AsJson<Point> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         [self.0.x, self.0.y].serialize(s)
     }
 }
 
-impl Serialize for Wire<&[Point]> {
+impl Serialize for AsJson<&[Point]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let mut array = s.serialize_seq(Some(self.0.len()))?;
-        self.0.iter().try_for_each(|place| array.serialize_element(&Wire(*place)))?;
+        self.0.iter().try_for_each(|place| array.serialize_element(&AsJson(*place)))?;
         array.end()
     }
 }
 
-impl Serialize for Wire<&Handle> {
+impl Serialize for AsJson<&Handle> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
-            Handle::Point(place) => Wire(*place).serialize(s),
-            Handle::Polyline(places) => Wire(places.as_slice()).serialize(s),
+            Handle::Point(place) => AsJson(*place).serialize(s),
+            Handle::Polyline(places) => AsJson(places.as_slice()).serialize(s),
         }
     }
 }
 
-impl Serialize for Wire<&[Handle]> {
+impl Serialize for AsJson<&[Handle]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let mut array = s.serialize_seq(Some(self.0.len()))?;
-        self.0.iter().try_for_each(|handle| array.serialize_element(&Wire(handle)))?;
+        self.0.iter().try_for_each(|handle| array.serialize_element(&AsJson(handle)))?;
         array.end()
     }
 }
 
-impl Serialize for Wire<GridSpec> {
+impl Serialize for AsJson<GridSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
             GridSpec::Auto => s.serialize_str("auto"),
@@ -77,7 +77,7 @@ impl Serialize for Wire<GridSpec> {
     }
 }
 
-impl Serialize for Wire<Outside> {
+impl Serialize for AsJson<Outside> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
             Outside::Transparent => s.serialize_str("transparent"),
@@ -87,18 +87,18 @@ impl Serialize for Wire<Outside> {
     }
 }
 
-impl Serialize for Wire<&OutputSpec> {
+impl Serialize for AsJson<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let OutputSpec { format, quality, compression, width, filter, outside } = *self.0;
         let mut object = s.serialize_map(None)?;
-        object.serialize_entry("format", &Wire(format))?;
+        object.serialize_entry("format", &AsJson(format))?;
         object.serialize_entry("quality", &quality)?;
-        object.serialize_entry("compression", &Wire(compression))?;
+        object.serialize_entry("compression", &AsJson(compression))?;
         if let Some(width) = width {
             object.serialize_entry("width", &width)?;
         }
-        object.serialize_entry("filter", &Wire(filter))?;
-        object.serialize_entry("outside", &Wire(outside))?;
+        object.serialize_entry("filter", &AsJson(filter))?;
+        object.serialize_entry("outside", &AsJson(outside))?;
         object.serialize_entry("canvas", Canvas::Same.word())?;
         object.end()
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp_server::app::App;
-use mlswarp_server::app::live_drag::{Drag, Form, PreviewWidth, Said, Wishes};
+use mlswarp_server::app::live_drag::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
 use mlswarp_server::client::{Client, Owner};
 use mlswarp_server::session::SessionId;
 use tokio::runtime::Runtime;
@@ -23,7 +23,7 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
 
 pub(super) fn talk(bytes: &[u8]) {
     let Some((wishes, messages)) = bytes.split_first() else { return };
-    let wishes = Wishes {
+    let wishes = DragOptions {
         form: if wishes % 2 == 0 { Form::Mesh } else { Form::Picture(None) },
         width: if wishes % 4 < 2 { PreviewWidth::Auto } else { PreviewWidth::Fixed(1 + u32::from(*wishes)) },
         report: wishes % 8 < 4,
@@ -32,7 +32,7 @@ pub(super) fn talk(bytes: &[u8]) {
     runtime.block_on(async {
         let mut drag = app.open_drag(Client::default(), *id, wishes).await.expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {
-            drag.hear(message, Instant::now());
+            drag.on_message(message, Instant::now());
             go_on(&mut drag).await;
             assert!(!drag.is_over(), "nothing that is said ends a session");
         }
@@ -45,15 +45,15 @@ async fn go_on(drag: &mut Drag) {
     // Either something is being made and gets ready, or nothing is.
     let _ = tokio::time::timeout(Duration::from_millis(2), drag.work()).await;
     drag.act(Instant::now());
-    while let Some(said) = drag.say() {
+    while let Some(said) = drag.next_outgoing() {
         match said {
-            Said::Text(text) => {
+            Outgoing::Text(text) => {
                 let document: serde_json::Value = serde_json::from_str(&text).expect("a document");
                 if document.get("status").is_some() {
                     assert_is_problem(&document);
                 }
             }
-            Said::Frame(_, pieces) => assert!(pieces.iter().any(|piece| !piece.is_empty()), "an empty frame"),
+            Outgoing::Frame(_, pieces) => assert!(pieces.iter().any(|piece| !piece.is_empty()), "an empty frame"),
         }
     }
 }

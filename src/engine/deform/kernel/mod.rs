@@ -7,7 +7,7 @@ mod scalar;
 mod x86;
 
 use super::Method;
-use super::row::{Rows, Scratch, Vertices, Waist};
+use super::row::{RowInputs, Rows, Scratch, Vertices};
 use crate::level::Level;
 
 /// Vertices in a block.
@@ -48,12 +48,12 @@ pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f
 }
 
 /// The rows of N vertices, for whole plans and single places.
-pub(super) fn rows<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
     rows_at(Level::detect(), waist, v, scratch, rows);
 }
 
 /// The same at a level; one that the processor lacks is scalar.
-pub(super) fn rows_at<const N: usize>(level: Level, waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_at<const N: usize>(level: Level, waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
     match level {
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 if level.is_here() => x86::rows_avx512(waist, v, scratch, rows),
@@ -67,7 +67,7 @@ pub(super) fn rows_at<const N: usize>(level: Level, waist: &Waist<'_>, v: &Verti
 mod tests {
     use super::*;
     use crate::deform::Falloff;
-    use crate::deform::columns::{Mark, Segment, Sources};
+    use crate::deform::columns::{PointSource, Segment, Sources};
     use crate::geometry::Point;
 
     /// Every level gives the bits of the reference, for every family.
@@ -102,10 +102,10 @@ mod tests {
             let length = a.distance(b);
             Segment { a, b, length, tau: (b - a) * (1.0 / length), weight: 0.7, column }
         };
-        let points: Vec<Mark> = [(100.0, 100.0), (400.25, 120.0), (260.0, 391.5)]
+        let points: Vec<PointSource> = [(100.0, 100.0), (400.25, 120.0), (260.0, 391.5)]
             .into_iter()
             .zip(0..)
-            .map(|((x, y), column)| Mark { p: Point::new(x, y), mass: 30.0, column })
+            .map(|((x, y), column)| PointSource { p: Point::new(x, y), mass: 30.0, column })
             .collect();
         let segments = vec![
             segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0), 3),
@@ -131,7 +131,7 @@ mod tests {
                     (Method::Rigid, true),
                 ] {
                     let falloff = Falloff::new(alpha, true).unwrap();
-                    let waist = Waist { sources: &sources, extent: 400.0, falloff, method, exact };
+                    let waist = RowInputs { sources: &sources, extent: 400.0, falloff, method, exact };
                     let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
                         let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
                         all.map(|lanes| lanes[k].to_bits()).collect()

@@ -1,6 +1,6 @@
 //! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a processor that has the level.
 
-use super::{Lanes, Method, Pairs, Rows, Scratch, Vertices, Waist, scalar};
+use super::{Lanes, Method, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
 
 /// See [`super::displace`].
 pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
@@ -23,9 +23,9 @@ pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], o
 }
 
 /// See [`super::rows`].
-pub(super) fn rows_avx2<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_avx2<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
     #[target_feature(enable = "avx2")]
-    fn body<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    fn body<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
         waist.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -33,9 +33,9 @@ pub(super) fn rows_avx2<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scra
 }
 
 /// See [`super::rows`].
-pub(super) fn rows_avx512<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_avx512<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body<const N: usize>(waist: &Waist<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    fn body<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
         waist.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.

@@ -5,11 +5,11 @@ use std::arch::x86_64::*;
 use std::ops::Range;
 
 use super::Kernel;
-use super::cells::{Canvas, Glance};
+use super::cells::{Canvas, CellBlock};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, Lattice, Reach};
+use crate::render::lattice::{BLOCK, Lattice, YRange};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -29,12 +29,12 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
-    reaches(y: &[i32], reaches: &mut [Reach]);
+    reaches(y: &[i32], reaches: &mut [YRange]);
     edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges);
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut Glance);
+    glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::Kernel;
-use super::cells::{BARE, Canvas, LANES, Map, Near, Piece, Root, column, line, reach};
+use super::cells::{Canvas, LANES, Map, Near, Piece, Root, UNCOVERED, column, line, reach};
 use super::scalar::STEP;
 use crate::level::Level;
 use crate::render::lattice::ONE;
@@ -96,7 +96,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
             let (u_old, v_old) = unsafe { (_mm256_loadu_ps(u), _mm256_loadu_ps(v)) };
             let mut kept = _mm256_castsi256_ps(_mm256_srai_epi32::<31>(outside));
             if !OVER {
-                kept = _mm256_or_ps(kept, _mm256_cmp_ps::<_CMP_NEQ_UQ>(u_old, _mm256_set1_ps(BARE)));
+                kept = _mm256_or_ps(kept, _mm256_cmp_ps::<_CMP_NEQ_UQ>(u_old, _mm256_set1_ps(UNCOVERED)));
             }
             if wanted {
                 #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]

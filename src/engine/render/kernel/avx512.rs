@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 
 use super::Kernel;
 use super::avx2_cells::{near, root};
-use super::cells::{BARE, Canvas, LANES, Map, Piece, column, line, reach};
+use super::cells::{Canvas, LANES, Map, Piece, UNCOVERED, column, line, reach};
 use super::scalar::STEP;
 use crate::level::Level;
 use crate::render::lattice::ONE;
@@ -65,7 +65,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
                 let mut painted = !_mm256_movepi32_mask(outside);
                 if !OVER {
                     // SAFETY: as above.
-                    painted &= _mm256_cmp_ps_mask::<_CMP_EQ_OQ>(unsafe { _mm256_loadu_ps(u) }, _mm256_set1_ps(BARE));
+                    painted &= _mm256_cmp_ps_mask::<_CMP_EQ_OQ>(unsafe { _mm256_loadu_ps(u) }, _mm256_set1_ps(UNCOVERED));
                 }
                 #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
                 let y = y as f32 * STEP;

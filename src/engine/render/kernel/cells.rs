@@ -16,7 +16,7 @@ pub(in crate::render) const LANES: usize = 8;
 /// Sides of a cell that is drawn in lanes are at most this long, lattice steps: edge functions of all lanes then fit 31 bits.
 pub(in crate::render) const LONGEST_SIDE: i32 = 112 * ONE;
 /// u where nothing is painted; no place has it.
-pub(in crate::render) const BARE: f32 = f32::NEG_INFINITY;
+pub(in crate::render) const UNCOVERED: f32 = f32::NEG_INFINITY;
 
 /// Rows of pixels whose coordinates are found cell by cell.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ pub(in crate::render) struct Canvas<'a> {
     pub(in crate::render) first: u32,
     /// Pixels of a row.
     pub(in crate::render) width: usize,
-    /// Pixels from one row to the next: at least `width + LANES`, and none behind `width` is [`BARE`].
+    /// Pixels from one row to the next: at least `width + LANES`, and none behind `width` is [`UNCOVERED`].
     pub(in crate::render) pitch: usize,
     pub(in crate::render) u: &'a mut [f32],
     pub(in crate::render) v: &'a mut [f32],
@@ -49,10 +49,10 @@ impl Canvas<'_> {
             let row = left.trailing_zeros() as usize;
             left &= left - 1;
             let (bare, u) = (&mut self.bare[row], &self.u[row * self.pitch..]);
-            while bare.start < bare.end && u[bare.start] != BARE {
+            while bare.start < bare.end && u[bare.start] != UNCOVERED {
                 bare.start += 1;
             }
-            while bare.start < bare.end && u[bare.end - 1] != BARE {
+            while bare.start < bare.end && u[bare.end - 1] != UNCOVERED {
                 bare.end -= 1;
             }
             self.open &= !(u32::from(bare.start >= bare.end) << row);
@@ -115,7 +115,7 @@ const LARGEST_TWIST: f32 = 0.5;
 impl Piece {
     /// Cell `k` of a block that was looked at; it must be convex there.
     #[inline(always)]
-    pub(in crate::render) fn cell(seen: &Glance, k: usize, corners: &[Corner; 4]) -> Self {
+    pub(in crate::render) fn cell(seen: &CellBlock, k: usize, corners: &[Corner; 4]) -> Self {
         let [a, b, c, d] = corners;
         let (du, dv) = (b.u - a.u, d.v - a.v);
         let (map, u, v) = if seen.is_near[k] {
@@ -219,7 +219,7 @@ impl Near {
 
 /// What is seen of a block of cells at once.
 #[derive(Clone, Copy, Debug, Default)]
-pub(in crate::render) struct Glance {
+pub(in crate::render) struct CellBlock {
     /// The rows of the canvas that each cell meets and that are open, a bit each.
     pub(in crate::render) rows: [u32; BLOCK],
     /// The sign of the area where a cell is strictly convex and its sides are not too long for lanes, else 0.
@@ -233,7 +233,7 @@ pub(in crate::render) struct Glance {
 
 /// Looks at the cells of block `b` of row `j`.
 #[inline(always)]
-pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut Glance) {
+pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
     let at = j * lattice.pitch + b * BLOCK;
     let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
         let places = &places[at..=at + BLOCK];
@@ -309,7 +309,7 @@ pub(super) fn fill(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
         let pixels = row as usize * canvas.pitch + from..row as usize * canvas.pitch + to.max(from);
         let (mut x, y) = (x0 as f32 * STEP, y as f32 * STEP);
         for (u, v) in canvas.u[pixels.clone()].iter_mut().zip(&mut canvas.v[pixels]) {
-            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (canvas.over || *u == BARE) {
+            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (canvas.over || *u == UNCOVERED) {
                 (*u, *v) = piece.place(x, y);
             }
             for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {

@@ -19,12 +19,12 @@ mod scalar;
 
 use std::ops::Range;
 
-use super::lattice::{Lattice, Reach};
+use super::lattice::{Lattice, YRange};
 use super::source::Packed;
 use crate::level::Level;
 use crate::pixmap::Channels;
 
-pub(super) use cells::{BARE, Canvas, Glance, LANES, LONGEST_SIDE, Piece};
+pub(super) use cells::{Canvas, CellBlock, LANES, LONGEST_SIDE, Piece, UNCOVERED};
 pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, STEP, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
@@ -63,7 +63,7 @@ impl Kernel {
     }
 
     /// How far the vertices of each block of a line, and the one right of it, reach up and down.
-    pub(super) fn reaches(self, y: &[i32], reaches: &mut [Reach]) {
+    pub(super) fn reaches(self, y: &[i32], reaches: &mut [YRange]) {
         dispatch!(self, reaches(y, reaches));
     }
 
@@ -99,7 +99,7 @@ impl Kernel {
     }
 
     /// Looks at a block of cells: which rows of the canvas they meet, and whether they are convex.
-    pub(super) fn glance(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut Glance) {
+    pub(super) fn glance(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
         dispatch!(self, glance(lattice, j, block, canvas, seen));
     }
 

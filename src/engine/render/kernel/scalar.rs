@@ -10,7 +10,7 @@ use std::ops::Range;
 
 pub(super) use super::cells::{fill, glance};
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, Reach};
+use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, YRange};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
@@ -37,12 +37,12 @@ pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale
 
 /// Reaches of the vertices of each block of a line, and of the one right of it.
 #[inline(always)]
-pub(super) fn reaches(y: &[i32], reaches: &mut [Reach]) {
+pub(super) fn reaches(y: &[i32], reaches: &mut [YRange]) {
     for (b, reach) in reaches.iter_mut().enumerate() {
         let block = block(&y[b * BLOCK..]);
         let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
         let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| (top.min(y), bottom.max(y)));
-        *reach = Reach { top, bottom };
+        *reach = YRange { top, bottom };
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::super::cell;
 use super::super::drawing::Drawing;
-use super::super::kernel::{BARE, Canvas, Kernel, LANES};
+use super::super::kernel::{Canvas, Kernel, LANES, UNCOVERED};
 use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
 use super::*;
 
@@ -11,11 +11,11 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
     const STRIP: u32 = 7;
     let (width, kernel) = (target.width() as usize, Kernel::new(level));
     let pitch = width + LANES;
-    let (mut u, mut v) = (vec![BARE; pitch * STRIP as usize], vec![0.0; pitch * STRIP as usize]);
+    let (mut u, mut v) = (vec![UNCOVERED; pitch * STRIP as usize], vec![0.0; pitch * STRIP as usize]);
     for first in (0..target.height()).step_by(STRIP as usize) {
         let rows = first..target.height().min(first + STRIP);
         for (i, j) in lattice.cells_touching(rows.clone()) {
-            u.fill(BARE);
+            u.fill(UNCOVERED);
             u.chunks_exact_mut(pitch).for_each(|row| row[width..].fill(0.0));
             let mut bare = vec![0..width; rows.len()];
             let open = (1 << rows.len()) - 1;
@@ -25,10 +25,10 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
             canvas.shrink();
             for (y, bare) in rows.clone().zip(bare) {
                 let row = (y - first) as usize * pitch;
-                let left: Vec<_> = (0..width).filter(|x| u[row + x] == BARE).collect();
+                let left: Vec<_> = (0..width).filter(|x| u[row + x] == UNCOVERED).collect();
                 let (first, end) = (left.first().copied(), left.last().map(|x| x + 1));
                 assert!(left.is_empty() && bare.is_empty() || (first, end) == (Some(bare.start), Some(bare.end)), "what is bare is known");
-                for x in (0..width).filter(|x| u[row + x] != BARE) {
+                for x in (0..width).filter(|x| u[row + x] != UNCOVERED) {
                     painted(x, y as usize, Point::new(f64::from(u[row + x]) / 128.0, f64::from(v[row + x]) / 128.0));
                 }
             }

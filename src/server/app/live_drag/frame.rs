@@ -13,7 +13,7 @@ use crate::app::App;
 use crate::app::draw::{Cost, Drawn, Picture, Piece};
 use crate::app::warp::{MeshForm, PosedMesh, Timing};
 use crate::client::Client;
-use crate::drag::desk::Order;
+use crate::drag::frame_scheduler::FrameRequest;
 use crate::observe::Scope;
 use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
@@ -68,7 +68,7 @@ pub(crate) async fn make(
     id: SessionId,
     frames: Arc<Semaphore>,
     form: Form,
-    order: Order,
+    order: FrameRequest,
 ) -> Result<Frame, Problem> {
     let made = walk(app, client, id, frames, form, order).await;
     if let Err(problem) = &made {
@@ -77,7 +77,7 @@ pub(crate) async fn make(
     made
 }
 
-async fn walk(app: App, client: Client, id: SessionId, frames: Arc<Semaphore>, form: Form, order: Order) -> Result<Frame, Problem> {
+async fn walk(app: App, client: Client, id: SessionId, frames: Arc<Semaphore>, form: Form, order: FrameRequest) -> Result<Frame, Problem> {
     let turn = frames.acquire_owned().await.expect("the semaphore is never closed");
     let share = app.share(client);
     // Once a frame, not once a pose: the store says whether the session is still there and still the same.

@@ -16,10 +16,10 @@ use bytes::Bytes;
 use super::App;
 use super::warp::columns;
 use crate::client::Client;
-use crate::drag::desk::{Desk, Pose, Step};
-use crate::drag::pace::Pace;
+use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
+use crate::drag::preview_controller::PreviewController;
 use crate::limits::memory::{Purpose, Reservation};
-use crate::limits::sockets::Seat;
+use crate::limits::sockets::SocketSlot;
 use crate::observe::Scope;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
@@ -39,7 +39,7 @@ pub enum PreviewWidth {
 
 /// What a client asks for when it opens the socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wishes {
+pub struct DragOptions {
     /// What frames are.
     pub form: Form,
     /// How wide they are while the hand moves; pictures only.
@@ -50,7 +50,7 @@ pub struct Wishes {
 
 /// What the socket is to send.
 #[derive(Debug)]
-pub enum Said {
+pub enum Outgoing {
     /// A text message.
     Text(String),
     /// A binary message: the number, then the pieces.
@@ -68,16 +68,16 @@ pub struct Drag {
     app: App,
     id: SessionId,
     client: Client,
-    wishes: Wishes,
-    desk: Desk<Frame>,
+    wishes: DragOptions,
+    desk: FrameScheduler<Frame>,
     making: Option<Making>,
     newest: Option<u64>,
     /// The session as the newest frame knows it, and as the client was told.
     known: Arc<Record>,
     told: Arc<Record>,
-    says: VecDeque<Said>,
+    says: VecDeque<Outgoing>,
     is_over: bool,
-    seat: Seat,
+    seat: SocketSlot,
     _held: Reservation,
 }
 
@@ -92,7 +92,7 @@ impl App {
     ///
     /// # Errors
     /// Unknown session, or no room.
-    pub async fn open_drag(&self, client: Client, id: SessionId, wishes: Wishes) -> Result<Drag, Problem> {
+    pub async fn open_drag(&self, client: Client, id: SessionId, wishes: DragOptions) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.opens_sockets()?;
         let seat = self.0.seats.take(client.tenant(), id)?;
@@ -103,7 +103,7 @@ impl App {
             app: self.clone(),
             id,
             client,
-            desk: Desk::new(pace(wishes, &record), full(wishes, &record)),
+            desk: FrameScheduler::new(pace(wishes, &record), full(wishes, &record)),
             wishes,
             making: None,
             newest: None,
@@ -117,31 +117,31 @@ impl App {
     }
 }
 
-fn hello(shape: &MeshShape) -> Said {
-    Said::Text(serde_json::to_string(shape).expect("an object of numbers"))
+fn hello(shape: &MeshShape) -> Outgoing {
+    Outgoing::Text(serde_json::to_string(shape).expect("an object of numbers"))
 }
 
 /// A mesh has no width: one pixel stands for all of it.
 const MESH: u32 = 1;
 
-fn pace(wishes: Wishes, record: &Record) -> Pace {
+fn pace(wishes: DragOptions, record: &Record) -> PreviewController {
     let width = full_width(record);
     let (w, h) = (u64::from(record.extent.width()), u64::from(record.extent.height()));
     let height = u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1);
     match (wishes.form, wishes.width) {
-        (Form::Mesh, _) => Pace::fixed(MESH),
-        (_, PreviewWidth::Auto) => Pace::adaptive((width, height)),
-        (_, PreviewWidth::Fixed(width)) => Pace::fixed(width),
+        (Form::Mesh, _) => PreviewController::fixed(MESH),
+        (_, PreviewWidth::Auto) => PreviewController::adaptive((width, height)),
+        (_, PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
     }
 }
 
-fn full(wishes: Wishes, record: &Record) -> u32 {
+fn full(wishes: DragOptions, record: &Record) -> u32 {
     if wishes.form == Form::Mesh { MESH } else { full_width(record) }
 }
 
 impl Drag {
     /// A message of the client's.
-    pub fn hear(&mut self, text: &[u8], now: Instant) {
+    pub fn on_message(&mut self, text: &[u8], now: Instant) {
         match DragMessage::parse(text) {
             Ok(DragMessage::Ack(seq)) => {
                 if self.desk.ack(seq, now).is_err() {
@@ -167,7 +167,7 @@ impl Drag {
         if let (Some(seq), Some(members)) = (seq, document.as_object_mut()) {
             members.insert("seq".to_owned(), seq.into());
         }
-        self.says.push_back(Said::Text(document.to_string()));
+        self.says.push_back(Outgoing::Text(document.to_string()));
     }
 
     /// Begins, gives up and lays out what is due; nothing is to be done before the time that comes back, unless something happens.
@@ -194,9 +194,9 @@ impl Drag {
             self.told = frame.record;
         }
         if self.wishes.report {
-            self.says.push_back(Said::Text(frame.report));
+            self.says.push_back(Outgoing::Text(frame.report));
         }
-        self.says.push_back(Said::Frame(frame.seq, frame.pieces));
+        self.says.push_back(Outgoing::Frame(frame.seq, frame.pieces));
         self.app.0.drags.frames.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -219,7 +219,7 @@ impl Drag {
                 let order = self.desk.failed();
                 self.is_over = matches!(problem.code, Code::NoSuchSession | Code::SessionExpired);
                 // The pose of a frame that is made again was good; what has changed since is told when the hand moves.
-                if let Some(order) = order.filter(|order| self.is_over || !order.again) {
+                if let Some(order) = order.filter(|order| self.is_over || !order.is_full_quality) {
                     self.complain(Some(order.pose.seq), &problem);
                 }
             }
@@ -227,7 +227,7 @@ impl Drag {
     }
 
     /// Looks whether the session is still there. A store that does not answer, or not this version of the program, has not said that it is not.
-    pub async fn look(&mut self) {
+    pub async fn check_session(&mut self) {
         if let Err(problem) = self.app.session(self.id).await
             && problem.code.status() != 503
         {
@@ -237,7 +237,7 @@ impl Drag {
     }
 
     /// The next thing to send.
-    pub fn say(&mut self) -> Option<Said> {
+    pub fn next_outgoing(&mut self) -> Option<Outgoing> {
         self.says.pop_front()
     }
 

@@ -248,9 +248,9 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::http::connection::transport::Wire;
-    use crate::http::connection::write_timeout::Steady;
-    use crate::limits::connections::Places;
+    use crate::http::connection::transport::Transport;
+    use crate::http::connection::write_timeout::WriteTimeoutStream;
+    use crate::limits::connections::ConnectionLimiter;
 
     /// To the byte what hyper writes when it refuses.
     const REFUSAL: &str = "HTTP/1.1 400 Bad Request\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
@@ -263,9 +263,10 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let mut client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let (socket, peer) = listener.accept().await.unwrap();
-        let steady = Steady::new(socket, Duration::from_secs(60), Places::new(1, 1).take(peer.ip(), false).unwrap()).unwrap();
+        let steady =
+            WriteTimeoutStream::new(socket, Duration::from_secs(60), ConnectionLimiter::new(1, 1).take(peer.ip(), false).unwrap()).unwrap();
         let turns = Arc::<Turns>::default();
-        let wire = Wire::plain(steady).with(Heads::new(App::new(Config::default()).unwrap(), Arc::clone(&turns)));
+        let wire = Transport::plain(steady).with(Heads::new(App::new(Config::default()).unwrap(), Arc::clone(&turns)));
         let service = counted(turns, service_fn(move |request: Request<Incoming>| answer(request.uri().path().to_owned())));
         client.write_all(sent.as_bytes()).await.unwrap();
         let read = async move {

@@ -18,9 +18,9 @@ use thiserror::Error;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use reload::Reread;
+use reload::Reloader;
 use serve::Connections;
-pub(crate) use transport::Wire;
+pub(crate) use transport::Transport;
 
 use crate::app::{App, NotStarted};
 use crate::auth::tls::TlsFiles;
@@ -93,16 +93,16 @@ pub fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
 /// The listener failed, or the certificate cannot be read.
 pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
     let config = app.config().clone();
-    let doors = &config.doors;
+    let access = &config.access;
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let watchers = config.telemetry.metrics_listen.map(listen).transpose()?;
-    raise_open_files(doors.max_connections);
-    let tls = doors.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
+    raise_open_files(access.max_connections);
+    let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
     let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
-    let reread = Reread::new(&app, tls);
-    let scheme = if doors.tls.is_some() { "https" } else { "http" };
+    let reread = Reloader::new(&app, tls);
+    let scheme = if access.tls.is_some() { "https" } else { "http" };
     let work = config.work;
     tracing::info!(
         workers = work.workers,
@@ -112,7 +112,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         "listening on {scheme}://{address}"
     );
     reread.warn_of_readable_secrets();
-    if doors.has_keys_in_plain(address) {
+    if access.has_keys_in_plain(address) {
         tracing::warn!(
             "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert and \
              --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
@@ -125,10 +125,10 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     let left = async {
         stop.await;
         app.leave();
-        if !doors.drain_delay.is_zero() {
-            tracing::info!(delay = ?doors.drain_delay, "leaving: not ready any more, still serving");
+        if !access.drain_delay.is_zero() {
+            tracing::info!(delay = ?access.drain_delay, "leaving: not ready any more, still serving");
             tokio::select! {
-                () = tokio::time::sleep(doors.drain_delay) => {}
+                () = tokio::time::sleep(access.drain_delay) => {}
                 () = app.hurrying() => {}
             }
         }
@@ -139,12 +139,12 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         () = left => {}
     }
     drop(listener);
-    tracing::info!(grace = ?doors.shutdown_grace, connections = tasks.len(), "stopping");
+    tracing::info!(grace = ?access.shutdown_grace, connections = tasks.len(), "stopping");
     app.stop();
     let ending = async {
         let all_ended = async { while tasks.join_next().await.is_some() {} };
         // Those that go on after the grace are cut off.
-        let _ = tokio::time::timeout(doors.shutdown_grace, all_ended).await;
+        let _ = tokio::time::timeout(access.shutdown_grace, all_ended).await;
         tasks.abort_all();
         // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
         let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;

@@ -20,17 +20,17 @@ const OTHERS: u32 = 0o006;
 /// What tells a file from what it was.
 type Look = Option<(SystemTime, u64)>;
 
-pub(crate) struct Reread {
+pub(crate) struct Reloader {
     app: App,
     keys: Option<KeysConfig>,
     tls: Option<(TlsFiles, watch::Sender<Arc<ServerConfig>>)>,
     seen: Vec<Look>,
 }
 
-impl Reread {
+impl Reloader {
     pub(crate) fn new(app: &App, tls: Option<watch::Sender<Arc<ServerConfig>>>) -> Self {
-        let doors = &app.config().doors;
-        let mut reread = Self { app: app.clone(), keys: doors.keys.clone(), tls: doors.tls.clone().zip(tls), seen: Vec::new() };
+        let access = &app.config().access;
+        let mut reread = Self { app: app.clone(), keys: access.keys.clone(), tls: access.tls.clone().zip(tls), seen: Vec::new() };
         reread.seen = looks(&reread.files());
         reread
     }
@@ -86,7 +86,7 @@ impl Reread {
             match keys.read() {
                 Ok(new) => {
                     tracing::info!(keys = new.len(), "keys were read again");
-                    self.app.doors().replace_keys(new);
+                    self.app.access().replace_keys(new);
                 }
                 Err(mistake) => tracing::error!("keys stay as they were: {mistake}"),
             }

@@ -27,16 +27,16 @@ use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
 use super::heads::{Heads, Turns, counted};
-use super::stream_stall::{Streams, paced};
-use super::transport::Wire;
-use super::write_timeout::Steady;
+use super::stream_stall::{Streams, with_stall_timeout};
+use super::transport::Transport;
+use super::write_timeout::WriteTimeoutStream;
 use crate::app::App;
 use crate::auth::tls::H2;
-use crate::config::DoorsConfig;
-use crate::http::body::{Guard, Waiting};
+use crate::config::AccessConfig;
+use crate::http::body::{LimitedBody, Waiting};
 use crate::http::middleware::refused;
 use crate::http::{router, watched};
-use crate::limits::connections::{Place, Places};
+use crate::limits::connections::{ConnectionLimiter, ConnectionPermit};
 use crate::problem::{Code, Problem};
 
 /// Streams that one HTTP/2 connection may have open.
@@ -77,9 +77,9 @@ enum Version {
 pub(crate) struct Connections {
     app: App,
     router: Router,
-    config: DoorsConfig,
+    config: AccessConfig,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
-    places: Places,
+    places: ConnectionLimiter,
     /// They go on while the service stops, to its very end.
     are_last: bool,
 }
@@ -87,24 +87,24 @@ pub(crate) struct Connections {
 impl Connections {
     /// Of the service.
     pub(crate) fn new(app: &App, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
-        let places = app.doors().places().clone();
-        Self { app: app.clone(), router: router(app.clone()), config: app.config().doors.clone(), tls, places, are_last: false }
+        let places = app.access().places().clone();
+        Self { app: app.clone(), router: router(app.clone()), config: app.config().access.clone(), tls, places, are_last: false }
     }
 
     /// Of those who watch it.
     pub(crate) fn of_watchers(app: &App) -> Self {
-        let places = Places::new(WATCHERS.0, WATCHERS.1);
-        Self { app: app.clone(), router: watched(app.clone()), config: app.config().doors.clone(), tls: None, places, are_last: true }
+        let places = ConnectionLimiter::new(WATCHERS.0, WATCHERS.1);
+        Self { app: app.clone(), router: watched(app.clone()), config: app.config().access.clone(), tls: None, places, are_last: true }
     }
 
     /// A place for another connection, if there is one.
-    pub(crate) fn place(&self, peer: IpAddr) -> Option<Place> {
+    pub(crate) fn place(&self, peer: IpAddr) -> Option<ConnectionPermit> {
         self.places.take(peer, self.config.trusted_proxies.iter().any(|network| network.has(peer)))
     }
 
     /// Serves a connection until it ends.
-    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: Place) {
-        let opened = match Steady::new(socket, self.config.write_timeout, place) {
+    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: ConnectionPermit) {
+        let opened = match WriteTimeoutStream::new(socket, self.config.write_timeout, place) {
             Ok(steady) => tokio::select! {
                 opened = timeout(self.config.header_timeout, self.open(steady)) => opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
                 () = self.late() => Err(io::ErrorKind::TimedOut.into()),
@@ -122,7 +122,7 @@ impl Connections {
         }
     }
 
-    async fn open(&self, steady: Steady) -> io::Result<(Wire, Version)> {
+    async fn open(&self, steady: WriteTimeoutStream) -> io::Result<(Transport, Version)> {
         // Browsers and proxies open connections ahead: whoever has said nothing when the service stops is not waited for.
         let (mut first, mut late) = ([0], [MaybeUninit::uninit()]);
         tokio::select! {
@@ -131,19 +131,19 @@ impl Connections {
         };
         let Some(tls) = &self.tls else {
             let version = version(steady.socket()).await?;
-            return Ok((Wire::plain(steady), version));
+            return Ok((Transport::plain(steady), version));
         };
         // No record of TLS begins with a letter; every method does.
         if first[0].is_ascii_uppercase() {
-            return Ok((Wire::plain(steady), Version::Unencrypted));
+            return Ok((Transport::plain(steady), Version::Unencrypted));
         }
         let config = Arc::clone(&tls.borrow());
         let stream = TlsAcceptor::from(config).accept(steady).await?;
         let version = if stream.get_ref().1.alpn_protocol() == Some(H2) { Version::Http2 } else { Version::Http1 };
-        Ok((Wire::tls(stream), version))
+        Ok((Transport::tls(stream), version))
     }
 
-    async fn http1<S>(&self, wire: Wire, builder: &http1::Builder, begun: &AtomicBool, service: S)
+    async fn http1<S>(&self, wire: Transport, builder: &http1::Builder, begun: &AtomicBool, service: S)
     where
         S: Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send>,
     {
@@ -174,19 +174,19 @@ impl Connections {
     }
 
     /// Whoever forgot the s of https learns of it, also by sending a whole picture before reading.
-    async fn unencrypted(&self, wire: Wire) {
+    async fn unencrypted(&self, wire: Transport) {
         let begun = AtomicBool::default();
         let refusing = service_fn(|request: Request<Incoming>| {
             begun.store(true, Ordering::Relaxed);
             let waits = request.headers().contains_key(EXPECT);
-            drop(Guard::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits, Waiting::default()));
+            drop(LimitedBody::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits, Waiting::default()));
             let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
             std::future::ready(Ok(refused(&self.app, problem)))
         });
         self.http1(wire, self.http1_builder().keep_alive(false), &begun, refusing).await;
     }
 
-    async fn http2(&self, wire: Wire, peer: SocketAddr) {
+    async fn http2(&self, wire: Transport, peer: SocketAddr) {
         let streams = Streams::new(self.config.write_timeout);
         let mut builder = http2::Builder::new(streams.clone());
         builder
@@ -260,7 +260,7 @@ impl Connections {
             begun.store(true, Ordering::Relaxed);
             request.extensions_mut().insert(ConnectInfo(peer));
             let answer = router.call(request);
-            async move { Ok(answer.await?.map(paced)) }
+            async move { Ok(answer.await?.map(with_stall_timeout)) }
         })
     }
 }

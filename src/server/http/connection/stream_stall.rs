@@ -19,14 +19,14 @@ const PIECE: usize = 16 << 10;
 
 tokio::task_local! {
     /// The stream whose request is being answered.
-    static CURRENT: Arc<Handed>;
+    static CURRENT: Arc<StreamStallTimeout>;
 }
 
 /// When the last piece was handed over, and nothing was asked for since.
 #[derive(Debug, Default)]
-struct Handed(Mutex<Option<Instant>>);
+struct StreamStallTimeout(Mutex<Option<Instant>>);
 
-impl Handed {
+impl StreamStallTimeout {
     fn set(&self, at: Option<Instant>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = at;
     }
@@ -73,7 +73,7 @@ impl Streams {
 impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
     fn execute(&self, stream: F) {
         let open = Open::new(self.count.clone());
-        let handed = Arc::<Handed>::default();
+        let handed = Arc::<StreamStallTimeout>::default();
         let watched = Watched { stream: Box::pin(stream), handed: Arc::clone(&handed), deadline: None, within: self.write_timeout };
         tokio::spawn(CURRENT.scope(handed, async move {
             let _open = open;
@@ -101,7 +101,7 @@ impl Drop for Open {
 /// A stream until it ends or its client takes nothing for too long; dropped, it is reset.
 struct Watched<F> {
     stream: Pin<Box<F>>,
-    handed: Arc<Handed>,
+    handed: Arc<StreamStallTimeout>,
     deadline: Option<Pin<Box<Sleep>>>,
     within: Duration,
 }
@@ -130,7 +130,7 @@ impl<F: Future<Output = ()>> Future for Watched<F> {
 }
 
 /// An answer's body as its stream may send it; on HTTP/1.1 as it is.
-pub(crate) fn paced(body: Body) -> Body {
+pub(crate) fn with_stall_timeout(body: Body) -> Body {
     match CURRENT.try_with(Arc::clone) {
         Ok(handed) if !body.is_end_stream() => Body::new(Paced { body, handed, rest: Bytes::new() }),
         _ => body,
@@ -139,7 +139,7 @@ pub(crate) fn paced(body: Body) -> Body {
 
 struct Paced {
     body: Body,
-    handed: Arc<Handed>,
+    handed: Arc<StreamStallTimeout>,
     rest: Bytes,
 }
 

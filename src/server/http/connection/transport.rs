@@ -8,11 +8,11 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_rustls::server::TlsStream;
 
 use super::heads::Heads;
-use super::write_timeout::Steady;
+use super::write_timeout::WriteTimeoutStream;
 
 /// A connection, plain or encrypted.
 #[derive(Debug)]
-pub(crate) struct Wire {
+pub(crate) struct Transport {
     io: Io,
     /// Who writes, on HTTP/1.1.
     heads: Option<Heads>,
@@ -21,17 +21,17 @@ pub(crate) struct Wire {
 #[derive(Debug)]
 enum Io {
     /// The socket.
-    Plain(Steady),
+    Plain(WriteTimeoutStream),
     /// TLS upon it.
-    Tls(Box<TlsStream<Steady>>),
+    Tls(Box<TlsStream<WriteTimeoutStream>>),
 }
 
-impl Wire {
-    pub(crate) const fn plain(socket: Steady) -> Self {
+impl Transport {
+    pub(crate) const fn plain(socket: WriteTimeoutStream) -> Self {
         Self { io: Io::Plain(socket), heads: None }
     }
 
-    pub(crate) fn tls(stream: TlsStream<Steady>) -> Self {
+    pub(crate) fn tls(stream: TlsStream<WriteTimeoutStream>) -> Self {
         Self { io: Io::Tls(Box::new(stream)), heads: None }
     }
 
@@ -49,7 +49,7 @@ impl Wire {
 }
 
 impl Io {
-    fn steady(&mut self) -> &mut Steady {
+    fn steady(&mut self) -> &mut WriteTimeoutStream {
         match self {
             Self::Plain(io) => io,
             Self::Tls(io) => io.get_mut().0,
@@ -72,7 +72,7 @@ macro_rules! over {
     };
 }
 
-impl AsyncRead for Wire {
+impl AsyncRead for Transport {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         let read = over!(self.io, io => io.poll_read(cx, into));
@@ -83,7 +83,7 @@ impl AsyncRead for Wire {
     }
 }
 
-impl AsyncWrite for Wire {
+impl AsyncWrite for Transport {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         if let Some(heads) = &mut self.heads
             && heads.take(bytes)?

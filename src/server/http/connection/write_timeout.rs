@@ -11,7 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Sleep, sleep};
 
-use crate::limits::connections::Place;
+use crate::limits::connections::ConnectionPermit;
 
 /// What the kernel may hold for a client that reads slowly, bytes (it takes twice this). Enough for 100 Mbit/s over 40 ms.
 const SEND_BUFFER: usize = 512 << 10;
@@ -20,11 +20,11 @@ const LOOKS: u32 = 8;
 
 /// A connection under a write deadline. It holds its place among the connections as long as it is there, also after an upgrade.
 #[derive(Debug)]
-pub(crate) struct Steady {
+pub(crate) struct WriteTimeoutStream {
     io: TcpStream,
     within: Option<Duration>,
     blocked: Option<Blocked>,
-    _place: Place,
+    _place: ConnectionPermit,
 }
 
 #[derive(Debug)]
@@ -33,8 +33,8 @@ struct Blocked {
     look: Pin<Box<Sleep>>,
 }
 
-impl Steady {
-    pub(crate) fn new(io: TcpStream, within: Duration, place: Place) -> io::Result<Self> {
+impl WriteTimeoutStream {
+    pub(crate) fn new(io: TcpStream, within: Duration, place: ConnectionPermit) -> io::Result<Self> {
         // Strips leave when they are made; waiting to fill a segment would hold back the last one.
         io.set_nodelay(true)?;
         // Without it the kernel holds what it likes, and nothing else changes.
@@ -81,13 +81,13 @@ impl Steady {
     }
 }
 
-impl AsyncRead for Steady {
+impl AsyncRead for WriteTimeoutStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.io).poll_read(cx, into)
     }
 }
 
-impl AsyncWrite for Steady {
+impl AsyncWrite for WriteTimeoutStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         match Pin::new(&mut self.io).poll_write(cx, bytes) {
             Poll::Ready(written) => {

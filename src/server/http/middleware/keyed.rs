@@ -12,7 +12,7 @@ use data_encoding::BASE64URL_NOPAD;
 
 use crate::app::App;
 use crate::client::Client;
-use crate::limits::networks::origin;
+use crate::limits::networks::client_ip;
 use crate::problem::Code;
 
 /// The subprotocol of the drag socket, for clients that name one.
@@ -37,7 +37,7 @@ pub(crate) fn client(app: &App, request: &Request) -> Client {
     let forwarded = request.headers().get_all(FORWARDED_FOR).iter().map(|value| value.to_str().unwrap_or_default());
     // One header of many values or many headers: one list.
     let hops = forwarded.flat_map(|value| value.split(','));
-    Client { address: origin(peer.ip(), hops, &app.config().doors.trusted_proxies), ..Client::default() }
+    Client { address: client_ip(peer.ip(), hops, &app.config().access.trusted_proxies), ..Client::default() }
 }
 
 /// Lets in who may come in, and says to the handler whose sessions are meant. The key goes no further.
@@ -45,7 +45,7 @@ pub(crate) async fn keyed(State(app): State<App>, mut request: Request, next: Ne
     let client = request.extensions().get::<Client>().copied().unwrap_or_default();
     let key = key(request.headers());
     request.headers_mut().remove(AUTHORIZATION);
-    match app.doors().admit(client.address, key.as_deref()) {
+    match app.access().admit(client.address, key.as_deref()) {
         Ok((owner, pass)) => {
             request.extensions_mut().insert(Client { owner, ..client });
             request.extensions_mut().insert(pass);

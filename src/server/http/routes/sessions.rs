@@ -17,7 +17,7 @@ use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
-use crate::wire::{SessionGrid, SessionImage, SessionObject, Wire};
+use crate::wire::{AsJson, SessionGrid, SessionImage, SessionObject};
 
 /// Longest text of a number and its comma, bytes.
 const NUMBER: usize = 25;
@@ -98,7 +98,7 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
 fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
     let held = app.reserve_for(Purpose::Frame, &app.share(client), text.len() as u64)?;
-    Ok(json_text(held.with(text)))
+    Ok(json_text(held.attach(text)))
 }
 
 /// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
@@ -109,7 +109,7 @@ fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Pr
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
     let text = text(session, setup);
     held.shrink_to(text.len() as u64);
-    json_text(held.with(text))
+    json_text(held.attach(text))
 }
 
 /// Most bytes of the object of a session that is made of this warp object. Words come back as they were or are not in the object at all, and
@@ -125,16 +125,16 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
     let (columns, rows) = setup.grid();
     let object = SessionObject {
         id: &record.id.to_string(),
-        image: SessionImage { width: record.extent.width(), height: record.extent.height(), digest: Wire(record.image) },
-        p: Wire(&record.rest.p),
+        image: SessionImage { width: record.extent.width(), height: record.extent.height(), digest: AsJson(record.image) },
+        p: AsJson(&record.rest.p),
         weights: record.rest.weights.as_deref(),
-        method: Wire(record.rest.method),
+        method: AsJson(record.rest.method),
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
-        units: Wire(record.rest.units),
-        grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: Wire(record.rest.grid) },
-        folds: Wire(record.folds),
-        output: Wire(&record.output),
+        units: AsJson(record.rest.units),
+        grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
+        folds: AsJson(record.folds),
+        output: AsJson(&record.output),
         created: &rfc3339(record.created),
         expires: &rfc3339(session.expires),
         seq: session.seq,

@@ -16,19 +16,19 @@ use mlswarp::codec::Format;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
-use super::connection::Wire;
+use super::connection::Transport;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
 use crate::app::App;
-use crate::app::live_drag::{Drag, Form, PreviewWidth, Said, Wishes};
+use crate::app::live_drag::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
 use crate::app::warp::columns;
-use crate::auth::keys::Pass;
+use crate::auth::keys::Credential;
 use crate::client::Client;
 use crate::config::Config;
 use crate::limits::bucket::Bucket;
 use crate::observe::Scope;
 use crate::problem::{Code, Problem};
-use websocket::{Ending, Heard, Line};
+use websocket::{Ending, Heard, WebSocketConnection};
 
 /// Messages that a client may send in a second, and at once: a hand at 1000 Hz loses nothing.
 const MESSAGES: (f64, f64) = (1000.0, 2000.0);
@@ -40,7 +40,7 @@ pub(crate) async fn drag(
     Path(id): Path<String>,
     mut request: Request,
 ) -> Response {
-    let answer = match handshake::accept(&request, &app.config().doors.cors_origin) {
+    let answer = match handshake::accept(&request, &app.config().access.cors_origin) {
         Ok(answer) => answer,
         Err(refusal) => return refusal,
     };
@@ -52,33 +52,35 @@ pub(crate) async fn drag(
         Ok(drag) => drag,
         Err(problem) => return problem.into_response(),
     };
-    let pass = request.extensions().get::<Pass>().copied().unwrap_or(Pass::ANYBODY);
+    let pass = request.extensions().get::<Credential>().copied().unwrap_or(Credential::ANYBODY);
     let most = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
     let upgrade = hyper::upgrade::on(&mut request);
     // What is told of the socket from now on has the handshake's id.
     let talked = Scope::current().answered().wrap(async move {
         // Whoever has left before the answer takes the drag with it.
         let Ok(upgraded) = upgrade.await else { return };
-        match upgraded.downcast::<TokioIo<Wire>>() {
-            Ok(parts) => talk(&app, pass, drag, Line::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await,
-            Err(upgraded) => talk(&app, pass, drag, Line::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
+        match upgraded.downcast::<TokioIo<Transport>>() {
+            Ok(parts) => {
+                talk(&app, pass, drag, WebSocketConnection::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await
+            }
+            Err(upgraded) => talk(&app, pass, drag, WebSocketConnection::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
         }
     });
     tokio::spawn(talked);
     answer
 }
 
-async fn open(app: &App, client: Client, id: &str, wishes: Wishes) -> Result<Drag, Problem> {
+async fn open(app: &App, client: Client, id: &str, wishes: DragOptions) -> Result<Drag, Problem> {
     app.open_drag(client, session_id(client, id)?, wishes).await
 }
 
 /// `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. What is not known is refused.
-fn wishes(query: Option<&str>, max_side: u32) -> Result<Wishes, Problem> {
+fn wishes(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let bad = |name: &str, value: &str, expected: &str| {
         let value: String = value.chars().take(40).collect();
         Problem::new(Code::BadValue, format!("the query's `{name}` is {expected}: {value}"))
     };
-    let mut wishes = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
+    let mut wishes = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
     for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
         match pair.split_once('=').unwrap_or((pair, "")) {
             ("frames", "mesh") => wishes.form = Form::Mesh,
@@ -106,7 +108,7 @@ fn wishes(query: Option<&str>, max_side: u32) -> Result<Wishes, Problem> {
 }
 
 /// Carries messages until either side ends it.
-async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, mut drag: Drag, mut line: Line<S>) {
+async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Credential, mut drag: Drag, mut line: WebSocketConnection<S>) {
     let began = Instant::now();
     let ending = converse(app, pass, &mut drag, &mut line).await;
     let (code, reason) = match &ending {
@@ -120,18 +122,23 @@ async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, mut drag
     line.close(ending).await;
 }
 
-async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, drag: &mut Drag, line: &mut Line<S>) -> Ending {
+async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
+    app: &App,
+    pass: Credential,
+    drag: &mut Drag,
+    line: &mut WebSocketConnection<S>,
+) -> Ending {
     let now = Instant::now();
     let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, now);
     let mut life = Life { heard: now, pinged: None };
-    let (stopping, revoked) = (app.stopping(), app.doors().revoked(pass));
+    let (stopping, revoked) = (app.stopping(), app.access().revoked(pass));
     tokio::pin!(stopping, revoked);
     loop {
         let due = drag.act(Instant::now());
-        while let Some(said) = drag.say() {
+        while let Some(said) = drag.next_outgoing() {
             match said {
-                Said::Text(text) => line.text(text),
-                Said::Frame(seq, pieces) => line.binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces),
+                Outgoing::Text(text) => line.text(text),
+                Outgoing::Frame(seq, pieces) => line.binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces),
             }
         }
         if drag.is_over() {
@@ -147,7 +154,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, drag
                     return Ending::Close(CloseCode::Policy, "too many messages a second");
                 }
                 match heard {
-                    Heard::Text(text) => drag.hear(text.as_bytes(), now),
+                    Heard::Text(text) => drag.on_message(text.as_bytes(), now),
                     Heard::Binary => drag.complain(None, &Problem::new(Code::MalformedRequest, "messages are text")),
                     Heard::Life => {}
                     Heard::End(ending) => return ending,
@@ -157,8 +164,8 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, drag
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = &mut revoked => {
                 drag.complain(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
-                while let Some(said) = drag.say() {
-                    if let Said::Text(text) = said {
+                while let Some(said) = drag.next_outgoing() {
+                    if let Outgoing::Text(text) = said {
                         line.last_words(text);
                     }
                 }
@@ -173,7 +180,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Pass, drag
                     Then::Ping => {
                         line.ping();
                         life.pinged = Some(now);
-                        drag.look().await;
+                        drag.check_session().await;
                     }
                     Then::End(reason) => return Ending::Close(CloseCode::Policy, reason),
                 }
@@ -198,7 +205,7 @@ enum Then {
 
 impl Life {
     /// The next deadline: of a client that takes nothing, of one that acknowledges nothing, of one that says nothing.
-    fn deadline<S: AsyncRead + AsyncWrite + Unpin>(&self, drag: &Drag, line: &Line<S>, config: &Config) -> (Instant, Then) {
+    fn deadline<S: AsyncRead + AsyncWrite + Unpin>(&self, drag: &Drag, line: &WebSocketConnection<S>, config: &Config) -> (Instant, Then) {
         if let Some(since) = line.blocked() {
             return (since + config.socket_timeout, Then::End("the client does not take what it is sent"));
         }
@@ -222,13 +229,13 @@ mod tests {
     #[test]
     fn the_query_says_what_frames_are() {
         let read = |query: &str| wishes(Some(query), 16384);
-        let usual = Wishes { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
+        let usual = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
         assert_eq!(wishes(None, 16384), Ok(usual));
         assert_eq!(read("width=auto&report=false"), Ok(usual));
-        assert_eq!(read("width=1024&report=true"), Ok(Wishes { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
-        assert_eq!(read("frames=mesh"), Ok(Wishes { form: Form::Mesh, ..usual }));
+        assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
+        assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));
         for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP)] {
-            assert_eq!(read(&format!("frames={name}")), Ok(Wishes { form: Form::Picture(Some(format)), ..usual }));
+            assert_eq!(read(&format!("frames={name}")), Ok(DragOptions { form: Form::Picture(Some(format)), ..usual }));
         }
         for (query, code) in [
             ("frames=gif", Code::BadValue),

@@ -59,7 +59,7 @@ pub(crate) enum Heard {
 
 /// One WebSocket.
 #[derive(Debug)]
-pub(crate) struct Line<S> {
+pub(crate) struct WebSocketConnection<S> {
     socket: WebSocketStream<Metered<S>>,
     queue: VecDeque<Message>,
     /// What is said before the connection is closed from here, where there is room for it.
@@ -71,7 +71,7 @@ pub(crate) struct Line<S> {
     wrote: Instant,
 }
 
-impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
+impl<S: AsyncRead + AsyncWrite + Unpin> WebSocketConnection<S> {
     /// `read`: what the client has sent already. Messages are at most `most` bytes, with their frames' heads at most [`HEADS`] more.
     pub(crate) async fn new(stream: S, read: Bytes, most: usize) -> Self {
         let config = WebSocketConfig::default()

@@ -98,21 +98,21 @@ pub(crate) struct Disk {
 
 struct Open {
     /// `None` after a failure: what the disk holds is not certain before it has been opened again.
-    database: Option<Arc<Held>>,
+    database: Option<Arc<FileState>>,
     tried: Instant,
     failures: u64,
 }
 
 /// A database that may be closed by anybody: to close one that is damaged may well fail, and is nobody's failure.
-struct Held<T = Database>(Option<T>);
+struct FileState<T = Database>(Option<T>);
 
-impl<T> Held<T> {
+impl<T> FileState<T> {
     fn new(database: T) -> Arc<Self> {
         Arc::new(Self(Some(database)))
     }
 }
 
-impl<T> Deref for Held<T> {
+impl<T> Deref for FileState<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -120,13 +120,13 @@ impl<T> Deref for Held<T> {
     }
 }
 
-impl<T> DerefMut for Held<T> {
+impl<T> DerefMut for FileState<T> {
     fn deref_mut(&mut self) -> &mut T {
         self.0.as_mut().expect("it is there until it is dropped")
     }
 }
 
-impl<T> Drop for Held<T> {
+impl<T> Drop for FileState<T> {
     fn drop(&mut self) {
         let database = self.0.take();
         if catch_unwind(AssertUnwindSafe(|| drop(database))).is_err() {
@@ -152,7 +152,7 @@ impl Disk {
     }
 
     fn of(path: &Path, database: Database) -> Self {
-        let open = Open { database: Some(Held::new(database)), tried: Instant::now(), failures: 0 };
+        let open = Open { database: Some(FileState::new(database)), tried: Instant::now(), failures: 0 };
         Self { path: path.to_owned(), open: Mutex::new(open) }
     }
 
@@ -197,7 +197,7 @@ impl Disk {
         let mut open = self.lock();
         match opened {
             Ok(database) => {
-                open.database = Some(Held::new(database));
+                open.database = Some(FileState::new(database));
                 tracing::info!("the session file is open again");
                 Ok(Opened::Again)
             }
@@ -235,7 +235,7 @@ impl Disk {
     }
 
     /// Closes that database, unless it has been closed and opened again meanwhile.
-    fn fail(&self, failing: &Arc<Held>, failed: &Failed) -> StoreError {
+    fn fail(&self, failing: &Arc<FileState>, failed: &Failed) -> StoreError {
         let mut open = self.lock();
         open.failures += 1;
         let closed = open.database.take_if(|database| Arc::ptr_eq(database, failing));
@@ -386,14 +386,14 @@ mod tests {
     #[test]
     fn closing_what_is_damaged_fails_nobody() {
         let closed = Arc::<AtomicU64>::default();
-        let held = Held::new(Damaged(Arc::clone(&closed)));
+        let held = FileState::new(Damaged(Arc::clone(&closed)));
         let another = Arc::clone(&held);
         drop(held);
         assert_eq!(closed.load(Ordering::Relaxed), 0);
         drop(another);
         assert_eq!(closed.load(Ordering::Relaxed), 1);
         // Nor somebody who fails at that moment: two panics at once would end the program.
-        let held = Held::new(Damaged(Arc::clone(&closed)));
+        let held = FileState::new(Damaged(Arc::clone(&closed)));
         let failed = catch_unwind(AssertUnwindSafe(|| {
             let _held = held;
             panic!("of another cause");

@@ -22,7 +22,7 @@ use bytes::Bytes;
 use mlswarp::warp::Digest;
 use redb::ReadableTable as _;
 
-use super::index::{Index, Will};
+use super::index::{Index, PutOutcome};
 use super::record;
 use super::record::Unreadable;
 use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
@@ -36,9 +36,9 @@ const READINESS: Duration = Duration::from_secs(1);
 
 /// A store in a file. Cloning shares it.
 #[derive(Clone)]
-pub struct FileStore(Arc<Shared>);
+pub struct FileStore(Arc<FileStoreState>);
 
-struct Shared {
+struct FileStoreState {
     bounds: Bounds,
     index: Mutex<Index>,
     /// Numbers as they are on the disk. Held from the decision until the index knows of it: one change at a time.
@@ -69,7 +69,7 @@ impl FileStore {
 
     fn on(disk: Disk, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = disk.not_opened("it cannot be read; the log has more");
-        let shared = Shared {
+        let shared = FileStoreState {
             bounds,
             index: Mutex::new(Index::new(bounds)),
             writing: Mutex::default(),
@@ -88,7 +88,7 @@ impl FileStore {
     }
 
     /// Off the async threads, and to its end whoever waits for it.
-    fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&Shared) -> Result<T, StoreError> + Send + 'static) -> Answer<'_, T> {
+    fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&FileStoreState) -> Result<T, StoreError> + Send + 'static) -> Answer<'_, T> {
         let shared = Arc::clone(&self.0);
         let scope = Scope::current();
         let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&shared)));
@@ -96,7 +96,7 @@ impl FileStore {
     }
 }
 
-impl Shared {
+impl FileStoreState {
     fn index(&self) -> MutexGuard<'_, Index> {
         // No operation leaves the index half-changed where it could panic.
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
@@ -191,7 +191,7 @@ impl Shared {
             let has = index.names(record.id.owner(), record.image);
             (index.weigh(&record, len)?, has, index.freed(&[record.id], Some(record.image)))
         };
-        if will != Will::Stay {
+        if will != PutOutcome::Stay {
             let (name, bytes) = (record.id.to_bytes(), record::write(&record));
             self.disk.change(|change| {
                 change.records.insert(&name, bytes.as_slice())?;
@@ -248,7 +248,7 @@ impl Shared {
             self.take_away(&ended)?;
         }
         // Also when nothing has ended: graves are forgotten here.
-        self.index().bury(&ended);
+        self.index().expire(&ended);
         for id in &ended {
             written.remove(id);
         }
@@ -300,7 +300,7 @@ impl Shared {
     }
 }
 
-impl Drop for Shared {
+impl Drop for FileStoreState {
     fn drop(&mut self) {
         let written = std::mem::take(&mut *self.writing());
         if let Err(error) = self.write_numbers(&mut { written }) {

@@ -9,7 +9,7 @@ use redis::aio::MultiplexedConnection;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use super::line::{Line, Peer};
+use super::connection::{Peer, RedisConnection};
 use crate::store::StoreError;
 
 /// Files that are transferred at one time, at most. Others wait for a connection, as long as they may take in all.
@@ -21,13 +21,13 @@ const LARGE: usize = 1 << 20;
 pub(crate) struct Files {
     places: Semaphore,
     /// Those that transfer nothing now; the one that was used last is used next.
-    free: Mutex<Vec<Line>>,
+    free: Mutex<Vec<RedisConnection>>,
 }
 
 /// A connection that transfers a file.
 struct Transfer<'a> {
     files: &'a Files,
-    line: Line,
+    line: RedisConnection,
     /// It can transfer another one.
     is_sound: bool,
 }
@@ -44,7 +44,7 @@ impl Drop for Transfer<'_> {
 
 impl Files {
     pub(crate) fn new(peer: &Arc<Peer>) -> Self {
-        let free = (0..TRANSFERS).map(|_| Line::new(peer)).collect();
+        let free = (0..TRANSFERS).map(|_| RedisConnection::new(peer)).collect();
         Self { places: Semaphore::new(TRANSFERS), free: Mutex::new(free) }
     }
 

@@ -5,13 +5,13 @@
 //! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
 //! period, with numbers that rise in this process alone and are told to the server when it is back (`owed.rs`); everything else is refused.
 
+mod connection;
 mod files;
-mod line;
 mod owed;
 mod script;
+mod session_cache;
 #[cfg(test)]
 mod tests;
-mod warm;
 
 use std::fmt;
 use std::future::Future;
@@ -30,11 +30,11 @@ use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, S
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
+use connection::{Peer, RedisConnection};
 use files::Files;
-use line::{Line, Peer};
 use owed::{Debt, Owed};
-use script::{Replaces, number, said};
-use warm::{Known, Memory, Warm};
+use script::{Replaces, number, status};
+use session_cache::{Known, SessionCache, Warm};
 
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -53,15 +53,15 @@ const READINESS: Duration = Duration::from_secs(1);
 
 /// A store on a server that others share. Cloning shares the connections.
 #[derive(Clone)]
-pub struct RedisStore(Arc<Shared>);
+pub struct RedisStore(Arc<RedisStoreState>);
 
-struct Shared {
+struct RedisStoreState {
     idle: Duration,
     peer: Arc<Peer>,
-    line: Line,
+    line: RedisConnection,
     files_peer: Arc<Peer>,
     files: Files,
-    memory: Memory,
+    memory: SessionCache,
     owed: Owed,
     /// A server that made a drag wait is not asked by drags before.
     spared: Mutex<Option<Instant>>,
@@ -85,13 +85,13 @@ impl RedisStore {
         let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
         let peer = Peer::new("records", address, true).map_err(not_opened)?;
         let files_peer = Peer::new("files", address, false).map_err(not_opened)?;
-        Ok(Self(Arc::new(Shared {
+        Ok(Self(Arc::new(RedisStoreState {
             idle: bounds.idle,
-            line: Line::new(&peer),
+            line: RedisConnection::new(&peer),
             peer,
             files: Files::new(&files_peer),
             files_peer,
-            memory: Memory::new(bounds.idle, bounds.bytes),
+            memory: SessionCache::new(bounds.idle, bounds.bytes),
             owed: Owed::default(),
             spared: Mutex::default(),
             seen: Mutex::default(),
@@ -101,7 +101,7 @@ impl RedisStore {
     }
 }
 
-impl Shared {
+impl RedisStoreState {
     async fn run<T: FromRedisValue>(&self, patience: Duration, command: &Cmd) -> Result<T, StoreError> {
         self.line.ask(patience, |mut connection| async move { command.query_async(&mut connection).await }).await
     }
@@ -111,9 +111,9 @@ impl Shared {
     }
 
     /// There is no such session, says the server.
-    fn gone(&self, id: SessionId, said: i64) -> StoreError {
+    fn gone(&self, id: SessionId, status: i64) -> StoreError {
         self.memory.forget(id);
-        if said == said::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
+        if status == status::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
     }
 
     /// The record, if it is whole and of that session. A damaged one is no session.
@@ -147,10 +147,10 @@ impl Shared {
     async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
         for _ in 0..PUTS {
             // A file that is there need not be sent, and what cannot be read is not replaced.
-            let (said, bytes, seq, revision): (i64, Vec<u8>, String, String) =
+            let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) =
                 self.run(PATIENCE, &script::same(&record, self.idle)).await?;
-            let old = if said == said::NOTHING { None } else { self.whole(record.id, &bytes)? };
-            if said == said::HERE
+            let old = if status == status::NOTHING { None } else { self.whole(record.id, &bytes)? };
+            if status == status::HERE
                 && let Some(old) = old
             {
                 return self.same(old, &seq);
@@ -164,11 +164,11 @@ impl Shared {
                 let transaction = &transaction;
                 async move { transaction.query_async(&mut connection).await }
             };
-            let ((said, seq),): ((i64, String),) = self.files.ask(patience, |_| image.len(), ask).await?;
-            match (said, old) {
-                (said::OTHER, _) => {}
+            let ((status, seq),): ((i64, String),) = self.files.ask(patience, |_| image.len(), ask).await?;
+            match (status, old) {
+                (status::OTHER, _) => {}
                 // The file alone was missing.
-                (said::HERE, Some(old)) => return self.same(old, &seq),
+                (status::HERE, Some(old)) => return self.same(old, &seq),
                 (_, old) => {
                     self.memory.learn(Arc::clone(&record), None);
                     let session = self.session(record, None, self.idle);
@@ -190,19 +190,19 @@ impl Shared {
 
     async fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
         let command = script::revise(&record::hex(old.as_bytes()), &new, self.idle);
-        let (said, seq): (i64, String) = self.run(PATIENCE, &command).await?;
-        match said {
-            said::HERE => {
+        let (status, seq): (i64, String) = self.run(PATIENCE, &command).await?;
+        match status {
+            status::HERE => {
                 let seq = number(&seq)?;
                 self.memory.learn(Arc::clone(&new), seq);
                 Ok(Some(self.session(new, seq, self.idle)))
             }
-            said::OTHER => {
+            status::OTHER => {
                 // Who asks again must see what is there now.
                 self.memory.forget(new.id);
                 Ok(None)
             }
-            said => Err(self.gone(new.id, said)),
+            status => Err(self.gone(new.id, status)),
         }
     }
 
@@ -258,9 +258,9 @@ impl Shared {
 
     async fn ask_touch(self: Arc<Self>, id: SessionId, seq: Option<u64>, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
         let command = script::touch(id, seq, warm.as_deref().map(Warm::given), self.idle);
-        let (said, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &command).await?;
-        if said != said::HERE {
-            return Err(self.gone(id, said));
+        let (status, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &command).await?;
+        if status != status::HERE {
+            return Err(self.gone(id, status));
         }
         let seq = number(&seq)?;
         let (record, seq) = match warm {
@@ -311,9 +311,9 @@ impl Shared {
 
     async fn ask_peek(self: Arc<Self>, id: SessionId, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
         let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
-        let (said, bytes, seq, left): (i64, Vec<u8>, String, i64) = self.run(PATIENCE, &command).await?;
-        if said != said::HERE {
-            return Err(self.gone(id, said));
+        let (status, bytes, seq, left): (i64, Vec<u8>, String, i64) = self.run(PATIENCE, &command).await?;
+        if status != status::HERE {
+            return Err(self.gone(id, status));
         }
         let record = match &warm {
             Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
@@ -329,9 +329,9 @@ impl Shared {
     }
 
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let said: i64 = self.run(PATIENCE, &script::delete(id, self.idle)).await?;
-        let gone = self.gone(id, said);
-        if said == said::HERE { Ok(()) } else { Err(gone) }
+        let status: i64 = self.run(PATIENCE, &script::delete(id, self.idle)).await?;
+        let gone = self.gone(id, status);
+        if status == status::HERE { Ok(()) } else { Err(gone) }
     }
 
     async fn image_bytes(&self, id: SessionId) -> Result<u64, StoreError> {
@@ -410,7 +410,7 @@ impl Store for RedisStore {
         Box::pin(self.0.ready())
     }
 
-    fn settle(&self) -> Answer<'_, ()> {
+    fn flush(&self) -> Answer<'_, ()> {
         Box::pin(async {
             self.0.owed.nothing().await;
             Ok(())

@@ -21,7 +21,7 @@ use crate::store::record::{hex, made, write};
 use crate::store::{Record, StoreError};
 
 /// What a script says first.
-pub(crate) mod said {
+pub(crate) mod status {
     pub(crate) const NOTHING: i64 = 0;
     pub(crate) const EXPIRED: i64 = 1;
     pub(crate) const HERE: i64 = 2;
@@ -39,7 +39,7 @@ if is[1] == ARGV[2] and redis.call('EXISTS', KEYS[2]) == 1 then
   redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
   said = 2
 end
-return {said, is[2] or '', is[3] or '', is[4] or ''}";
+return {status, is[2] or '', is[3] or '', is[4] or ''}";
 
 /// KEYS[4]: the file, set in the same transaction. ARGV idle, made, record, revision, life; the revision that may be replaced (none: no session), and
 /// whether its record can be read. Another revision may be one that this program cannot read: it stays, and so does its file.

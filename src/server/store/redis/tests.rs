@@ -1,5 +1,5 @@
 use super::*;
-use crate::store::Place;
+use crate::store::StoreUrl;
 use crate::store::model;
 use crate::store::suite;
 use crate::store::suite::{bounds, file, made_anew, with_weights};
@@ -9,7 +9,7 @@ mod server;
 use server::Redis;
 
 fn store_of(server: &Redis, bounds: Bounds) -> RedisStore {
-    let Ok(Place::Redis(address)) = server.address().parse() else { panic!("an address") };
+    let Ok(StoreUrl::Redis(address)) = server.address().parse() else { panic!("an address") };
     RedisStore::new(&address, bounds).unwrap()
 }
 
@@ -69,7 +69,7 @@ async fn slow_way(server: &Redis, delay: Duration) -> RedisStore {
             });
         }
     });
-    let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+    let Ok(StoreUrl::Redis(address)) = address.parse() else { panic!("an address") };
     RedisStore::new(&address, bounds()).unwrap()
 }
 
@@ -155,7 +155,7 @@ async fn numbers_of_a_drag_that_ends_while_the_server_says_nothing_are_told_to_i
         store.touch(a.id, Some(seq)).await.unwrap();
     }
     server.signal("-CONT");
-    tokio::time::timeout(20 * READINESS, store.settle()).await.expect("it is back").unwrap();
+    tokio::time::timeout(20 * READINESS, store.flush()).await.expect("it is back").unwrap();
     assert_eq!(other.peek(a.id).await.unwrap().seq, Some(6), "whoever has settled owes nothing");
     store.0.memory.warm(a.id).unwrap().known().seq = Some(9);
     *store.0.spared.lock().unwrap() = None;
@@ -361,8 +361,8 @@ async fn a_file_that_comes_too_late_changes_nothing() {
     let mut there = redis::Client::open(server.address()).unwrap().get_connection().unwrap();
     for revision in ["", "0123456789abcdef0123456789abcdef"] {
         let replaces = Replaces { revision: revision.to_owned(), is_whole: true };
-        let ((said, _),): ((i64, String),) = script::put(&late, &file(2), &replaces, store.0.idle).query(&mut there).unwrap();
-        assert_eq!(said, said::OTHER);
+        let ((status, _),): ((i64, String),) = script::put(&late, &file(2), &replaces, store.0.idle).query(&mut there).unwrap();
+        assert_eq!(status, status::OTHER);
         assert_eq!(store.peek(a.id).await.unwrap().record, a);
         assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
     }
@@ -415,7 +415,7 @@ async fn way_that_breaks(server: &Redis, breaks: Arc<AtomicU64>) -> RedisStore {
             });
         }
     });
-    let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+    let Ok(StoreUrl::Redis(address)) = address.parse() else { panic!("an address") };
     RedisStore::new(&address, bounds()).unwrap()
 }
 
@@ -447,7 +447,7 @@ async fn a_password_is_asked_for_and_not_told() {
     let server = Redis::start(&["--requirepass", "s3cret"]);
     let with = |user: &str| server.address().replace("//", &format!("//{user}@"));
     let open = |address: &str| {
-        let Ok(Place::Redis(address)) = address.parse() else { panic!("an address") };
+        let Ok(StoreUrl::Redis(address)) = address.parse() else { panic!("an address") };
         RedisStore::new(&address, bounds()).unwrap()
     };
     assert_eq!(open(&with(":s3cret")).ready().await, Ok(()));

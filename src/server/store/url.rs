@@ -8,7 +8,7 @@ use redis::{ConnectionAddr, ConnectionInfo};
 
 /// Where sessions live.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub enum Place {
+pub enum StoreUrl {
     /// In this process.
     #[default]
     Memory,
@@ -53,7 +53,7 @@ impl fmt::Debug for Address {
     }
 }
 
-impl FromStr for Place {
+impl FromStr for StoreUrl {
     type Err = String;
 
     /// No message holds the text: it may hold a password.
@@ -86,20 +86,20 @@ impl FromStr for Place {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Place, String> {
+    fn read(text: &str) -> Result<StoreUrl, String> {
         text.parse()
     }
 
     #[test]
     fn places_are_read_as_people_write_them() {
-        assert_eq!(read("memory"), Ok(Place::Memory));
-        assert_eq!(read("file:sessions.db"), Ok(Place::File("sessions.db".into())));
+        assert_eq!(read("memory"), Ok(StoreUrl::Memory));
+        assert_eq!(read("file:sessions.db"), Ok(StoreUrl::File("sessions.db".into())));
         assert_eq!(read("file:/var/lib/s"), read("file:///var/lib/s"));
         for text in ["", "disk", "file:", "file://host/x", "redis://", "http://here", "redis+unix:///x", "redis://h:99999", "redis://h/x"] {
             assert!(read(text).is_err(), "{text}");
         }
         assert!(read("rediss://here").unwrap_err().contains("TLS"));
-        let Ok(Place::Redis(address)) = read("redis://here/3") else { panic!("a place") };
+        let Ok(StoreUrl::Redis(address)) = read("redis://here/3") else { panic!("a place") };
         assert_eq!(address.to_string(), "redis://here:6379/3");
         assert_eq!(read("valkey://here/3"), read("redis://here:6379/3"));
         assert_ne!(read("redis://:a@here"), read("redis://:b@here"));
@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn a_password_is_never_shown() {
         let place = read("redis://somebody:s3cret@here:1").unwrap();
-        let Place::Redis(address) = &place else { panic!("a place") };
+        let StoreUrl::Redis(address) = &place else { panic!("a place") };
         for shown in [format!("{place:?}"), format!("{address}"), format!("{address:#?}")] {
             assert!(!shown.contains("s3cret") && !shown.contains("somebody"), "{shown}");
         }

@@ -19,9 +19,9 @@ use crate::limits::networks::Network;
 /// Largest file of keys.
 const KEYS_FILE: u64 = 1 << 20;
 
-/// The options as text; [`DoorsArgs::resolve`] reads them.
+/// The options as text; [`AccessArgs::resolve`] reads them.
 #[derive(Debug, Args)]
-pub(crate) struct DoorsArgs {
+pub(crate) struct AccessArgs {
     /// File of keys, one `NAME KEY` a line; sessions belong to the name. Read again when it changes.
     #[arg(long, env = "MLSWARP_KEYS_FILE", value_name = "PATH", default_value = "", hide_default_value = true, global = true)]
     keys_file: String,
@@ -149,7 +149,7 @@ fn client_share(text: &str) -> Result<ClientShare, String> {
 
 /// Who is let in, how many and how often, and how long clients may take.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DoorsConfig {
+pub struct AccessConfig {
     /// Keys; none lets everybody in.
     pub keys: Option<KeysConfig>,
     /// Everybody may be let in from beyond the loopback.
@@ -225,7 +225,7 @@ impl KeysConfig {
     }
 }
 
-impl DoorsConfig {
+impl AccessConfig {
     /// The hosts that a listener without keys serves; none: all. On a loopback address, no other program of this machine or page of another
     /// site may reach it under a name of its own (DNS rebinding).
     #[must_use]
@@ -247,9 +247,9 @@ impl DoorsConfig {
     }
 }
 
-impl DoorsArgs {
-    pub(crate) fn resolve(&self, m: &mut Mistakes) -> DoorsConfig {
-        DoorsConfig {
+impl AccessArgs {
+    pub(crate) fn resolve(&self, m: &mut Mistakes) -> AccessConfig {
+        AccessConfig {
             keys: self.keys(m),
             allow_anonymous: m.read("allow-anonymous", &self.allow_anonymous, boolean),
             open_metrics: m.read("open-metrics", &self.open_metrics, boolean),
@@ -293,10 +293,10 @@ impl DoorsArgs {
     }
 
     /// A server that everybody reaches and anybody may use is one that somebody wanted.
-    pub(crate) fn check_open(&self, m: &mut Mistakes, listen: SocketAddr, doors: &DoorsConfig) {
+    pub(crate) fn check_open(&self, m: &mut Mistakes, listen: SocketAddr, access: &AccessConfig) {
         // Keys that were meant, and have a mistake of their own, are told once.
         let meant = !self.keys.0.trim().is_empty() || !self.keys_file.is_empty();
-        if !listen.ip().to_canonical().is_loopback() && !meant && !doors.allow_anonymous {
+        if !listen.ip().to_canonical().is_loopback() && !meant && !access.allow_anonymous {
             m.read("listen", "", |_| {
                 Err::<(), _>(format!(
                     "{listen} is not a loopback address and there are no keys; give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
@@ -363,8 +363,8 @@ mod tests {
 
     #[test]
     fn a_client_has_its_percentage_of_a_total() {
-        let share = |percent: &str| serve(&["--max-client-share", percent]).map(|config| config.doors.client_share);
-        assert_eq!(Config::default().doors.client_share, share("50%").unwrap());
+        let share = |percent: &str| serve(&["--max-client-share", percent]).map(|config| config.access.client_share);
+        assert_eq!(Config::default().access.client_share, share("50%").unwrap());
         assert_eq!([0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)), [u64::MAX, u64::MAX, 1, 2, 5001, 1 << 39]);
         assert_eq!(
             (share("1").unwrap().of(7), share("99").unwrap().of(u64::MAX) < u64::MAX, share("100").unwrap().of(7)),
@@ -381,7 +381,7 @@ mod tests {
         const KEYS: [&str; 2] = ["--keys", "ann 0123456789abcdef"];
         let are_checked = |args: &[&[&str]]| {
             let config = serve(&args.concat()).unwrap();
-            config.doors.hosts(config.listen).is_some()
+            config.access.hosts(config.listen).is_some()
         };
         for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80"] {
             let listen = ["--listen", loopback];
@@ -402,7 +402,7 @@ mod tests {
         const KEYS: &[&str] = &["--keys", "ann 0123456789abcdef"];
         let in_plain = |listen: &str, has_keys: bool| {
             let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if has_keys { KEYS } else { &[] }].concat()).unwrap();
-            config.doors.has_keys_in_plain(config.listen)
+            config.access.has_keys_in_plain(config.listen)
         };
         assert!(in_plain("0.0.0.0:80", true) && in_plain("192.0.2.1:80", true) && in_plain("[::]:80", true));
         assert!(!in_plain("0.0.0.0:80", false) && !in_plain("127.0.0.1:80", true) && !in_plain("[::1]:80", true));
@@ -410,10 +410,10 @@ mod tests {
 
     #[test]
     fn rates_and_proxies_are_off_unless_given() {
-        let doors = Config::default().doors;
-        assert_eq!((doors.rate_per_key, doors.rate_per_address, doors.trusted_proxies.len()), (None, None, 0));
-        let doors = serve(&["--rate-per-key", "20", "--rate-per-address", "50", "--trusted-proxies", "10.0.0.0/8, ::1"]).unwrap().doors;
-        assert_eq!((doors.rate_per_key, doors.rate_per_address, doors.trusted_proxies.len()), (Some(20), Some(50), 2));
+        let access = Config::default().access;
+        assert_eq!((access.rate_per_key, access.rate_per_address, access.trusted_proxies.len()), (None, None, 0));
+        let access = serve(&["--rate-per-key", "20", "--rate-per-address", "50", "--trusted-proxies", "10.0.0.0/8, ::1"]).unwrap().access;
+        assert_eq!((access.rate_per_key, access.rate_per_address, access.trusted_proxies.len()), (Some(20), Some(50), 2));
         assert!(serve(&["--rate-per-key", "0"]).is_err());
     }
 }

@@ -40,7 +40,7 @@ type On = (usize, f64);
 
 /// The meetings of one set.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Meetings {
+pub(super) struct Coincidences {
     /// Elements that share a place.
     touching: Vec<(On, On)>,
     /// Points nearer than 1 px that do not share one, and their distance.
@@ -48,7 +48,7 @@ pub(super) struct Meetings {
     tolerance: f64,
 }
 
-impl Meetings {
+impl Coincidences {
     /// `gone` is asked after each element.
     ///
     /// # Errors
@@ -121,7 +121,7 @@ struct Search<'a> {
     elements: &'a [Element],
     coincident: f64,
     gone: &'a dyn Fn() -> bool,
-    found: Meetings,
+    found: Coincidences,
     /// Pairs of points that were compared.
     compared: u64,
     /// Of the search for meetings of segments, see [`MOST_WORK`].
@@ -131,7 +131,7 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn new(elements: &'a [Element], extent: f64, gone: &'a dyn Fn() -> bool) -> Self {
         let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
-        let found = Meetings { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Meetings::default() };
+        let found = Coincidences { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Coincidences::default() };
         Self { elements, coincident, gone, found, compared: 0, work: 0 }
     }
 
@@ -144,7 +144,7 @@ impl<'a> Search<'a> {
     }
 
     fn unless_gone(&self) -> Result<(), DeformError> {
-        if (self.gone)() { Err(DeformError::GivenUp) } else { Ok(()) }
+        if (self.gone)() { Err(DeformError::Cancelled) } else { Ok(()) }
     }
 
     /// Points that coincide, each with the first of the client's order; and pairs that are near each other.
@@ -393,7 +393,7 @@ mod tests {
     }
 
     /// Every pair, compared.
-    fn by_brute_force(elements: &[Element], extent: f64) -> Meetings {
+    fn by_brute_force(elements: &[Element], extent: f64) -> Coincidences {
         let mut search = Search::new(elements, extent, NEVER);
         for j in 0..elements.len() {
             let mut first = None;
@@ -416,7 +416,7 @@ mod tests {
 
     fn agrees(handles: Vec<Handle>) -> Result<(), TestCaseError> {
         let (elements, extent) = elements_of(handles);
-        let (mut found, mut want) = (Meetings::find(&elements, extent, NEVER).unwrap(), by_brute_force(&elements, extent));
+        let (mut found, mut want) = (Coincidences::find(&elements, extent, NEVER).unwrap(), by_brute_force(&elements, extent));
         prop_assert_eq!(&found.touching, &want.touching);
         found.near.sort_by_key(|near| (near.0, near.1));
         want.near.sort_by_key(|near| (near.0, near.1));
@@ -536,7 +536,7 @@ mod tests {
         for looks in [0, 1, 499, 501, 520, 900] {
             let asked = Cell::new(0);
             let gone = || asked.replace(asked.get() + 1) >= looks;
-            assert_eq!(Meetings::find(&elements, extent, &gone).unwrap_err(), DeformError::GivenUp);
+            assert_eq!(Coincidences::find(&elements, extent, &gone).unwrap_err(), DeformError::Cancelled);
             assert_eq!(asked.get(), looks + 1);
         }
     }

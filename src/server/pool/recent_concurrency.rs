@@ -9,7 +9,7 @@ const LATE: Duration = Duration::from_millis(5);
 
 /// Pictures that are drawn now and were of late. Cloning shares them.
 #[derive(Clone, Debug)]
-pub(crate) struct Crowd(Arc<Mutex<Seen>>);
+pub(crate) struct RecentConcurrency(Arc<Mutex<Seen>>);
 
 #[derive(Debug)]
 struct Seen {
@@ -21,17 +21,17 @@ struct Seen {
 
 /// One of the crowd, until dropped.
 #[derive(Debug)]
-pub struct Drawer(Crowd);
+pub struct DrawGuard(RecentConcurrency);
 
-impl Default for Crowd {
+impl Default for RecentConcurrency {
     fn default() -> Self {
         Self(Arc::new(Mutex::new(Seen { now: 0, most: 0, most_before: 0, since: Instant::now() })))
     }
 }
 
-impl Crowd {
+impl RecentConcurrency {
     /// Joins; the number is the most there were at once of late, the newcomer included.
-    pub(crate) fn join(&self) -> (Drawer, usize) {
+    pub(crate) fn join(&self) -> (DrawGuard, usize) {
         let mut seen = self.lock();
         seen.now += 1;
         let age = seen.since.elapsed();
@@ -44,7 +44,7 @@ impl Crowd {
         seen.most = seen.most.max(seen.now);
         let most = seen.most.max(seen.most_before);
         drop(seen);
-        (Drawer(self.clone()), most)
+        (DrawGuard(self.clone()), most)
     }
 
     fn lock(&self) -> MutexGuard<'_, Seen> {
@@ -52,7 +52,7 @@ impl Crowd {
     }
 }
 
-impl Drop for Drawer {
+impl Drop for DrawGuard {
     fn drop(&mut self) {
         self.0.lock().now -= 1;
     }
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn the_most_of_late_counts_and_is_forgotten() {
-        let crowd = Crowd::default();
+        let crowd = RecentConcurrency::default();
         let (alone, most) = crowd.join();
         assert_eq!(most, 1);
         let (second, most) = crowd.join();

@@ -24,9 +24,9 @@ const WAITING: usize = 1024;
 
 /// A connection, or the want of one. Cloning shares it.
 #[derive(Clone)]
-pub(crate) struct Line(Arc<Shared>);
+pub(crate) struct RedisConnection(Arc<RedisConnectionState>);
 
-struct Shared {
+struct RedisConnectionState {
     peer: Arc<Peer>,
     slot: Mutex<Slot>,
 }
@@ -112,9 +112,9 @@ impl Peer {
     }
 }
 
-impl Line {
+impl RedisConnection {
     pub(crate) fn new(peer: &Arc<Peer>) -> Self {
-        Self(Arc::new(Shared { peer: Arc::clone(peer), slot: Mutex::default() }))
+        Self(Arc::new(RedisConnectionState { peer: Arc::clone(peer), slot: Mutex::default() }))
     }
 
     /// Ends the connection. Only while nothing is asked.

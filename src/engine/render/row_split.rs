@@ -5,8 +5,8 @@
 use std::ops::Range;
 
 use super::kernel::STEP;
-use super::lattice::{BLOCK, Lattice, Reach};
-use super::ways::Ways;
+use super::lattice::{BLOCK, Lattice, YRange};
+use super::row_strategy::RowStrategies;
 
 /// Crossings in f32 are nearer than this to the exact ones, px.
 pub(super) const DOUBT: f32 = 1.0 / 32.0;
@@ -16,7 +16,7 @@ const NOWHERE: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
 
 /// The divided rows of a strip.
 #[derive(Debug, Default)]
-pub(super) struct Division {
+pub(super) struct RowSplit {
     /// Of each column of cells the rows in which it is drawn cell by cell, a bit each.
     pub(super) loose: Vec<u32>,
     /// The columns of which some row is, a bit each.
@@ -40,9 +40,9 @@ pub(super) struct Part {
     across: Range<i32>,
 }
 
-impl Division {
+impl RowSplit {
     /// Looks at the divided rows of a strip.
-    pub(super) fn look(&mut self, lattice: &Lattice, ways: &Ways, strip: &Range<u32>, divided: u32) {
+    pub(super) fn look(&mut self, lattice: &Lattice, ways: &RowStrategies, strip: &Range<u32>, divided: u32) {
         let (cells, pitch) = (lattice.columns - 1, lattice.pitch);
         self.blocks.clear();
         self.blocks.resize(lattice.blocks(), 0);
@@ -68,7 +68,7 @@ impl Division {
         if divided == 0 {
             return;
         }
-        let rows_of = |reach: Reach| {
+        let rows_of = |reach: YRange| {
             let rows = reach.rows(strip);
             let before = |row: u32| !u32::MAX.checked_shl(row - strip.start).unwrap_or(0);
             before(rows.end.max(rows.start)) & !before(rows.start) & divided

@@ -10,7 +10,7 @@ use super::json::{Kind, Node, list, quote};
 use crate::problem::{Code, Problem};
 
 /// An enum whose values are words.
-pub(crate) trait Word: Copy + 'static {
+pub(crate) trait EnumName: Copy + 'static {
     /// What this build has; the default first.
     const ALL: &'static [Self];
     /// What the contract has and this build has not.
@@ -20,7 +20,7 @@ pub(crate) trait Word: Copy + 'static {
 }
 
 /// Reads a word; one that is in the contract but not in this build is `not_supported`.
-pub(crate) fn word<T: Word>(node: &Node<'_, '_>) -> Result<T, Problem> {
+pub(crate) fn word<T: EnumName>(node: &Node<'_, '_>) -> Result<T, Problem> {
     let names = || list(&T::ALL.iter().map(|v| v.word()).collect::<Vec<_>>());
     if node.kind() != Kind::String {
         return Err(node.wrong_kind(&format!("one of {}", names())));
@@ -43,7 +43,7 @@ pub(crate) fn refuse(node: &Node<'_, '_>, text: &str, later: &[&str], supported:
 
 macro_rules! words {
     ($type:ty, later $later:expr, $($value:path = $word:literal),+) => {
-        impl Word for $type {
+        impl EnumName for $type {
             const ALL: &'static [Self] = &[$($value),+];
             const LATER: &'static [&'static str] = &$later;
 

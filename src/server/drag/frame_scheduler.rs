@@ -10,7 +10,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::pace::Pace;
+use super::preview_controller::PreviewController;
 use crate::wire::UnreadHandles;
 
 /// A hand that has sent nothing for so long rests.
@@ -35,20 +35,20 @@ pub struct Pose {
 
 /// A frame to be made.
 #[derive(Clone, Debug)]
-pub struct Order {
+pub struct FrameRequest {
     /// Of this pose.
     pub pose: Pose,
     /// So wide; `None`: as the session has it.
     pub width: Option<u32>,
     /// It follows a preview of the same pose, because the hand rests.
-    pub again: bool,
+    pub is_full_quality: bool,
 }
 
 /// What is to be done now.
 #[derive(Debug)]
 pub enum Step<F> {
     /// Begin this frame.
-    Make(Order),
+    Make(FrameRequest),
     /// Give up what is being made.
     GiveUp,
     /// Send this frame.
@@ -63,8 +63,8 @@ pub struct NotSent;
 
 /// The state of one drag.
 #[derive(Debug)]
-pub struct Desk<F> {
-    pace: Pace,
+pub struct FrameScheduler<F> {
+    pace: PreviewController,
     /// The width at which nothing is missing.
     full: u32,
     waiting: Option<Pose>,
@@ -81,7 +81,7 @@ pub struct Desk<F> {
 
 #[derive(Debug)]
 struct Making {
-    order: Order,
+    order: FrameRequest,
     began: Instant,
 }
 
@@ -89,7 +89,7 @@ struct Making {
 #[derive(Debug)]
 struct Ready<F> {
     frame: F,
-    order: Order,
+    order: FrameRequest,
     made: Duration,
     since: Instant,
 }
@@ -97,15 +97,15 @@ struct Ready<F> {
 /// Under way to the client.
 #[derive(Debug)]
 struct Sent {
-    order: Order,
+    order: FrameRequest,
     made: Duration,
     since: Instant,
 }
 
-impl<F> Desk<F> {
+impl<F> FrameScheduler<F> {
     /// `full`: the width at which nothing is missing; narrower previews are followed by a full frame when the hand rests.
     #[must_use]
-    pub const fn new(pace: Pace, full: u32) -> Self {
+    pub const fn new(pace: PreviewController, full: u32) -> Self {
         Self {
             pace,
             full,
@@ -122,7 +122,7 @@ impl<F> Desk<F> {
     }
 
     /// The picture is another one from now on.
-    pub fn resize(&mut self, pace: Pace, full: u32) {
+    pub fn resize(&mut self, pace: PreviewController, full: u32) {
         self.pace = pace;
         self.full = full;
         self.preview = None;
@@ -184,7 +184,7 @@ impl<F> Desk<F> {
     }
 
     /// What was being made cannot be.
-    pub fn failed(&mut self) -> Option<Order> {
+    pub fn failed(&mut self) -> Option<FrameRequest> {
         self.making.take().map(|making| making.order)
     }
 
@@ -192,7 +192,7 @@ impl<F> Desk<F> {
     pub fn refused(&mut self, now: Instant) {
         if let Some(Making { order, .. }) = self.making.take() {
             self.not_before = Some(now + AGAIN);
-            if order.again {
+            if order.is_full_quality {
                 self.preview = Some(order.pose);
             } else if self.waiting.is_none() {
                 self.waiting = Some(order.pose);
@@ -206,11 +206,11 @@ impl<F> Desk<F> {
     pub fn next(&mut self, now: Instant) -> Step<F> {
         if self.waiting.is_some() {
             // The pose that waits may come to nothing: then the preview is still to be followed by a full frame.
-            if let Some(making) = self.making.take_if(|making| making.order.again) {
+            if let Some(making) = self.making.take_if(|making| making.order.is_full_quality) {
                 self.preview = Some(making.order.pose);
                 return Step::GiveUp;
             }
-            if let Some(ready) = self.ready.take_if(|ready| ready.order.again) {
+            if let Some(ready) = self.ready.take_if(|ready| ready.order.is_full_quality) {
                 self.preview = Some(ready.order.pose);
             }
         }
@@ -224,7 +224,7 @@ impl<F> Desk<F> {
         if self.making.is_some() || self.ready.is_some() {
             return Step::Wait(None);
         }
-        let (begin, again) = match (&self.waiting, &self.preview) {
+        let (begin, is_full_quality) = match (&self.waiting, &self.preview) {
             (Some(_), _) => (self.begin(now), false),
             (None, Some(_)) if self.sent.is_none() => (self.last_pose.map_or(now, |last| last + REST), true),
             _ => return Step::Wait(None),
@@ -234,10 +234,10 @@ impl<F> Desk<F> {
             return Step::Wait(Some(begin));
         }
         self.not_before = None;
-        let pose = if again { self.preview.take() } else { self.waiting.take() };
+        let pose = if is_full_quality { self.preview.take() } else { self.waiting.take() };
         let Some(pose) = pose else { return Step::Wait(None) };
-        let width = (!again).then(|| self.pace.width());
-        let order = Order { pose, width, again };
+        let width = (!is_full_quality).then(|| self.pace.width());
+        let order = FrameRequest { pose, width, is_full_quality };
         self.making = Some(Making { order: order.clone(), began: now });
         Step::Make(order)
     }
@@ -259,7 +259,7 @@ mod tests {
 
     /// A hand, a machine and a client, millisecond by millisecond.
     struct World {
-        desk: Desk<u64>,
+        desk: FrameScheduler<u64>,
         start: Instant,
         now: u32,
         make: u32,
@@ -270,13 +270,13 @@ mod tests {
         shown: Vec<(u64, u32, bool)>,
         made: u32,
         given_up: u32,
-        again: bool,
+        is_full_quality: bool,
         deaf: bool,
     }
 
     impl World {
-        fn new(pace: Pace, full: u32, make: u32, ack: u32) -> Self {
-            let desk = Desk::new(pace, full);
+        fn new(pace: PreviewController, full: u32, make: u32, ack: u32) -> Self {
+            let desk = FrameScheduler::new(pace, full);
             let start = Instant::now();
             Self {
                 desk,
@@ -289,7 +289,7 @@ mod tests {
                 shown: Vec::new(),
                 made: 0,
                 given_up: 0,
-                again: false,
+                is_full_quality: false,
                 deaf: false,
             }
         }
@@ -308,13 +308,13 @@ mod tests {
                 && let Some((seq, _)) = self.under_way.take_if(|(_, at)| *at <= self.now)
             {
                 self.desk.ack(seq, now).unwrap();
-                self.shown.push((seq, self.now, self.again));
+                self.shown.push((seq, self.now, self.is_full_quality));
             }
             loop {
                 match self.desk.next(now) {
                     Step::Make(order) => {
                         assert!(self.being_made.is_none(), "one frame is made at a time");
-                        self.again = order.again;
+                        self.is_full_quality = order.is_full_quality;
                         self.being_made = Some((order.pose.seq, self.now + self.make));
                     }
                     Step::GiveUp => {
@@ -361,18 +361,22 @@ mod tests {
 
     #[test]
     fn what_keeps_up_shows_every_pose_at_once() {
-        let mut world = World::new(Pace::fixed(512), 512, 2, 1);
+        let mut world = World::new(PreviewController::fixed(512), 512, 2, 1);
         world.drag(100);
         world.rest(300);
         assert_eq!(world.shown.len(), 100);
-        assert!(world.shown.iter().all(|(seq, at, again)| u64::from(*at) == 8 * seq + 3 && !again), "{:?}", world.shown);
+        assert!(
+            world.shown.iter().all(|(seq, at, is_full_quality)| u64::from(*at) == 8 * seq + 3 && !is_full_quality),
+            "{:?}",
+            world.shown
+        );
         assert_eq!(world.desk.take_superseded(), 0);
     }
 
     #[test]
     fn what_is_slow_shows_the_newest_and_the_last() {
         for (make, ack) in [(2, 50), (30, 3), (30, 30), (1, 1000), (200, 1)] {
-            let mut world = World::new(Pace::fixed(512), 512, make, ack);
+            let mut world = World::new(PreviewController::fixed(512), 512, make, ack);
             world.drag(300);
             world.rest(3 * (make + ack) + 20);
             let seqs: Vec<u64> = world.shown.iter().map(|(seq, ..)| *seq).collect();
@@ -384,7 +388,7 @@ mod tests {
 
     #[test]
     fn a_long_way_is_never_idle_and_its_frames_are_young() {
-        let mut world = World::new(Pace::fixed(512), 512, 2, 50);
+        let mut world = World::new(PreviewController::fixed(512), 512, 2, 50);
         world.drag(500);
         let ages = world.ages();
         // Two milliseconds of making, fifty of way, and up to eight since the last pose.
@@ -395,7 +399,7 @@ mod tests {
 
     #[test]
     fn a_client_that_is_later_than_expected_gets_a_young_frame() {
-        let mut world = World::new(Pace::fixed(512), 512, 2, 10);
+        let mut world = World::new(PreviewController::fixed(512), 512, 2, 10);
         world.drag(50);
         world.deaf = true;
         world.rest(500);
@@ -412,14 +416,14 @@ mod tests {
 
     #[test]
     fn a_hand_that_rests_gets_the_full_frame_once() {
-        let mut world = World::new(Pace::fixed(256), 512, 2, 3);
+        let mut world = World::new(PreviewController::fixed(256), 512, 2, 3);
         world.drag(20);
         let last = 8 * 19;
         world.rest(1000);
-        let again: Vec<_> = world.shown.iter().filter(|(.., again)| *again).collect();
-        assert_eq!(again, [&(19, last + 150 + 5, true)]);
+        let is_full_quality: Vec<_> = world.shown.iter().filter(|(.., is_full_quality)| *is_full_quality).collect();
+        assert_eq!(is_full_quality, [&(19, last + 150 + 5, true)]);
         // Nothing is missing in a preview of the full width.
-        let mut world = World::new(Pace::fixed(512), 512, 2, 3);
+        let mut world = World::new(PreviewController::fixed(512), 512, 2, 3);
         world.drag(20);
         world.rest(1000);
         assert_eq!(world.shown.len(), 20);
@@ -427,7 +431,7 @@ mod tests {
 
     #[test]
     fn a_hand_that_moves_on_gives_up_the_full_frame() {
-        let mut world = World::new(Pace::fixed(256), 512, 40, 3);
+        let mut world = World::new(PreviewController::fixed(256), 512, 40, 3);
         world.pose(0);
         world.rest(170);
         assert!(world.being_made.is_some());
@@ -435,13 +439,16 @@ mod tests {
         world.rest(1);
         assert_eq!(world.given_up, 1);
         world.rest(1000);
-        assert_eq!(world.shown.iter().map(|(seq, _, again)| (*seq, *again)).collect::<Vec<_>>(), [(0, false), (1, false), (1, true)]);
+        assert_eq!(
+            world.shown.iter().map(|(seq, _, is_full_quality)| (*seq, *is_full_quality)).collect::<Vec<_>>(),
+            [(0, false), (1, false), (1, true)]
+        );
     }
 
     #[test]
     fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
         for acknowledged_while_making in [false, true] {
-            let mut desk: Desk<()> = Desk::new(Pace::fixed(256), 512);
+            let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(256), 512);
             let start = Instant::now();
             let pose = |seq| Pose { seq, q: Arc::default(), at: start };
             desk.pose(pose(1));
@@ -452,19 +459,19 @@ mod tests {
                 desk.ack(1, start).unwrap();
             }
             desk.pose(pose(2));
-            assert!(matches!(desk.next(start + MS), Step::Make(Order { again: false, .. })));
+            assert!(matches!(desk.next(start + MS), Step::Make(FrameRequest { is_full_quality: false, .. })));
             if acknowledged_while_making {
                 desk.ack(1, start + MS).unwrap();
             }
             assert!(desk.failed().is_some());
             assert!(matches!(desk.next(start + MS), Step::Wait(Some(until)) if until == start + REST));
-            assert!(matches!(desk.next(start + REST), Step::Make(Order { pose: Pose { seq: 1, .. }, again: true, .. })));
+            assert!(matches!(desk.next(start + REST), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, is_full_quality: true, .. })));
         }
     }
 
     #[test]
     fn acknowledgements_are_of_frames_that_were_sent() {
-        let mut world = World::new(Pace::fixed(512), 512, 2, 3);
+        let mut world = World::new(PreviewController::fixed(512), 512, 2, 3);
         assert_eq!(world.desk.ack(0, world.start), Err(NotSent));
         world.pose(5);
         world.rest(10);
@@ -475,17 +482,17 @@ mod tests {
 
     #[test]
     fn a_pose_that_found_no_room_waits_unless_there_is_a_newer_one() {
-        let mut desk: Desk<()> = Desk::new(Pace::fixed(512), 512);
+        let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(512), 512);
         let now = Instant::now();
         let pose = |seq| Pose { seq, q: Arc::default(), at: now };
         desk.pose(pose(1));
-        assert!(matches!(desk.next(now), Step::Make(Order { pose: Pose { seq: 1, .. }, .. })));
+        assert!(matches!(desk.next(now), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
         desk.refused(now);
         assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + AGAIN));
-        assert!(matches!(desk.next(now + AGAIN), Step::Make(Order { pose: Pose { seq: 1, .. }, .. })));
+        assert!(matches!(desk.next(now + AGAIN), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
         desk.pose(pose(2));
         desk.refused(now);
-        assert!(matches!(desk.next(now + AGAIN), Step::Make(Order { pose: Pose { seq: 2, .. }, .. })));
+        assert!(matches!(desk.next(now + AGAIN), Step::Make(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
         assert_eq!(desk.take_superseded(), 1);
     }
 }

@@ -17,17 +17,17 @@ type Job = Box<dyn FnOnce() + Send>;
 
 /// Threads that end when this is dropped, each after its job. The default has none.
 #[derive(Debug, Default)]
-pub(crate) struct Crew(Arc<Shared>);
+pub(crate) struct WorkerThreads(Arc<WorkerState>);
 
 #[derive(Default)]
-struct Shared {
+struct WorkerState {
     queue: Mutex<Queue>,
     work: Condvar,
     /// Jobs that wait: what an idle thread looks at without the lock.
     waiting: AtomicUsize,
 }
 
-impl std::fmt::Debug for Shared {
+impl std::fmt::Debug for WorkerState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Shared").field("waiting", &self.waiting).finish_non_exhaustive()
     }
@@ -40,7 +40,7 @@ struct Queue {
     over: bool,
 }
 
-impl Crew {
+impl WorkerThreads {
     /// Starts `threads` threads of that name. `nice`: how far they stand back for others of the process (Linux; 0 to 19).
     ///
     /// # Errors
@@ -50,7 +50,7 @@ impl Crew {
         for index in 0..threads {
             let shared = Arc::clone(&crew.0);
             std::thread::Builder::new().name(format!("{name}-{index}")).spawn(move || {
-                stand_back(nice);
+                lower_priority(nice);
                 shared.run();
             })?;
         }
@@ -63,7 +63,7 @@ impl Crew {
     }
 
     /// Hands over jobs at once, to as many threads. A job that panics ends its thread: jobs catch.
-    pub(crate) fn hand_over(&self, jobs: impl IntoIterator<Item = Job>) {
+    pub(crate) fn submit(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();
         let before = queue.jobs.len();
         queue.jobs.extend(jobs);
@@ -77,7 +77,7 @@ impl Crew {
 }
 
 /// A thread's own niceness is Linux'; elsewhere it would be the process's. Where it is refused, all is as if it had not been asked.
-fn stand_back(nice: i32) {
+fn lower_priority(nice: i32) {
     #[cfg(target_os = "linux")]
     if nice > 0 {
         let _ = rustix::process::nice(nice);
@@ -86,14 +86,14 @@ fn stand_back(nice: i32) {
     let _ = nice;
 }
 
-impl Drop for Crew {
+impl Drop for WorkerThreads {
     fn drop(&mut self) {
         self.0.lock().over = true;
         self.0.work.notify_all();
     }
 }
 
-impl Shared {
+impl WorkerState {
     fn lock(&self) -> MutexGuard<'_, Queue> {
         // Nothing panics under the lock.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
@@ -155,10 +155,10 @@ mod tests {
 
     #[test]
     fn jobs_handed_over_together_run_together() {
-        let crew = Crew::start("test", 3, 0).unwrap();
+        let crew = WorkerThreads::start("test", 3, 0).unwrap();
         for _ in 0..50 {
             let meet = Arc::new(Barrier::new(4));
-            crew.hand_over((0..3).map(|_| {
+            crew.submit((0..3).map(|_| {
                 let meet = Arc::clone(&meet);
                 Box::new(move || {
                     meet.wait();
@@ -170,11 +170,11 @@ mod tests {
 
     #[test]
     fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
-        let crew = Crew::start("test", 1, 0).unwrap();
+        let crew = WorkerThreads::start("test", 1, 0).unwrap();
         let (done, order) = channel();
         for k in 0..20 {
             let done = done.clone();
-            crew.hand_over([Box::new(move || done.send(k).unwrap()) as Job]);
+            crew.submit([Box::new(move || done.send(k).unwrap()) as Job]);
             if k % 5 == 0 {
                 std::thread::sleep(2 * AWAKE);
             }
@@ -186,8 +186,8 @@ mod tests {
     #[test]
     fn a_dismissed_crew_does_what_it_was_given_and_ends() {
         let (done, all) = channel();
-        let crew = Crew::start("test", 2, 0).unwrap();
-        crew.hand_over((0..10).map(|_| {
+        let crew = WorkerThreads::start("test", 2, 0).unwrap();
+        crew.submit((0..10).map(|_| {
             let done = done.clone();
             Box::new(move || done.send(()).unwrap()) as Job
         }));

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
-use super::lattice::{BLOCK, Lattice, ONE, Reach};
+use super::lattice::{BLOCK, Lattice, ONE, YRange};
 use crate::pixmap::Extent;
 
 /// Rows are divided if one of so many cells is folded at most: looking for where to divide them costs more than it saves otherwise.
@@ -20,7 +20,7 @@ const FARTHEST: u32 = 1 << 15;
 
 /// How a row is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Way {
+pub(super) enum RowStrategy {
     /// It crosses every column and meets sound cells only: by column crossings.
     Plain,
     /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
@@ -32,8 +32,8 @@ pub(super) enum Way {
 
 /// The ways of all rows.
 #[derive(Debug)]
-pub(super) struct Ways {
-    rows: Vec<Way>,
+pub(super) struct RowStrategies {
+    rows: Vec<RowStrategy>,
     /// Blocks of cells in a row of them.
     blocks: usize,
     /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
@@ -44,16 +44,17 @@ pub(super) struct Ways {
     divisible: Range<u32>,
 }
 
-impl Ways {
+impl RowStrategies {
     pub(super) fn new(lattice: &Lattice, target: Extent, kernel: Kernel) -> Self {
         let (height, blocks) = (target.height(), lattice.blocks());
         let none = vec![0; (lattice.rows - 1) * blocks];
-        let mut ways = Self { rows: vec![Way::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
+        let mut ways =
+            Self { rows: vec![RowStrategy::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
         if height.max(target.width()) > FARTHEST {
             return ways;
         }
         let crossing = rows_that_cross(lattice, height);
-        ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(Way::Plain);
+        ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Plain);
         ways.judge(lattice, kernel);
         let folded: u32 = ways.folded.iter().map(|cells| cells.count_ones()).sum();
         let met: u64 = lattice.block_reach.iter().map(|reach| u64::from(reach.bottom.abs_diff(reach.top) / ONE.unsigned_abs())).sum();
@@ -65,7 +66,7 @@ impl Ways {
     }
 
     /// How a row is drawn.
-    pub(super) fn of(&self, row: u32) -> Way {
+    pub(super) fn of(&self, row: u32) -> RowStrategy {
         self.rows[row as usize]
     }
 
@@ -87,7 +88,7 @@ impl Ways {
     /// Looks at all cells.
     fn judge(&mut self, lattice: &Lattice, kernel: Kernel) {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
-        let mut look = Look::new(lattice, kernel);
+        let mut look = CellClassifier::new(lattice, kernel);
         // How many cells of a kind begin at a row, less those that end there.
         let (mut mended, mut divided) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
         for j in 0..lattice.rows - 1 {
@@ -117,17 +118,17 @@ impl Ways {
         for (row, (mended, divided)) in self.rows.iter_mut().zip(mended.iter().zip(&divided)) {
             (mending, dividing) = (mending + mended, dividing + divided);
             *row = (*row).max(if dividing > 0 {
-                Way::Divided
+                RowStrategy::Divided
             } else if mending > 0 {
-                Way::Mended
+                RowStrategy::Mended
             } else {
-                Way::Plain
+                RowStrategy::Plain
             });
         }
     }
 
     /// The chord of a row from column to column belongs to all cells that the row meets between them.
-    fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: Reach) {
+    fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: YRange) {
         let shares = |k: &usize| {
             let other = lattice.cell_reach(i, *k);
             other.top < reach.bottom && reach.top < other.bottom
@@ -139,7 +140,7 @@ impl Ways {
 }
 
 /// The soundness of one row of cells after the other.
-struct Look<'a> {
+struct CellClassifier<'a> {
     lattice: &'a Lattice,
     kernel: Kernel,
     /// Above and below the row before, this row, and the row behind.
@@ -149,7 +150,7 @@ struct Look<'a> {
     soundness: Vec<u8>,
 }
 
-impl<'a> Look<'a> {
+impl<'a> CellClassifier<'a> {
     fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
         let edges = || Edges { x: vec![0.0; lattice.columns], y: vec![0.0; lattice.columns] };
         let (lines, columns) = (std::array::from_fn(|_| edges()), std::array::from_fn(|_| edges()));
@@ -238,5 +239,5 @@ fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1).iter().fold(i32::MAX, |bottom, &y| bottom.min(y));
-    Reach { top, bottom }.rows(&(0..height))
+    YRange { top, bottom }.rows(&(0..height))
 }

@@ -7,20 +7,20 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 use super::PoolError;
-use super::crew::Crew;
-use super::queue::{Arrival, Lane, Queue};
+use super::queue::{Arrival, Queue, QueueKey};
+use super::worker_threads::WorkerThreads;
 use crate::client::Tenant;
 
 /// Who is told when its turn has come; dropped when it is sent away.
-type Waiter = oneshot::Sender<Turn>;
+type Waiter = oneshot::Sender<AdmissionPermit>;
 
 /// A crew and the queue before it.
 #[derive(Debug)]
-pub(crate) struct Gate {
-    pub(crate) crew: Crew,
+pub(crate) struct AdmissionQueue {
+    pub(crate) crew: WorkerThreads,
     queue: Mutex<Queue<Waiter>>,
     /// Longest wait.
-    patience: Duration,
+    max_wait: Duration,
     full: AtomicU64,
     late: AtomicU64,
 }
@@ -40,25 +40,25 @@ pub struct Load {
 
 /// A client's right to run, passed on when it is dropped.
 #[derive(Debug)]
-pub(crate) struct Turn(Option<(Arc<Gate>, Tenant)>);
+pub(crate) struct AdmissionPermit(Option<(Arc<AdmissionQueue>, Tenant)>);
 
 /// Someone who waits; leaves the queue when dropped.
-struct Place<'a> {
-    gate: &'a Gate,
-    lane: Lane,
+struct QueuePosition<'a> {
+    gate: &'a AdmissionQueue,
+    lane: QueueKey,
     id: u64,
 }
 
-impl Drop for Place<'_> {
+impl Drop for QueuePosition<'_> {
     fn drop(&mut self) {
         self.gate.lock().leave(self.lane, self.id);
     }
 }
 
-impl Gate {
-    pub(crate) fn new(crew: Crew, turns: usize, queue: usize, patience: Duration) -> Arc<Self> {
+impl AdmissionQueue {
+    pub(crate) fn new(crew: WorkerThreads, turns: usize, queue: usize, max_wait: Duration) -> Arc<Self> {
         let queue = Mutex::new(Queue::new(turns, queue));
-        Arc::new(Self { crew, queue, patience, full: AtomicU64::new(0), late: AtomicU64::new(0) })
+        Arc::new(Self { crew, queue, max_wait, full: AtomicU64::new(0), late: AtomicU64::new(0) })
     }
 
     fn lock(&self) -> MutexGuard<'_, Queue<Waiter>> {
@@ -70,7 +70,7 @@ impl Gate {
         self.lock().is_full()
     }
 
-    pub(crate) fn refuses(&self, lane: Lane) -> bool {
+    pub(crate) fn refuses(&self, lane: QueueKey) -> bool {
         self.lock().refuses(lane)
     }
 
@@ -81,7 +81,7 @@ impl Gate {
     }
 
     /// Waits for a turn. Dropping the future leaves the queue.
-    pub(crate) async fn enter(self: &Arc<Self>, lane: Lane) -> Result<Turn, PoolError> {
+    pub(crate) async fn enter(self: &Arc<Self>, lane: QueueKey) -> Result<AdmissionPermit, PoolError> {
         let mut called = None;
         let arrival = self.lock().arrive(lane, Instant::now(), || {
             let (waiter, turn) = oneshot::channel();
@@ -89,7 +89,7 @@ impl Gate {
             waiter
         });
         let id = match arrival {
-            Arrival::Runs => return Ok(Turn(Some((Arc::clone(self), lane.tenant())))),
+            Arrival::Runs => return Ok(AdmissionPermit(Some((Arc::clone(self), lane.tenant())))),
             Arrival::Refused => {
                 self.full.fetch_add(1, Ordering::Relaxed);
                 return Err(PoolError::Full);
@@ -101,13 +101,13 @@ impl Gate {
                 id
             }
         };
-        let place = Place { gate: self, lane, id };
+        let place = QueuePosition { gate: self, lane, id };
         let Some(called) = called else { return Err(PoolError::Full) };
-        let turn = match tokio::time::timeout(self.patience, called).await {
+        let turn = match tokio::time::timeout(self.max_wait, called).await {
             Ok(turn) => turn.map_err(|_| PoolError::Full),
             Err(_) => {
                 self.late.fetch_add(1, Ordering::Relaxed);
-                Err(PoolError::Late { patience: self.patience })
+                Err(PoolError::Late { max_wait: self.max_wait })
             }
         };
         drop(place);
@@ -115,7 +115,7 @@ impl Gate {
     }
 }
 
-impl Drop for Turn {
+impl Drop for AdmissionPermit {
     fn drop(&mut self) {
         let Some((gate, tenant)) = self.0.take() else { return };
         let mut ended = Some(tenant);

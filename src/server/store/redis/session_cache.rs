@@ -40,19 +40,19 @@ impl Warm {
 }
 
 /// All of them.
-pub(crate) struct Memory {
+pub(crate) struct SessionCache {
     idle: Duration,
     limit: u64,
-    held: Mutex<Held>,
+    held: Mutex<SessionCacheState>,
 }
 
 #[derive(Default)]
-struct Held {
+struct SessionCacheState {
     sessions: HashMap<SessionId, Arc<Warm>>,
     bytes: u64,
 }
 
-impl Held {
+impl SessionCacheState {
     fn remove(&mut self, id: SessionId) {
         if let Some(warm) = self.sessions.remove(&id) {
             self.bytes -= record_bytes(&warm.record);
@@ -72,12 +72,12 @@ impl Held {
     }
 }
 
-impl Memory {
+impl SessionCache {
     pub(crate) fn new(idle: Duration, limit: u64) -> Self {
         Self { idle, limit, held: Mutex::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
+    fn lock(&self) -> MutexGuard<'_, SessionCacheState> {
         // No operation leaves the map half-changed where it could panic.
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_longest_unasked_are_forgotten_when_there_are_too_many() {
-        let memory = Memory::new(Duration::from_secs(60), 16 * 512);
+        let memory = SessionCache::new(Duration::from_secs(60), 16 * 512);
         let records: Vec<_> = (0..17).map(suite::record).collect();
         for record in &records {
             memory.learn(Arc::clone(record), Some(1));
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!((memory.size(), memory.warm(records[16].id).unwrap().known().seq), ((14, 14 * 512), Some(2)));
         memory.forget(records[16].id);
         assert!(!memory.names(records[16].id.owner(), records[16].image) && memory.names(records[15].id.owner(), records[15].image));
-        let brief = Memory::new(Duration::ZERO, 1 << 20);
+        let brief = SessionCache::new(Duration::ZERO, 1 << 20);
         brief.learn(Arc::clone(&records[0]), None);
         assert!(brief.warm(records[0].id).is_none());
         assert_eq!((brief.sweep(), brief.size()), (1, (0, 0)));

@@ -32,7 +32,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
 /// The width of the previews, and what they take.
 #[derive(Clone, Debug)]
-pub struct Pace {
+pub struct PreviewController {
     /// Widest first; the first is the full picture.
     widths: Vec<u32>,
     at: usize,
@@ -73,7 +73,7 @@ impl Pause {
     }
 }
 
-impl Pace {
+impl PreviewController {
     /// A pace that finds its width for a picture of this size.
     #[must_use]
     pub fn adaptive((width, height): (u32, u32)) -> Self {
@@ -180,7 +180,7 @@ mod tests {
     }
 
     /// Widths over the frames of so many seconds.
-    fn run(pace: &mut Pace, start: Instant, seconds: f64, world: &World) -> Vec<u32> {
+    fn run(pace: &mut PreviewController, start: Instant, seconds: f64, world: &World) -> Vec<u32> {
         let mut widths = Vec::new();
         let mut time = 0.0;
         while time < seconds {
@@ -202,18 +202,18 @@ mod tests {
 
     #[test]
     fn widths_are_a_few_steps_down_to_a_least_one() {
-        assert_eq!(Pace::adaptive(UHD).widths, [3840, 2880, 1920, 1440, 960, 480]);
-        assert_eq!(Pace::adaptive((512, 512)).widths, [512, 384, 256]);
-        assert_eq!(Pace::adaptive((511, 90)).widths, [511, 384, 256]);
-        assert_eq!(Pace::adaptive((100, 5000)).widths, [100]);
-        assert_eq!(Pace::adaptive((1, 1)).widths, [1]);
-        assert_eq!(Pace::adaptive((512, 512)).width(), 512, "a small picture begins whole");
-        assert_eq!(Pace::adaptive(UHD).width(), 1440, "a large one does not");
+        assert_eq!(PreviewController::adaptive(UHD).widths, [3840, 2880, 1920, 1440, 960, 480]);
+        assert_eq!(PreviewController::adaptive((512, 512)).widths, [512, 384, 256]);
+        assert_eq!(PreviewController::adaptive((511, 90)).widths, [511, 384, 256]);
+        assert_eq!(PreviewController::adaptive((100, 5000)).widths, [100]);
+        assert_eq!(PreviewController::adaptive((1, 1)).widths, [1]);
+        assert_eq!(PreviewController::adaptive((512, 512)).width(), 512, "a small picture begins whole");
+        assert_eq!(PreviewController::adaptive(UHD).width(), 1440, "a large one does not");
     }
 
     #[test]
     fn a_fast_machine_gets_the_whole_picture_and_keeps_it() {
-        let mut pace = Pace::adaptive(UHD);
+        let mut pace = PreviewController::adaptive(UHD);
         let widths = run(&mut pace, Instant::now(), 10.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.3e-9 });
         assert!(share(&widths, 3840) == 1.0, "{widths:?}");
     }
@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn a_machine_that_cannot_hold_it_gets_the_widest_that_it_can() {
         // 2.4 ns a pixel: the whole picture takes 20 ms, three quarters of its width 11 ms.
-        let mut pace = Pace::adaptive(UHD);
+        let mut pace = PreviewController::adaptive(UHD);
         let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| 0.5e-3 + px * 2.4e-9, ack: |_| 1e-3 });
         assert!(share(&widths, 2880) > 0.95, "{}", share(&widths, 2880));
     }
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn a_slow_connection_narrows_within_a_few_frames() {
         // 20 Mbit/s at 1.5 bytes a pixel.
-        let mut pace = Pace::adaptive(UHD);
+        let mut pace = PreviewController::adaptive(UHD);
         let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.6e-6 });
         assert!(widths[1] == 480, "{:?}", &widths[..5]);
         assert!(share(&widths, 480) > 0.9, "{}", share(&widths, 480));
@@ -238,25 +238,25 @@ mod tests {
     #[test]
     fn a_long_way_does_not_narrow_the_picture_for_long() {
         // 100 ms there and back, whatever the size.
-        let mut pace = Pace::adaptive((1024, 768));
+        let mut pace = PreviewController::adaptive((1024, 768));
         let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
         assert!(share(&widths, 1024) > 0.9, "{}", share(&widths, 1024));
         // Neither does it keep a large one narrow.
-        let mut pace = Pace::adaptive((2048, 1536));
+        let mut pace = PreviewController::adaptive((2048, 1536));
         let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
         assert!(share(&widths, 2048) > 0.9, "{}", share(&widths, 2048));
     }
 
     #[test]
     fn a_screen_that_shows_sixty_frames_a_second_is_no_slow_connection() {
-        let mut pace = Pace::adaptive((1920, 1080));
+        let mut pace = PreviewController::adaptive((1920, 1080));
         let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 2e-9, ack: |_| 0.014 });
         assert!(share(&widths, 1920) > 0.95, "{}", share(&widths, 1920));
     }
 
     #[test]
     fn a_machine_that_is_free_again_widens_again() {
-        let mut pace = Pace::adaptive(UHD);
+        let mut pace = PreviewController::adaptive(UHD);
         let start = Instant::now();
         run(&mut pace, start, 10.0, &World { make: |px| px * 10e-9, ack: |_| 1e-3 });
         assert!(pace.width() < 1920);
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn a_fixed_width_stays() {
-        let mut pace = Pace::fixed(1024);
+        let mut pace = PreviewController::fixed(1024);
         run(&mut pace, Instant::now(), 5.0, &World { make: |_| 1.0, ack: |_| 1.0 });
         assert_eq!(pace.width(), 1024);
     }

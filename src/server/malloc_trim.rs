@@ -30,7 +30,7 @@ unsafe extern "C" {
 }
 
 /// Trims as long as the process lives. To be called first: arenas are there as soon as threads are.
-pub(crate) fn give_back() {
+pub(crate) fn start() {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
     let arenas = c_int::try_from(processors.div_ceil(PROCESSORS)).unwrap_or(c_int::MAX);
     // Where glibc refuses, the service runs, and holds more.

@@ -27,7 +27,7 @@ pub enum Stage {
 }
 
 /// Stands around each step of writing; whoever knows the time may measure there. `()` only does the work.
-pub trait Watch: Sync {
+pub trait WriteObserver: Sync {
     /// Calls `work` exactly once.
     fn around(&self, stage: Stage, work: &mut dyn FnMut());
 
@@ -42,7 +42,7 @@ pub trait Watch: Sync {
     }
 }
 
-impl Watch for () {
+impl WriteObserver for () {
     fn around(&self, _stage: Stage, work: &mut dyn FnMut()) {
         work();
     }
@@ -51,7 +51,7 @@ impl Watch for () {
 /// A picture that is being written. The sink gets the file in as many pieces as there are strips, in order, and is told which is the last
 /// one; when it says `Break`, the work ends at the next strip.
 #[derive(Debug)]
-pub struct Writing<W, S> {
+pub struct StripScheduler<W, S> {
     warp: W,
     next: AtomicUsize,
     gone: AtomicBool,
@@ -66,7 +66,7 @@ struct Queue<S> {
     sink: S,
 }
 
-impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writing<W, S> {
+impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripScheduler<W, S> {
     /// Nothing is drawn yet.
     pub fn new(warp: W, sink: S) -> Self {
         let strips = warp.writer.strips();
@@ -81,7 +81,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Writin
 
     /// Takes strips until none is left, nobody listens, or the watch says that this thread goes. True for the one call that handed over
     /// the last piece.
-    pub fn work(&self, watch: &dyn Watch) -> bool {
+    pub fn work(&self, watch: &dyn WriteObserver) -> bool {
         let Warp { renderer, writer, .. } = &*self.warp;
         let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
         let mut samples = SAMPLES.take();
