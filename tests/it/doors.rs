@@ -185,5 +185,5 @@ fn the_program_has_no_http_client_but_that_of_traces() {
     let mut files = Vec::new();
     sources(&src, &mut files);
     files.retain(|file| std::fs::read_to_string(file).unwrap().contains("hyper::client"));
-    assert_eq!(files, [src.join("service/telemetry/post.rs")]);
+    assert_eq!(files, [src.join("server/observe/otlp_client.rs")]);
 }

@@ -29,7 +29,7 @@ const DEVIATING_SHARE: f64 = 0.005;
 const LARGEST: u64 = 200_000;
 
 fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
 pub(crate) fn limits() -> Limits {

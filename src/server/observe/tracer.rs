@@ -25,6 +25,8 @@ use super::trace::{Asked, Collected, Trace};
 use crate::config::{Collector, TelemetryConfig};
 use crate::limits::bucket::Bucket;
 
+/// The name of the service in every trace.
+const SERVICE: &str = "mlswarp";
 /// Traces that wait to be exported, about a kilobyte each.
 const QUEUE: usize = 2048;
 /// Traces that are exported at once.
@@ -204,7 +206,7 @@ fn resource() -> Resource {
         KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string()),
     ];
     let resource = Resource::builder_empty()
-        .with_service_name(env!("CARGO_PKG_NAME"))
+        .with_service_name(SERVICE)
         .with_attributes(own)
         .with_detector(Box::new(EnvResourceDetector::new()));
     match std::env::var("OTEL_SERVICE_NAME").ok().filter(|name| !name.is_empty()) {
@@ -244,7 +246,7 @@ impl Outbox {
     }
 
     async fn run(mut self, mut stopped: oneshot::Receiver<()>) {
-        let scope = InstrumentationScope::builder(env!("CARGO_PKG_NAME")).with_version(env!("CARGO_PKG_VERSION")).build();
+        let scope = InstrumentationScope::builder(SERVICE).with_version(env!("CARGO_PKG_VERSION")).build();
         let mut is_away = false;
         loop {
             let mut batch = Vec::new();
