@@ -2,7 +2,7 @@
 //! with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v bit for bit.
 
 use super::Method;
-use super::row::Rows;
+use super::lanes::Rows;
 use crate::geometry::Vec2;
 
 /// Below this |m| no rotation is better than another (f64).

@@ -9,7 +9,9 @@ use super::falloff::Falloff;
 use super::family::displacement;
 use super::handles::Handles;
 use super::kernel;
-use super::row::{RowInputs, Rows, Scratch, Vertices};
+use super::lanes::{Rows, Vertices};
+use super::row::RowInputs;
+use super::span::Scratch;
 use super::{DeformError, Handle, Method, Pose, Warning};
 use crate::geometry::Point;
 

@@ -3,7 +3,8 @@
 
 use super::Method;
 use super::columns::{PointSource, Segment, Sources};
-use super::row::{PointMass, Rows, Scratch, Span};
+use super::lanes::{PointMass, Rows};
+use super::span::{Scratch, Span};
 
 /// `tau`: direction of the frame, `at_v`: v in it. Leaves places relative to p* and masses that add up to 1.
 #[inline(always)]
@@ -123,30 +124,6 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
 #[inline(always)]
 fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMass<N>> {
     scratch.places.iter().chain(scratch.spans.iter().map(|span| &span.place))
-}
-
-impl<const N: usize> Span<N> {
-    /// Mass and first moment along the direction of what belongs to end a.
-    #[inline(always)]
-    fn of_a(&self) -> [[f64; N]; 2] {
-        let (mut mass, mut along) = ([0.0; N], [0.0; N]);
-        for k in 0..N {
-            mass[k] = self.view.share_a[k] * self.place.w[k] - self.first[k];
-            along[k] = self.view.share_a[k] * self.first[k] - self.second[k];
-        }
-        [mass, along]
-    }
-
-    /// The same of end b.
-    #[inline(always)]
-    fn of_b(&self) -> [[f64; N]; 2] {
-        let (mut mass, mut along) = ([0.0; N], [0.0; N]);
-        for k in 0..N {
-            mass[k] = self.view.share_b[k] * self.place.w[k] + self.first[k];
-            along[k] = self.view.share_b[k] * self.first[k] + self.second[k];
-        }
-        [mass, along]
-    }
 }
 
 /// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first: next to a line S has a condition of h^(3 - 2 alpha).

@@ -21,6 +21,8 @@ mod kernel;
 #[forbid(unsafe_code)]
 mod lane_math;
 #[forbid(unsafe_code)]
+mod lanes;
+#[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
 mod quadrature;
@@ -28,6 +30,8 @@ mod quadrature;
 mod row;
 #[forbid(unsafe_code)]
 mod segments;
+#[forbid(unsafe_code)]
+mod span;
 
 pub use error::{DeformError, Warning};
 pub use falloff::Falloff;

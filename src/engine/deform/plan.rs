@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::field::{Field, Workspace};
 use super::kernel::{self, LANES, Lanes, lanes_per_block};
-use super::row::{Rows, Vertices};
+use super::lanes::{Rows, Vertices};
 use super::{Method, Pose};
 use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};

@@ -11,7 +11,9 @@ use super::Method;
 use super::columns::{PointSource, Sources};
 use super::falloff::Falloff;
 use super::fit::fit;
+use super::lanes::{PointMass, Rows, Vertices};
 use super::segments::{Moments, View};
+use super::span::{Scratch, Span};
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the set's extent v is on a handle.
@@ -30,50 +32,6 @@ pub(super) struct RowInputs<'a> {
     pub(super) exact: bool,
 }
 
-/// N vertices, px.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Vertices<const N: usize> {
-    pub(super) x: [f64; N],
-    pub(super) y: [f64; N],
-}
-
-/// The coefficients of N vertices. Shapes: `[columns]`.
-#[derive(Clone, Debug)]
-pub(super) struct Rows<const N: usize> {
-    /// Real and imaginary parts. Affine: C (its real part). Similarity: C. Rigid: H, 1/px.
-    pub(super) h: Vec<[[f64; N]; 2]>,
-    /// Rigid: the normalised weights.
-    pub(super) wn: Vec<[f64; N]>,
-    /// Rigid: v - p*, px.
-    pub(super) e: [[f64; N]; 2],
-}
-
-/// A mass and its place (of a segment: the place nearest to v), from the anchor in the frame, later from p*.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PointMass<const N: usize> {
-    pub(super) x: [f64; N],
-    pub(super) y: [f64; N],
-    pub(super) w: [f64; N],
-}
-
-/// A segment: its mass, and the first and second moment of it along `(x, y)`, px, from a to b.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Span<const N: usize> {
-    pub(super) view: View<N>,
-    pub(super) place: PointMass<N>,
-    pub(super) first: [f64; N],
-    pub(super) second: [f64; N],
-    pub(super) x: [f64; N],
-    pub(super) y: [f64; N],
-}
-
-/// Reused from row to row: one place a point, one span a segment.
-#[derive(Debug, Default)]
-pub(super) struct Scratch<const N: usize> {
-    pub(super) places: Vec<PointMass<N>>,
-    pub(super) spans: Vec<Span<N>>,
-}
-
 /// The heaviest source of each vertex, and the frame that all places are brought into: `(place - o) conj(tau) + shift`.
 struct Anchor<const N: usize> {
     weight: [f64; N],
@@ -87,31 +45,6 @@ struct Anchor<const N: usize> {
     /// The point that defines the frame of an anchor point lies exactly on its axis, this far from the anchor.
     defining: [u64; N],
     reach: [f64; N],
-}
-
-impl<const N: usize> Vertices<N> {
-    /// The same vertex in every lane.
-    pub(super) const fn all(v: Point) -> Self {
-        Self { x: [v.x; N], y: [v.y; N] }
-    }
-}
-
-impl<const N: usize> Rows<N> {
-    pub(super) fn zeroed(columns: usize) -> Self {
-        Self { h: vec![[[0.0; N]; 2]; columns], wn: vec![[0.0; N]; columns], e: [[0.0; N]; 2] }
-    }
-
-    pub(super) fn clear(&mut self) {
-        *self = Self::zeroed(self.h.len());
-    }
-}
-
-impl<const N: usize> PointMass<N> {
-    const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], w: [0.0; N] };
-}
-
-impl<const N: usize> Span<N> {
-    const ZERO: Self = Self { view: View::ZERO, place: PointMass::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
 }
 
 impl RowInputs<'_> {

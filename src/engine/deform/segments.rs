@@ -7,8 +7,8 @@
 use super::columns::Segment;
 use super::falloff::{Falloff, Power};
 use super::lane_math::angle;
+use super::lanes::Vertices;
 use super::quadrature::Sight;
-use super::row::Vertices;
 
 /// The closed form stands for the nodes of a segment that is further away than this share of its length: nearer, its second moment cancels
 /// by (L/h)^2.

@@ -5,19 +5,17 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "lattice places are clamped to +-LIMIT before they are narrowed")]
 
-use super::kernel::{Kernel, LONGEST_SIDE};
-use super::{Filter, RenderOptions};
-use crate::geometry::{Mesh, PIXEL_CENTER};
-use crate::pixmap::Extent;
-
 /// Lattice steps in a target pixel.
 pub(super) const ONE: i32 = 256;
 /// The lattice place of the first pixel's centre.
 pub(super) const HALF: i32 = ONE / 2;
 /// The farthest lattice place: 2^21 px; vertices beyond are drawn there. Products of two differences stay below 2^62.
 pub(super) const LIMIT: i32 = 1 << 29;
-/// What cells that are drawn in f32 show at most, px of the sampled picture along either axis.
-const WIDEST: f32 = 1024.0;
+
+/// Lattice steps to px.
+pub(super) const STEP: f32 = 1.0 / ONE as f32;
+/// Sides of a cell that is drawn in lanes are at most this long, lattice steps: edge functions of all lanes then fit 31 bits.
+pub(super) const LONGEST_SIDE: i32 = 112 * ONE;
 /// Columns that are handled together.
 pub(super) const BLOCK: usize = 8;
 
@@ -99,61 +97,7 @@ pub(super) struct Lattice {
     pub(super) block_reach: Vec<YRange>,
 }
 
-/// From a place at rest to the sampler's coordinate: `scale * x + offset`.
-struct Axis {
-    scale: f64,
-    offset: f64,
-}
-
-impl Axis {
-    fn new(filter: Filter, source: u32, grid: f64, k: u32) -> Self {
-        let pixels = f64::from(source) / grid / f64::from(k).exp2();
-        match filter {
-            Filter::Nearest => Self { scale: pixels, offset: 0.0 },
-            // 1/128 px from the first pixel's centre; the half turns truncation into rounding.
-            Filter::Bilinear => Self { scale: 128.0 * pixels, offset: 0.5 - 128.0 * PIXEL_CENTER },
-        }
-    }
-
-    fn at(&self, rest: f64) -> f32 {
-        (rest * self.scale + self.offset) as f32
-    }
-}
-
 impl Lattice {
-    /// Poses and snaps `mesh` for a target; `source` is the whole source picture, sampled reduced by `2^k`.
-    pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, options: &RenderOptions, kernel: Kernel) -> Self {
-        let grid = mesh.grid();
-        let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
-        let pitch = columns.next_multiple_of(BLOCK);
-        let across = Axis::new(options.filter, source.width(), grid.width(), k);
-        let down = Axis::new(options.filter, source.height(), grid.height(), k);
-        let scale = [f64::from(options.target.width()) / grid.width(), f64::from(options.target.height()) / grid.height()];
-        let scale = scale.map(|s| s * f64::from(ONE));
-        let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
-        let mut u: Vec<f32> = rest_x.iter().map(|&x| across.at(x)).collect();
-        u.resize(pitch + BLOCK, across.at(grid.width()));
-        let v: Vec<f32> = (0..grid.rows()).map(|j| down.at(grid.y(j))).collect();
-        let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
-        for ((j, displacement), (x, y)) in
-            (0..).zip(mesh.displacement().chunks_exact(columns)).zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
-        {
-            kernel.snap(&rest_x, grid.y(j), displacement, scale, &mut x[..columns], &mut y[..columns]);
-            let last = (x[columns - 1], y[columns - 1]);
-            x[columns..].fill(last.0);
-            y[columns..].fill(last.1);
-        }
-        let (row_reach, block_reach) = reaches(&y, pitch, kernel);
-        let unit = match options.filter {
-            Filter::Nearest => 1.0,
-            Filter::Bilinear => 128.0,
-        };
-        // Cells that show very much of the source ask for more digits than f32 has: none of them is drawn in it.
-        let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
-        let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
-        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_reach, block_reach }
-    }
-
     /// A vertex.
     pub(super) fn corner(&self, column: usize, row: usize) -> Corner {
         let index = row * self.pitch + column;
@@ -198,16 +142,4 @@ impl Lattice {
                 .flat_map(move |b| (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j)))
         })
     }
-}
-
-/// Reaches of the rows of cells and of their blocks.
-fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
-    let blocks = pitch / BLOCK;
-    let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];
-    for (y, reaches) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
-        kernel.reaches(y, reaches);
-    }
-    let block_reach: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
-    let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
-    (row_reach, block_reach)
 }

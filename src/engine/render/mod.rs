@@ -29,6 +29,8 @@ mod row_strategy;
 #[forbid(unsafe_code)]
 mod sampler;
 #[forbid(unsafe_code)]
+mod snap;
+#[forbid(unsafe_code)]
 mod source;
 #[cfg(test)]
 #[forbid(unsafe_code)]

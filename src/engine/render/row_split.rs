@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use super::kernel::STEP;
+use super::lattice::STEP;
 use super::lattice::{BLOCK, Lattice, YRange};
 use super::row_strategy::RowStrategies;
 

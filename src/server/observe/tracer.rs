@@ -205,10 +205,8 @@ fn resource() -> Resource {
         KeyValue::new("service.version", env!("CARGO_PKG_VERSION")),
         KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string()),
     ];
-    let resource = Resource::builder_empty()
-        .with_service_name(SERVICE)
-        .with_attributes(own)
-        .with_detector(Box::new(EnvResourceDetector::new()));
+    let resource =
+        Resource::builder_empty().with_service_name(SERVICE).with_attributes(own).with_detector(Box::new(EnvResourceDetector::new()));
     match std::env::var("OTEL_SERVICE_NAME").ok().filter(|name| !name.is_empty()) {
         Some(name) => resource.with_service_name(name).build(),
         None => resource.build(),

@@ -6,13 +6,10 @@
 
 use std::cell::Cell;
 
-use crate::level::Level;
-
 use super::bits::BitWriter;
 use super::coder::{Counts, LIMIT, Lookup, PIECE, Pairs, Runs, STAGE_EMPTY, Single, Tables, code_piece, fill_pairs, walk};
 use super::huffman::{self, Codes, END, LITERALS};
 use super::rows::{self, PAETH, Rows, SUB};
-use super::{kernel, stored};
 
 /// Filtered bytes that the code table is made from.
 const SAMPLE: usize = 16 << 10;
@@ -22,18 +19,6 @@ const SAMPLED: u32 = 8;
 
 /// Strips below this are looked up byte by byte: the table of pairs costs about 15 us.
 const PAIRS_FROM: usize = 48 << 10;
-
-/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows.
-pub(super) fn encode(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
-    let start = out.len();
-    let filtered = rows.filtered_len();
-    let most = filtered + usize::try_from(stored::overhead(filtered as u64)).expect("less than the rows themselves");
-    out.reserve(filtered / 8 * 5 + 1024);
-    kernel::fast(level, rows, last, start + most, out).unwrap_or_else(|| {
-        out.truncate(start);
-        stored::encode(rows, last, out)
-    })
-}
 
 /// How a level looks bytes up.
 pub(super) trait Way {

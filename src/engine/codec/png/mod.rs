@@ -195,7 +195,7 @@ impl PngWriter {
         }
         let adler = match self.compression {
             Compression::None => stored::encode(rows, last, out),
-            Compression::Fast => fast::encode(self.level, rows, last, out),
+            Compression::Fast => kernel::encode_fast(self.level, rows, last, out),
             Compression::Best => best::encode(rows, last, out),
         };
         chunk.close(out);

@@ -7,7 +7,9 @@ mod scalar;
 mod x86;
 
 use super::Method;
-use super::row::{RowInputs, Rows, Scratch, Vertices};
+use super::lanes::{Rows, Vertices};
+use super::row::RowInputs;
+use super::span::Scratch;
 use crate::level::Level;
 
 /// Vertices in a block.

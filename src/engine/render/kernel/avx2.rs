@@ -9,7 +9,7 @@ use super::cells::{Canvas, CellBlock};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, Lattice, YRange};
+use crate::render::lattice::{BLOCK, Lattice, STEP, YRange};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -112,7 +112,7 @@ fn put(values: &mut [f32; LANES], lanes: __m256) {
 fn px(places: &[i32; LANES]) -> __m256 {
     // SAFETY: eight integers are loaded from eight integers.
     let places = unsafe { _mm256_loadu_si256(places.as_ptr().cast()) };
-    _mm256_mul_ps(_mm256_cvtepi32_ps(places), _mm256_set1_ps(scalar::STEP))
+    _mm256_mul_ps(_mm256_cvtepi32_ps(places), _mm256_set1_ps(STEP))
 }
 
 /// [`scalar::note`].

@@ -4,9 +4,9 @@ use std::arch::x86_64::*;
 
 use super::Kernel;
 use super::cells::{Canvas, LANES, Map, Near, Piece, Root, UNCOVERED, column, line, reach};
-use super::scalar::STEP;
 use crate::level::Level;
 use crate::render::lattice::ONE;
+use crate::render::lattice::STEP;
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {

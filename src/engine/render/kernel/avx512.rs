@@ -6,9 +6,9 @@ use std::arch::x86_64::*;
 use super::Kernel;
 use super::avx2_cells::{near, root};
 use super::cells::{Canvas, LANES, Map, Piece, UNCOVERED, column, line, reach};
-use super::scalar::STEP;
 use crate::level::Level;
 use crate::render::lattice::ONE;
+use crate::render::lattice::STEP;
 
 pub(super) use super::avx2::{bends, crossings, edges, glance, reaches, sample, snap, soundness, spans, steepness};
 

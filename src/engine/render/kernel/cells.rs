@@ -8,13 +8,11 @@
 
 use std::ops::Range;
 
-use super::scalar::STEP;
-use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, row_centre};
+use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, STEP, row_centre};
 
 /// Pixels that are decided together.
 pub(in crate::render) const LANES: usize = 8;
-/// Sides of a cell that is drawn in lanes are at most this long, lattice steps: edge functions of all lanes then fit 31 bits.
-pub(in crate::render) const LONGEST_SIDE: i32 = 112 * ONE;
+
 /// u where nothing is painted; no place has it.
 pub(in crate::render) const UNCOVERED: f32 = f32::NEG_INFINITY;
 

@@ -24,8 +24,8 @@ use super::source::Packed;
 use crate::level::Level;
 use crate::pixmap::Channels;
 
-pub(super) use cells::{Canvas, CellBlock, LANES, LONGEST_SIDE, Piece, UNCOVERED};
-pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, STEP, Spans, UPRIGHT, fixed};
+pub(super) use cells::{Canvas, CellBlock, LANES, Piece, UNCOVERED};
+pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine was seen to have.
 #[derive(Clone, Copy, Debug)]

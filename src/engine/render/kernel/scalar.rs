@@ -10,7 +10,7 @@ use std::ops::Range;
 
 pub(super) use super::cells::{fill, glance};
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, ONE, YRange};
+use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
 use crate::render::source::{FLIP, Packed};
 
 /// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
@@ -58,9 +58,6 @@ pub(in crate::render) struct CellRow<'a> {
     /// Px of the sampled picture for one of `u`.
     pub(in crate::render) unit: f32,
 }
-
-/// Lattice steps to px.
-pub(in crate::render) const STEP: f32 = 1.0 / ONE as f32;
 
 /// y of the centres of a row of pixels, px.
 #[inline(always)]

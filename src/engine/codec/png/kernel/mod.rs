@@ -4,6 +4,7 @@
 
 use super::fast;
 use super::rows::Rows;
+use super::stored;
 use crate::level::Level;
 
 #[cfg(target_arch = "x86_64")]
@@ -22,4 +23,16 @@ pub(super) fn fast(level: Level, rows: Rows<'_>, last: bool, most: usize, out: &
         Level::Avx512 if level.is_here() => avx512::fast(rows, last, most, out),
         _ => fast::body::<fast::Portable>(rows, last, most, out),
     }
+}
+
+/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows.
+pub(super) fn encode_fast(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+    let start = out.len();
+    let filtered = rows.filtered_len();
+    let most = filtered + usize::try_from(stored::overhead(filtered as u64)).expect("less than the rows themselves");
+    out.reserve(filtered / 8 * 5 + 1024);
+    fast(level, rows, last, start + most, out).unwrap_or_else(|| {
+        out.truncate(start);
+        stored::encode(rows, last, out)
+    })
 }

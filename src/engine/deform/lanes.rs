@@ -1,0 +1,50 @@
+//! N vertices at once, one to a lane: where they are, the coefficients of their rows, and masses as each of them sees them.
+
+use crate::geometry::Point;
+
+/// N vertices, px.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Vertices<const N: usize> {
+    pub(super) x: [f64; N],
+    pub(super) y: [f64; N],
+}
+
+/// The coefficients of N vertices. Shapes: `[columns]`.
+#[derive(Clone, Debug)]
+pub(super) struct Rows<const N: usize> {
+    /// Real and imaginary parts. Affine: C (its real part). Similarity: C. Rigid: H, 1/px.
+    pub(super) h: Vec<[[f64; N]; 2]>,
+    /// Rigid: the normalised weights.
+    pub(super) wn: Vec<[f64; N]>,
+    /// Rigid: v - p*, px.
+    pub(super) e: [[f64; N]; 2],
+}
+
+/// A mass and its place (of a segment: the place nearest to v), from the anchor in the frame, later from p*.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PointMass<const N: usize> {
+    pub(super) x: [f64; N],
+    pub(super) y: [f64; N],
+    pub(super) w: [f64; N],
+}
+
+impl<const N: usize> Vertices<N> {
+    /// The same vertex in every lane.
+    pub(super) const fn all(v: Point) -> Self {
+        Self { x: [v.x; N], y: [v.y; N] }
+    }
+}
+
+impl<const N: usize> Rows<N> {
+    pub(super) fn zeroed(columns: usize) -> Self {
+        Self { h: vec![[[0.0; N]; 2]; columns], wn: vec![[0.0; N]; columns], e: [[0.0; N]; 2] }
+    }
+
+    pub(super) fn clear(&mut self) {
+        *self = Self::zeroed(self.h.len());
+    }
+}
+
+impl<const N: usize> PointMass<N> {
+    pub(super) const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], w: [0.0; N] };
+}

@@ -1,0 +1,51 @@
+//! A segment in a row: its mass and moments as N vertices see them, and what each of its ends takes of them.
+
+#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+
+use super::lanes::PointMass;
+use super::segments::View;
+
+/// A segment: its mass, and the first and second moment of it along `(x, y)`, px, from a to b.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Span<const N: usize> {
+    pub(super) view: View<N>,
+    pub(super) place: PointMass<N>,
+    pub(super) first: [f64; N],
+    pub(super) second: [f64; N],
+    pub(super) x: [f64; N],
+    pub(super) y: [f64; N],
+}
+
+impl<const N: usize> Span<N> {
+    pub(super) const ZERO: Self =
+        Self { view: View::ZERO, place: PointMass::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
+
+    /// Mass and first moment along the direction of what belongs to end a.
+    #[inline(always)]
+    pub(super) fn of_a(&self) -> [[f64; N]; 2] {
+        let (mut mass, mut along) = ([0.0; N], [0.0; N]);
+        for k in 0..N {
+            mass[k] = self.view.share_a[k] * self.place.w[k] - self.first[k];
+            along[k] = self.view.share_a[k] * self.first[k] - self.second[k];
+        }
+        [mass, along]
+    }
+
+    /// The same of end b.
+    #[inline(always)]
+    pub(super) fn of_b(&self) -> [[f64; N]; 2] {
+        let (mut mass, mut along) = ([0.0; N], [0.0; N]);
+        for k in 0..N {
+            mass[k] = self.view.share_b[k] * self.place.w[k] + self.first[k];
+            along[k] = self.view.share_b[k] * self.first[k] + self.second[k];
+        }
+        [mass, along]
+    }
+}
+
+/// Reused from row to row: one place a point, one span a segment.
+#[derive(Debug, Default)]
+pub(super) struct Scratch<const N: usize> {
+    pub(super) places: Vec<PointMass<N>>,
+    pub(super) spans: Vec<Span<N>>,
+}
