@@ -43,7 +43,7 @@ fn main() -> ExitCode {
 fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
-            observe::start(&config);
+            observe::start(&config.log, config.log_format);
             malloc_trim::start();
             exit(connection::run(config).map_err(|e| format!("error: {e}")))
         }

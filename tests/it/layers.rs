@@ -1,34 +1,58 @@
-//! The arrows of the house: which room may name which. `use`, inline paths and `super::super` are all seen: every path is resolved from its
-//! module before it is looked up.
+//! The dependency directions of both crates. One table lists every module and the modules that it may name; a module may name only modules that
+//! stand below it, so the table itself rules out cycles. Files of one module may not form a cycle either, a module and its own children excepted.
+//! Every path (`use`, inline, `super::super`) is resolved from its module before it is looked up.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// A room and the rooms that it may name beside itself. `service/http` is a room of its own inside `service`.
-const ARROWS: [(&str, &[&str]); 9] = [
-    ("level", &[]),
-    ("geometry", &[]),
-    ("pixmap", &[]),
-    ("deform", &["geometry", "level"]),
-    ("render", &["geometry", "pixmap", "level"]),
+/// Each module with the modules that it may name. Modules of the server may name every module of the engine.
+const SERVER: [(&str, &[&str]); 15] = [
+    ("cli", &["http", "app", "config", "auth", "problem", "wire"]),
+    ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "client"]),
+    ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "client"]),
+    ("config", &["store", "observe", "auth", "limits"]),
+    ("drag", &["wire"]),
+    ("pool", &["observe", "limits", "session", "client"]),
+    ("cache", &["observe", "limits", "problem"]),
+    ("store", &["observe", "limits", "wire", "problem", "session", "client"]),
+    ("observe", &["auth", "limits", "problem"]),
+    ("auth", &["limits", "problem", "client"]),
+    ("limits", &["problem", "session", "client"]),
+    ("wire", &["problem"]),
+    ("problem", &[]),
+    ("session", &["client"]),
+    ("client", &[]),
+];
+const ENGINE: [(&str, &[&str]); 7] = [
+    ("warp", &["codec", "render", "deform", "pixmap", "geometry", "level"]),
     ("codec", &["pixmap", "level"]),
-    ("warp", &["geometry", "pixmap", "deform", "render", "codec", "level"]),
-    ("service", &["geometry", "pixmap", "deform", "render", "codec", "warp"]),
-    ("http", &["service", "geometry", "pixmap", "deform", "render", "codec", "warp"]),
+    ("render", &["pixmap", "geometry", "level"]),
+    ("deform", &["geometry", "level"]),
+    ("pixmap", &[]),
+    ("geometry", &[]),
+    ("level", &[]),
 ];
-/// Crates that only some rooms, folders or files may name.
+/// Crates that only some modules or files may name.
 const CRATES: [(&str, &[&str]); 10] = [
-    ("axum", &["http"]),
+    ("axum", &["server/http"]),
     // Spans are posted, which is no part of the service's own HTTP.
-    ("hyper", &["http", "service/telemetry/post.rs"]),
-    ("opentelemetry", &["service/telemetry/", "service/http/fence.rs"]),
-    ("opentelemetry_sdk", &["service/telemetry/", "service/http/fence.rs"]),
-    ("tokio", &["service", "http"]),
-    ("tokio_tungstenite", &["http"]),
-    ("tokio_rustls", &["service", "http"]),
-    ("rayon", &["deform", "render", "warp", "service"]),
-    ("image", &["codec"]),
-    ("png", &["codec"]),
+    ("hyper", &["server/http", "server/observe/otlp_client.rs"]),
+    ("opentelemetry", &["server/observe", "server/http/middleware"]),
+    ("opentelemetry_sdk", &["server/observe", "server/http/middleware"]),
+    ("tokio", &["server"]),
+    ("tokio_tungstenite", &["server/http"]),
+    ("tokio_rustls", &["server"]),
+    ("rayon", &["engine/deform", "engine/render", "engine/warp", "server"]),
+    ("image", &["engine/codec"]),
+    ("png", &["engine/codec"]),
 ];
+
+type Module = Vec<String>;
+
+/// The files of a crate: path below `src`, module, code without comments, strings and unit tests.
+struct Sources {
+    files: BTreeMap<Module, (String, String)>,
+}
 
 pub(crate) fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -41,34 +65,64 @@ pub(crate) fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The module path of a file under `src`: `deform/kernel/mod.rs` is `[deform, kernel]`.
-fn module(file: &Path) -> Vec<String> {
-    let mut path: Vec<String> = file.with_extension("").iter().map(|part| part.to_str().unwrap().to_owned()).collect();
-    if path.last().is_some_and(|last| last == "mod") {
+/// The module of a file of a crate: `deform/kernel/mod.rs` is `[deform, kernel]`.
+fn module(file: &Path) -> Module {
+    let mut path: Module = file.with_extension("").iter().map(|part| part.to_str().unwrap().to_owned()).collect();
+    if path.last().is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str())) {
         path.pop();
     }
     path
 }
 
-fn room(module: &[String]) -> &str {
-    match module {
-        [service, http, ..] if service == "service" && http == "http" => "http",
-        [first, ..] => first,
-        [] => "",
-    }
-}
-
-/// Code only: no comments, no strings, and nothing after the unit tests of a file begin.
+/// Code only: no comments, and nothing after the unit tests of a file begin.
 fn code(text: &str) -> String {
     let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     text.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
 }
 
-/// Every `crate::a::b`, `super::..` path in the code, resolved; groups (`crate::{a, b::c}`) are opened one level.
-fn paths(code: &str, module: &[String]) -> Vec<Vec<String>> {
+fn is_test(file: &Path) -> bool {
+    let name = |part: &std::ffi::OsStr| part.to_str().is_some_and(|part| part.starts_with("tests") || part.ends_with("_tests.rs"));
+    // The stores' common tests, and what they are compared with.
+    file.iter().any(name) || ["store/suite.rs", "store/model.rs"].iter().any(|tests| file.ends_with(tests))
+}
+
+impl Sources {
+    fn of(krate: &str) -> Self {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(krate);
+        let mut found = Vec::new();
+        sources(&root, &mut found);
+        let files = found.iter().filter_map(|file| {
+            let relative = file.strip_prefix(&root).unwrap();
+            let text = std::fs::read_to_string(file).unwrap();
+            let place = format!("{krate}/{}", relative.display());
+            // The program's own file is no module of the library.
+            let is_library = relative != Path::new("main.rs") && relative != Path::new("malloc_trim.rs");
+            (is_library && !is_test(relative)).then(|| (module(relative), (place, code(&text))))
+        });
+        Self { files: files.collect() }
+    }
+
+    /// The module of a path: the longest part of it that has a file.
+    fn owner(&self, path: &[String]) -> Module {
+        let lengths = (0..=path.len()).rev();
+        lengths.map(|length| path[..length].to_vec()).find(|module| self.files.contains_key(module)).unwrap_or_default()
+    }
+
+    /// The modules that each module names.
+    fn edges(&self) -> BTreeMap<&Module, BTreeSet<Module>> {
+        let named = |module: &Module, code: &str| {
+            let targets = paths(code, module).into_iter().map(|path| self.owner(&path));
+            targets.filter(|target| target != module).collect()
+        };
+        self.files.iter().map(|(module, (_, code))| (module, named(module, code))).collect()
+    }
+}
+
+/// Every `crate::a::b`, `self::..`, `super::..` path in the code, resolved; groups (`crate::{a, b::c}`) are opened.
+fn paths(code: &str, module: &[String]) -> Vec<Module> {
     let mut found = Vec::new();
     let bytes = code.as_bytes();
-    for start in ["crate::", "super::"] {
+    for start in ["crate::", "super::", "self::"] {
         for (at, _) in code.match_indices(start) {
             // Only the head of a path: `super::super::x` is looked at once.
             if at > 0 && (bytes[at - 1] == b':' || bytes[at - 1].is_ascii_alphanumeric() || bytes[at - 1] == b'_') {
@@ -80,94 +134,141 @@ fn paths(code: &str, module: &[String]) -> Vec<Vec<String>> {
                 base.pop();
                 rest = tail;
             }
-            rest = rest.strip_prefix("crate::").unwrap_or(rest);
-            let name = |text: &str| text.trim().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>();
-            let mut heads = Vec::new();
-            if let Some(group) = rest.strip_prefix('{') {
-                let mut depth = 0;
-                let mut item = String::new();
-                for c in group.chars() {
-                    match c {
-                        '{' => depth += 1,
-                        '}' if depth == 0 => break,
-                        '}' => depth -= 1,
-                        ',' if depth == 0 => heads.push(name(&std::mem::take(&mut item))),
-                        _ => {}
-                    }
-                    if c != ',' || depth > 0 {
-                        item.push(c);
-                    }
-                }
-                heads.push(name(&item));
-            } else {
-                heads.push(name(rest));
-                let second = rest.split("::").nth(1).map(name);
-                if base.is_empty() && heads[0] == "service" && second.as_deref() == Some("http") {
-                    heads = vec!["http".to_owned()];
-                }
-            }
-            found.extend(heads.into_iter().filter(|head| !head.is_empty()).map(|head| [base.clone(), vec![head]].concat()));
+            rest = rest.strip_prefix("crate::").or_else(|| rest.strip_prefix("self::")).unwrap_or(rest);
+            open(&base, rest, &mut found);
         }
     }
     found
 }
 
-fn offences(file: &Path, text: &str) -> Vec<String> {
-    let module = module(file);
-    let own = room(&module).to_owned();
-    let code = code(text);
-    let mut offences = Vec::new();
-    let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == own) else { return offences };
-    for path in paths(&code, &module) {
-        let target = room(&path);
-        let is_room = ARROWS.iter().any(|(name, _)| *name == target);
-        if is_room && target != own && !allowed.contains(&target) {
-            offences.push(format!("{} names {}", file.display(), path.join("::")));
+/// The paths of a use tree that begins `text`; returns what follows it.
+fn open<'a>(base: &[String], text: &'a str, found: &mut Vec<Module>) -> &'a str {
+    let text = text.trim_start();
+    let Some(mut rest) = text.strip_prefix('{') else {
+        let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+        let rest = &text[name.len()..];
+        if name.is_empty() || name == "self" {
+            found.push(base.to_vec());
+            return rest.strip_prefix('*').unwrap_or(rest);
+        }
+        let path = [base, &[name]].concat();
+        return match rest.strip_prefix("::") {
+            Some(rest) if rest.starts_with(|c: char| c.is_alphabetic() || c == '{' || c == '_' || c == '*') => open(&path, rest, found),
+            _ => {
+                found.push(path);
+                rest
+            }
+        };
+    };
+    loop {
+        rest = open(base, rest, found).trim_start();
+        // An alias (`a as b`) names nothing more.
+        rest = rest.strip_prefix("as ").map_or(rest, |alias| alias.trim_start_matches(|c: char| c.is_alphanumeric() || c == '_'));
+        match rest.trim_start().strip_prefix(',') {
+            Some(tail) if !tail.trim_start().starts_with('}') => rest = tail,
+            Some(tail) => return tail.trim_start().strip_prefix('}').unwrap_or(tail),
+            None => return rest.trim_start().strip_prefix('}').unwrap_or(rest),
         }
     }
-    for (krate, rooms) in CRATES {
-        let named = code.match_indices(&format!("{krate}::")).any(|(at, _)| {
-            let before = code[..at].chars().next_back();
-            !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
-        });
-        let file_name = file.to_str().unwrap();
-        // `codec::png` and `warp::image` are rooms of this crate; there the crate of that name is written `::png`.
-        let own_name = module.iter().any(|part| part == krate) || code.contains(&format!("mod {krate};"));
-        if named && !own_name && !rooms.iter().any(|r| *r == own || file_name.starts_with(r) && r.contains('/')) {
-            offences.push(format!("{file_name} names the crate {krate}"));
+}
+
+/// What the table forbids of the edges between modules, and modules that it does not list.
+fn offences(sources: &Sources, table: &[(&str, &[&str])]) -> Vec<String> {
+    let mut offences = Vec::new();
+    for (k, (name, below)) in table.iter().enumerate() {
+        let is_below = |target: &str| table[k + 1..].iter().any(|(other, _)| *other == target);
+        offences
+            .extend(below.iter().filter(|target| !is_below(target)).map(|target| format!("the table: {name} names {target}, above it")));
+    }
+    for (module, targets) in sources.edges() {
+        let Some(top) = module.first() else { continue };
+        let Some((_, allowed)) = table.iter().find(|(name, _)| name == top) else {
+            offences.push(format!("{top} is not in the table"));
+            continue;
+        };
+        for target in targets.iter().filter_map(|target| target.first()).filter(|target| *target != top) {
+            if !allowed.contains(&target.as_str()) {
+                offences.push(format!("{} names {target}", module.join("::")));
+            }
+        }
+    }
+    offences
+}
+
+/// Files that name each other in a circle; a module and its own children may.
+fn cycles(sources: &Sources) -> Vec<String> {
+    let edges = sources.edges();
+    let kin = |a: &Module, b: &Module| a.starts_with(b) || b.starts_with(a);
+    let reached = |from: &Module| {
+        let (mut seen, mut todo) = (BTreeSet::new(), vec![from.clone()]);
+        while let Some(at) = todo.pop() {
+            for next in edges.get(&at).into_iter().flatten().filter(|next| !kin(&at, next)) {
+                if seen.insert(next.clone()) {
+                    todo.push(next.clone());
+                }
+            }
+        }
+        seen
+    };
+    edges.keys().filter(|module| reached(module).contains(**module)).map(|module| module.join("::")).collect()
+}
+
+fn forbidden_crates(sources: &Sources) -> Vec<String> {
+    let mut offences = Vec::new();
+    for (module, (file, code)) in &sources.files {
+        for (krate, places) in CRATES {
+            let named = code.match_indices(&format!("{krate}::")).any(|(at, _)| {
+                let before = code[..at].chars().next_back();
+                !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
+            });
+            // `codec::png` and `warp::image` are modules of this project; there the crate of that name is written `::png`.
+            let own_name = module.iter().any(|part| part == krate) || code.contains(&format!("mod {krate};"));
+            if named && !own_name && !places.iter().any(|place| file == place || file.starts_with(&format!("{place}/"))) {
+                offences.push(format!("{file} names the crate {krate}"));
+            }
         }
     }
     offences
 }
 
 #[test]
-fn layers_arrows_run_one_way() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../src");
-    let mut files = Vec::new();
-    sources(&root, &mut files);
-    assert!(files.len() > 50, "{} files were looked at", files.len());
+fn layers_dependencies_point_one_way() {
     let mut all = Vec::new();
-    for file in files {
-        let relative = file.strip_prefix(&root).unwrap();
-        let is_test = relative.iter().any(|part| part.to_str().unwrap().starts_with("tests") || part == "contract_tests.rs");
-        if !is_test {
-            all.extend(offences(relative, &std::fs::read_to_string(&file).unwrap()));
-        }
+    for (krate, table) in [("engine", &ENGINE[..]), ("server", &SERVER[..])] {
+        let sources = Sources::of(krate);
+        assert!(sources.files.len() > 50, "{} files of {krate}", sources.files.len());
+        all.extend([offences(&sources, table), forbidden_crates(&sources)].concat());
+        all.extend(cycles(&sources).into_iter().map(|module| format!("{krate}: {module} is part of a cycle of files")));
     }
     assert!(all.is_empty(), "{}", all.join("\n"));
 }
 
-/// The test itself: a wrong arrow is seen however it is written.
+/// The test itself: a wrong dependency is seen however it is written.
 #[test]
-fn layers_wrong_arrows_are_seen() {
-    let seen = |file: &str, text: &str| !offences(Path::new(file), text).is_empty();
-    assert!(seen("deform/plan.rs", "use crate::render::Filter;"));
-    assert!(seen("deform/kernel/scalar.rs", "use super::super::super::codec::Limits;"));
-    assert!(seen("codec/decode.rs", "use crate::{pixmap::Extent, deform::Handle};"));
-    assert!(seen("geometry/grid.rs", "fn f() { crate::warp::Digest::of(b\"\"); }"));
-    assert!(seen("warp/setup.rs", "use crate::service::App;"));
-    assert!(seen("service/pool.rs", "use super::http::router; use crate::service::http::router;"));
-    assert!(seen("warp/setup.rs", "use tokio::sync::Notify;"));
-    assert!(!seen("deform/plan.rs", "use super::field::Field; use crate::geometry::Grid; // crate::render"));
-    assert!(!seen("service/http/warp.rs", "use axum::Router; use crate::service::App; use super::body::json;"));
+fn layers_wrong_dependencies_are_seen() {
+    let files = |files: &[(&str, &str)]| Sources {
+        files: files.iter().map(|(file, text)| (module(Path::new(file)), (format!("engine/{file}"), code(text)))).collect(),
+    };
+    let one = |file: &str, text: &str| {
+        let mut all: Vec<(&str, &str)> = ENGINE.iter().map(|(name, _)| (*name, "")).chain([(file, text)]).collect();
+        let folders: Vec<String> = all.iter().map(|(name, _)| format!("{}.rs", name.trim_end_matches(".rs"))).collect();
+        all.iter_mut().zip(&folders).for_each(|((name, _), file)| *name = file);
+        let sources = files(&all);
+        !offences(&sources, &ENGINE).is_empty() || !forbidden_crates(&sources).is_empty()
+    };
+    assert!(one("deform/plan.rs", "use crate::render::Filter;"));
+    assert!(one("deform/kernel/scalar.rs", "use super::super::super::codec::Limits;"));
+    assert!(one("codec/decode.rs", "use crate::{pixmap::Extent, deform::Handle};"));
+    assert!(one("geometry/grid.rs", "fn f() { crate::warp::Digest::of(b\"\"); }"));
+    assert!(one("new/part.rs", ""), "a module that the table does not list");
+    assert!(one("warp/setup.rs", "use tokio::sync::Notify;"));
+    assert!(!one("deform/plan.rs", "use super::field::Field; use crate::geometry::Grid; // crate::render"));
+    let circle = files(&[
+        ("a/x.rs", "use super::y::Y;"),
+        ("a/y.rs", "use crate::a::z::{self, Z};"),
+        ("a/z.rs", "fn f() { super::x::f() }"),
+        ("a.rs", ""),
+    ]);
+    assert_eq!(cycles(&circle), ["a::x", "a::y", "a::z"]);
+    assert!(cycles(&files(&[("a.rs", "use self::x::X;"), ("a/x.rs", "use super::Y;")])).is_empty(), "a module and its child");
 }

@@ -14,12 +14,13 @@ use mlswarp::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpEr
 use super::App;
 use super::causes::Origin;
 use super::draw::{DrawJob, Drawn};
-use super::warp::{ATTEMPTS, Source, Timing, json_unless};
+use super::warp::{ATTEMPTS, Source, json_unless};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
 use crate::session::{SequencePosition, SessionId};

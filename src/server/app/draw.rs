@@ -19,12 +19,13 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::warp::Timing;
 use crate::cache::CacheEntry;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::Scope;
 use crate::observe::scope::stage;
+use crate::observe::stages::Cost;
+use crate::observe::stages::Timing;
 use crate::pool::{DrawGuard, Pool, PoolError, Ticket};
 use crate::problem::Problem;
 
@@ -56,15 +57,6 @@ pub enum Piece {
     Bytes(Bytes),
     /// The file is complete.
     End(Cost),
-}
-
-/// Processor time of drawing, all threads together.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Cost {
-    /// Mesh to pixels.
-    pub render: Duration,
-    /// Pixels to the bytes of a file.
-    pub encode: Duration,
 }
 
 /// What the stages of drawing cost, and where they are traced, from when to when they went on: both on many threads, and at the same time.

@@ -2,8 +2,9 @@
 //! of [`http`]; every error is a [`Problem`].
 
 pub mod causes;
-pub(crate) mod drag;
+pub mod drag;
 pub mod draw;
+mod figures;
 pub mod holdings;
 pub(crate) mod lifecycle;
 pub mod live_drag;
@@ -24,6 +25,7 @@ use crate::cache::Cache;
 use crate::client::Client;
 use crate::config::{Config, WorkConfig};
 use crate::limits::client_quota::{Quota, Share, Shares};
+use crate::limits::connections::ConnectionLimiter;
 use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
@@ -155,14 +157,19 @@ impl App {
     /// See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.place, config.store.bounds)?;
-        let (tracer, outbox) = Tracer::new(&config.telemetry)?.unzip();
+        let (tracer, outbox) = Tracer::new(config.telemetry.otlp_endpoint.clone(), config.telemetry.otlp_sample)?.unzip();
         let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
-        let work = config.work;
+        let (work, access) = (config.work, &config.access);
         let of_client = |total| config.access.client_share.of(total);
         let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
         let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(AppState {
-            access: AccessControl::new(&config.access),
+            access: AccessControl::new(
+                access.keys.as_ref().map(|keys| keys.all.clone()),
+                access.rate_per_address,
+                access.rate_per_key,
+                ConnectionLimiter::new(access.max_connections, access.max_connections_per_address),
+            ),
             budget: Budget::new(work.memory_bytes),
             answers: Shares::new(Quota::Answers, work.memory_bytes / UNREAD_PART),
             requests: Shares::new(Quota::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),

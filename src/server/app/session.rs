@@ -7,10 +7,11 @@ use mlswarp::warp::Setup;
 
 use super::App;
 use super::causes::Origin;
-use super::warp::{ATTEMPTS, PreparedWarp, Timing, build_aborted, image_key, resolve, shelf_key, weight};
+use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, shelf_key, weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
+use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Work};
 use crate::problem::Problem;
 use crate::session::{Revision, SessionId};

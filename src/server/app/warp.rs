@@ -3,15 +3,13 @@
 
 use std::io;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Instant, SystemTime};
 
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
 use serde::Serialize;
-
-pub use super::drag::{MeshForm, PosedMesh};
 
 use super::App;
 use super::causes::Origin;
@@ -20,6 +18,7 @@ use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
@@ -31,19 +30,6 @@ use crate::wire::{WarpObject, WarpPatch};
 pub(crate) const ATTEMPTS: usize = 8;
 /// What stands for a value that takes next to nothing: nothing is kept for nothing.
 const LEAST_KEPT: u64 = 1024;
-
-/// Wall time of the steps before drawing.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Timing {
-    /// Waiting for a worker.
-    pub queue: Duration,
-    /// Digest and decoding of the file, or waiting for who does.
-    pub decode: Duration,
-    /// The table of coefficients, or waiting for who fills it.
-    pub plan: Duration,
-    /// Posing the grid.
-    pub deform: Duration,
-}
 
 /// What a warp is made of, and what a session keeps.
 #[derive(Debug)]

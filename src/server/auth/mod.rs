@@ -14,7 +14,6 @@ use std::time::Instant;
 use tokio::sync::watch;
 
 use crate::client::{Owner, Tenant};
-use crate::config::AccessConfig;
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::rate_limit::RateLimit;
 use crate::problem::{Code, Problem};
@@ -33,12 +32,12 @@ pub struct AccessControl {
 impl AccessControl {
     /// Doors as configured.
     #[must_use]
-    pub fn new(config: &AccessConfig) -> Self {
+    pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, places: ConnectionLimiter) -> Self {
         Self {
-            keys: config.keys.as_ref().map(|keys| watch::Sender::new(Arc::new(keys.all.clone()))),
-            by_address: config.rate_per_address.map(RateLimit::new),
-            by_owner: config.rate_per_key.map(RateLimit::new),
-            places: ConnectionLimiter::new(config.max_connections, config.max_connections_per_address),
+            keys: keys.map(|keys| watch::Sender::new(Arc::new(keys))),
+            by_address: rate_per_address.map(RateLimit::new),
+            by_owner: rate_per_key.map(RateLimit::new),
+            places,
         }
     }
 

@@ -17,9 +17,11 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
+use crate::observe::LogFormat;
+
 pub use access::{AccessConfig, KeysConfig};
 pub use store::StoreConfig;
-pub use telemetry::{Collector, TelemetryConfig};
+pub use telemetry::TelemetryConfig;
 pub use work::{WorkConfig, WorkOptions};
 
 /// The command line.
@@ -106,15 +108,6 @@ pub struct Options {
     /// Log lines as `text` or `json`.
     #[arg(long, env = "MLSWARP_LOG_FORMAT", value_name = "FORMAT", default_value = "text", global = true)]
     log_format: String,
-}
-
-/// How log lines look.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LogFormat {
-    /// For people.
-    Text,
-    /// One JSON object a line.
-    Json,
 }
 
 /// Everything that can be set, checked.

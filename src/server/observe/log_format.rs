@@ -10,14 +10,22 @@ use tracing_subscriber::fmt::format::{self, FormatEvent, FormatFields, Writer};
 use tracing_subscriber::registry::LookupSpan;
 
 use super::Scope;
-use crate::config::{Config, LogFormat};
 
-/// Starts logging; a second call changes nothing.
-pub fn start(config: &Config) {
-    let filter = EnvFilter::new(&config.log);
+/// How log lines look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Starts logging what passes `filter`; a second call changes nothing.
+pub fn start(filter: &str, format: LogFormat) {
+    let filter = EnvFilter::new(filter);
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // The only error is that logging has been started before.
-    let _ = match config.log_format {
+    let _ = match format {
         LogFormat::Text => {
             let is_terminal = std::io::IsTerminal::is_terminal(&std::io::stderr());
             lines.with_ansi(is_terminal).event_format(Text(format::format().with_ansi(is_terminal))).try_init()

@@ -1,25 +1,15 @@
-//! What the service tells of itself in numbers, as OpenMetrics text that Prometheus reads. Counters and times are collected as things happen; everything
-//! else is read at the moment of a scrape. Seconds and bytes, as the names say. No label holds anything that a client chose.
+//! Counters and times that are collected as things happen. Seconds and bytes, as the names say. No label holds anything that a client chose.
 
-use std::fmt;
 use std::time::Duration;
 
-use prometheus_client::collector::Collector;
-use prometheus_client::encoding::text::encode;
-use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, MetricEncoder, NoLabelSet};
-use prometheus_client::metrics::MetricType;
+use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
-use crate::app::App;
-use crate::app::causes::Cause;
-use crate::app::draw::Cost;
-use crate::app::warp::Timing;
-use crate::cache::CacheStats;
-use crate::limits::memory::Purpose;
-use crate::pool::Work;
+use crate::observe::stages::Cost;
+use crate::observe::stages::Timing;
 use crate::problem::Problem;
 
 /// Steps of a picture, in their order.
@@ -80,6 +70,16 @@ impl Default for Metrics {
 }
 
 impl Metrics {
+    /// Adds all of them to a registry.
+    pub fn register(&self, registry: &mut Registry) {
+        registry.register("requests", "Requests that were answered", self.answered.clone());
+        registry.register("problems", "Requests that were refused, by the problem's code and the limit it names", self.refused.clone());
+        let spent = "Time from a request's head to its answer's head";
+        registry.register_with_unit("request_duration", spent, Unit::Seconds, self.durations.clone());
+        let stages = "Time of the steps of a picture; render and encode: of all threads together";
+        registry.register_with_unit("stage_duration", stages, Unit::Seconds, self.stages.clone());
+    }
+
     /// A request was answered. `route` is a pattern, never a path.
     pub fn answered(&self, route: &str, method: &str, status: u16, took: Duration) {
         let method = known_method(method).unwrap_or("other");
@@ -107,174 +107,4 @@ impl Metrics {
         render.observe(cost.render.as_secs_f64());
         encode.observe(cost.encode.as_secs_f64());
     }
-}
-
-impl App {
-    /// All metrics, as text.
-    #[must_use]
-    pub fn metrics_text(&self) -> String {
-        let mut registry = Registry::with_prefix("mlswarp");
-        let metrics = &self.0.metrics;
-        registry.register("requests", "Requests that were answered", metrics.answered.clone());
-        registry.register("problems", "Requests that were refused, by the problem's code and the limit it names", metrics.refused.clone());
-        let spent = "Time from a request's head to its answer's head";
-        registry.register_with_unit("request_duration", spent, Unit::Seconds, metrics.durations.clone());
-        let stages = "Time of the steps of a picture; render and encode: of all threads together";
-        registry.register_with_unit("stage_duration", stages, Unit::Seconds, metrics.stages.clone());
-        registry.register_collector(Box::new(self.clone()));
-        let mut text = String::new();
-        encode(&mut text, &registry).expect("writing to a string does not fail");
-        text
-    }
-}
-
-/// Writes metrics that are read at a scrape.
-struct Sheet<'a>(DescriptorEncoder<'a>);
-
-type Labels = Vec<(&'static str, String)>;
-
-impl Sheet<'_> {
-    fn put(&mut self, kind: MetricType, name: &str, help: &str, unit: Option<&Unit>, values: &[(Labels, u64)]) -> fmt::Result {
-        let mut metric = self.0.encode_descriptor(name, help, unit, kind)?;
-        for (labels, value) in values {
-            if labels.is_empty() { sample(&mut metric, kind, *value) } else { sample(&mut metric.encode_family(labels)?, kind, *value) }?;
-        }
-        Ok(())
-    }
-
-    fn gauge(&mut self, name: &str, help: &str, values: &[(Labels, u64)]) -> fmt::Result {
-        self.put(MetricType::Gauge, name, help, None, values)
-    }
-
-    fn bytes(&mut self, name: &str, help: &str, values: &[(Labels, u64)]) -> fmt::Result {
-        self.put(MetricType::Gauge, name, help, Some(&Unit::Bytes), values)
-    }
-
-    fn counter(&mut self, name: &str, help: &str, values: &[(Labels, u64)]) -> fmt::Result {
-        self.put(MetricType::Counter, name, help, None, values)
-    }
-}
-
-fn sample(metric: &mut MetricEncoder<'_>, kind: MetricType, value: u64) -> fmt::Result {
-    match kind {
-        MetricType::Counter => metric.encode_counter::<NoLabelSet, _, u64>(&value, None),
-        _ => metric.encode_gauge(&value),
-    }
-}
-
-fn one(value: u64) -> [(Labels, u64); 1] {
-    [(Vec::new(), value)]
-}
-
-fn label(name: &'static str, value: &str) -> Labels {
-    vec![(name, value.to_owned())]
-}
-
-const WORK: [(Work, &str); 3] = [(Work::Drag, "drag"), (Work::Upload, "upload"), (Work::Fetch, "fetch")];
-
-impl Collector for App {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        let sheet = &mut Sheet(encoder);
-        sheet.gauge("build_info", "The program's version", &[(label("version", env!("CARGO_PKG_VERSION")), 1)])?;
-        self.write_work(sheet)?;
-        self.write_doors(sheet)?;
-        self.write_memory(sheet)?;
-        self.write_caches(sheet)?;
-        self.write_store(sheet)?;
-        self.write_pictures(sheet)?;
-        self.write_traces(sheet)
-    }
-}
-
-impl App {
-    fn write_work(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let loads = WORK.map(|(work, name)| (self.0.pool.load(work), label("work", name)));
-        let each = |value: &dyn Fn(&crate::pool::Load) -> usize| loads.each_ref().map(|(load, work)| (work.clone(), value(load) as u64));
-        // Those that wait for a file take no worker.
-        let [drag, upload, _] = each(&|_| self.0.config.work.workers);
-        sheet.gauge("workers", "Requests that run at one time, at most", &[drag, upload])?;
-        let [drag, upload, fetch] = each(&|load| load.running);
-        sheet.gauge("workers_busy", "Requests that run", &[drag, upload])?;
-        sheet.gauge("fetches", "Files of sessions that are being fetched from the store", &one(fetch.1))?;
-        sheet.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue))?;
-        sheet.gauge("queue_waiting", "Requests that wait", &each(&|load| load.waiting))?;
-        let mut shed = Vec::new();
-        for (load, work) in &loads {
-            for (reason, count) in [("queue_full", load.full), ("late", load.late)] {
-                shed.push(([&work[..], &label("reason", reason)].concat(), count));
-            }
-        }
-        shed.push(([label("work", "any"), label("reason", "memory")].concat(), self.0.budget.refused()));
-        sheet.counter("shed", "Requests that were sent away because there was no room for them", &shed)
-    }
-
-    fn write_doors(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let places = self.0.access.places();
-        sheet.gauge("connections", "Connections that are open", &one(places.open() as u64))?;
-        sheet.counter("connections_refused", "Connections that were closed at once because there were too many", &one(places.refused()))
-    }
-
-    fn write_memory(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let budget = &self.0.budget;
-        sheet.bytes("memory_limit", "Memory that clients may cause to be taken", &one(budget.total()))?;
-        let taken = Purpose::ALL.map(|purpose| (label("purpose", purpose.name()), budget.taken_for(purpose)));
-        sheet.bytes("memory_reserved", "Memory that is taken, by purpose", &taken)?;
-        match resident() {
-            Some(bytes) => sheet.bytes("memory_resident", "Memory of the process as the kernel counts it", &one(bytes)),
-            None => Ok(()),
-        }
-    }
-
-    fn write_caches(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let shelves = [("images", self.0.images.usage()), ("plans", self.0.plans.usage()), ("setups", self.0.setups.usage())];
-        let each = |value: fn(&CacheStats) -> u64| shelves.each_ref().map(|(name, usage)| (label("cache", name), value(usage)));
-        sheet.bytes("cache_size", "What is kept", &each(|usage| usage.bytes))?;
-        sheet.gauge("cache_values", "Values that are kept", &each(|usage| usage.values))?;
-        sheet.counter("cache_hits", "Looks that found a value", &each(|usage| usage.hits))?;
-        sheet.counter("cache_builds", "Values that were made because they were not there", &each(|usage| usage.built))?;
-        sheet.counter("cache_evictions", "Values that made room for others", &each(|usage| usage.evicted))?;
-        let built = Cause::ALL.map(|cause| (label("cause", cause.name()), self.0.causes.count(cause)));
-        sheet.counter("plan_builds", "Tables of coefficients that were filled, by why they were not there", &built)
-    }
-
-    fn write_store(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let figures = self.0.store.figures();
-        sheet.gauge("store_up", "1 while the store does what it is asked", &one(u64::from(!figures.is_away)))?;
-        sheet.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
-        sheet.bytes("store_size", "Their records, and their files where those are this process's to keep", &one(figures.bytes))?;
-        sheet.counter("store_damaged", "Sessions that were left out because what was stored of them was damaged", &one(figures.damaged))?;
-        let other_version = "Records that were read and left alone because another version of the program has written them";
-        sheet.counter("store_other_version", other_version, &one(figures.other_version))?;
-        sheet.counter("store_failures", "Times that the store did not do what it was asked", &one(figures.failures))
-    }
-
-    fn write_pictures(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let counters = self.counters();
-        let pictures =
-            [("begun", counters.pictures_begun), ("finished", counters.pictures_finished), ("abandoned", counters.pictures_abandoned)];
-        sheet.counter("pictures", "Pictures by how far they came", &pictures.map(|(name, count)| (label("state", name), count)))?;
-        let superseded = [("request", counters.superseded), ("socket", counters.poses_superseded)];
-        sheet.counter(
-            "superseded",
-            "Poses that were overtaken by newer ones",
-            &superseded.map(|(name, count)| (label("by", name), count)),
-        )?;
-        sheet.gauge("sockets", "Drag sockets that are open", &one(counters.sockets_open))?;
-        sheet.counter("frames_sent", "Frames that were handed to drag sockets", &one(counters.frames_sent))
-    }
-}
-
-impl App {
-    fn write_traces(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let (exported, dropped) = self.tracer().map_or((0, 0), |tracer| (tracer.tally().exported(), tracer.tally().dropped()));
-        sheet.counter("spans_exported", "Spans of traces that the collector has taken", &one(exported))?;
-        sheet.counter("spans_dropped", "Spans of traces that were lost because the collector did not take them", &one(dropped))
-    }
-}
-
-/// Pages that the kernel counts, where it says (Linux).
-fn resident() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }

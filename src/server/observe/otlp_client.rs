@@ -19,8 +19,8 @@ use tokio::sync::Mutex;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
+use super::collector::Collector;
 use crate::auth::tls::trusting_the_systems_roots;
-use crate::config::Collector;
 
 /// Most bytes of a collector's answer: it has next to nothing to say.
 const ANSWER: usize = 64 << 10;

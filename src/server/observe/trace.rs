@@ -4,10 +4,11 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime};
 
-use opentelemetry::trace::{Link, SpanContext, SpanId, SpanKind, Status, TraceState};
-use opentelemetry::{InstrumentationScope, KeyValue};
-use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanData, SpanEvents, SpanLinks};
+use opentelemetry::KeyValue;
+use opentelemetry::trace::{SpanContext, SpanId, Status};
+use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator};
 
+use super::collected::{Collected, Stage};
 use super::tracer::Tracer;
 use crate::problem::Code;
 
@@ -45,26 +46,27 @@ pub(crate) struct Trace {
     kept: Mutex<Collected>,
 }
 
-/// Everything of a trace that was collected.
-#[derive(Debug)]
-pub(crate) struct Collected {
-    context: SpanContext,
-    parent: SpanId,
-    link: Option<SpanContext>,
-    name: String,
-    attributes: Vec<KeyValue>,
-    status: Status,
-    came: SystemTime,
-    began: Instant,
-    ended: Option<Instant>,
-    stages: Vec<Stage>,
-}
+impl Tracer {
+    /// The span of a request, and its trace where it is sampled.
+    pub(crate) fn request(&self, id: &str, asked: &Asked<'_>) -> (SpanContext, Option<Trace>) {
+        let Asked { parent, began, .. } = asked;
+        let (trace, caller) = if parent.is_valid() {
+            (parent.trace_id(), Some(parent.is_sampled()))
+        } else {
+            (RandomIdGenerator::default().new_trace_id(), None)
+        };
+        let context = self.context(trace, caller, *began);
+        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, *began).of_request(asked));
+        (context, made)
+    }
 
-#[derive(Clone, Copy, Debug)]
-struct Stage {
-    name: &'static str,
-    began: Instant,
-    ended: Instant,
+    /// The span of a frame. It is no child of its handshake, whose trace would have no end; it links to it.
+    pub(crate) fn frame(&self, id: &str, handshake: Option<&SpanContext>) -> (SpanContext, Option<Trace>) {
+        let now = Instant::now();
+        let context = self.context(RandomIdGenerator::default().new_trace_id(), None, now);
+        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, now).of_frame(handshake));
+        (context, made)
+    }
 }
 
 impl Trace {
@@ -147,74 +149,5 @@ impl Drop for Trace {
         let context = kept.context.clone();
         let collected = std::mem::replace(kept, Collected::nothing(context, now));
         self.tracer.hand_over(collected);
-    }
-}
-
-impl Collected {
-    /// What the client did wrong is no error of the service's.
-    fn fail(&mut self, code: Code) {
-        self.attributes.push(KeyValue::new("error.type", code.as_str()));
-        if code.status() >= 500 {
-            self.status = Status::error("");
-        }
-    }
-
-    fn nothing(context: SpanContext, now: Instant) -> Self {
-        Self {
-            context,
-            parent: SpanId::INVALID,
-            link: None,
-            name: String::new(),
-            attributes: Vec::new(),
-            status: Status::Unset,
-            came: SystemTime::UNIX_EPOCH,
-            began: now,
-            ended: None,
-            stages: Vec::new(),
-        }
-    }
-
-    /// The spans that it comes to.
-    pub(crate) fn spans(&self) -> usize {
-        1 + self.stages.len()
-    }
-
-    /// Into spans, the one of the whole first. It ends with its answer's head, or with the last stage where the answer was streamed.
-    pub(crate) fn write(self, scope: &InstrumentationScope, into: &mut Vec<SpanData>) {
-        let Self { context, parent, link, name, attributes, status, came, began, ended, stages } = self;
-        let at = |instant: Instant| came + instant.saturating_duration_since(began);
-        let last = stages.iter().map(|stage| stage.ended).chain(ended).max().unwrap_or(began);
-        let mut links = SpanLinks::default();
-        links.links.extend(link.map(Link::with_context));
-        let mut span = |name, context: SpanContext, parent, remote, kind, (from, to), attributes, links, status| {
-            into.push(SpanData {
-                span_context: context,
-                parent_span_id: parent,
-                parent_span_is_remote: remote,
-                span_kind: kind,
-                name,
-                start_time: from,
-                end_time: to,
-                attributes,
-                dropped_attributes_count: 0,
-                events: SpanEvents::default(),
-                links,
-                status,
-                instrumentation_scope: scope.clone(),
-            });
-        };
-        let whole = (came, at(last));
-        span(name.into(), context.clone(), parent, parent != SpanId::INVALID, SpanKind::Server, whole, attributes, links, status);
-        for Stage { name, began, ended } in stages {
-            let own = SpanContext::new(
-                context.trace_id(),
-                RandomIdGenerator::default().new_span_id(),
-                context.trace_flags(),
-                false,
-                TraceState::NONE,
-            );
-            let during = (at(began), at(ended));
-            span(name.into(), own, context.span_id(), false, SpanKind::Internal, during, Vec::new(), SpanLinks::default(), Status::Unset);
-        }
     }
 }

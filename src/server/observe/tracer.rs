@@ -20,9 +20,9 @@ use thiserror::Error;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
+use super::collected::Collected;
+use super::collector::Collector;
 use super::otlp_client::Post;
-use super::trace::{Asked, Collected, Trace};
-use crate::config::{Collector, TelemetryConfig};
 use crate::limits::bucket::Bucket;
 
 /// The name of the service in every trace.
@@ -108,8 +108,8 @@ impl Tracer {
     ///
     /// # Errors
     /// The exporter cannot be made of the address and the variables of OpenTelemetry.
-    pub fn new(config: &TelemetryConfig) -> Result<Option<(Self, Outbox)>, NotTraced> {
-        let Some(collector) = config.otlp_endpoint.clone() else { return Ok(None) };
+    pub fn new(endpoint: Option<Collector>, share: f64) -> Result<Option<(Self, Outbox)>, NotTraced> {
+        let Some(collector) = endpoint else { return Ok(None) };
         let rejected = Arc::<AtomicU64>::default();
         let built = Post::new(&collector, Arc::clone(&rejected)).and_then(|post| {
             SpanExporter::builder()
@@ -131,7 +131,7 @@ impl Tracer {
         let (open, opened) = watch::channel(0);
         let tally = Arc::<Tally>::default();
         let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
-        let shared = TracerState { share: config.otlp_sample, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
+        let shared = TracerState { share, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
         Ok(Some((Self(Arc::new(shared)), Outbox { queue, open: opened, exporter, rejected, collector, tally })))
     }
 
@@ -141,28 +141,7 @@ impl Tracer {
         &self.0.tally
     }
 
-    /// The span of a request, and its trace where it is sampled.
-    pub(crate) fn request(&self, id: &str, asked: &Asked<'_>) -> (SpanContext, Option<Trace>) {
-        let Asked { parent, began, .. } = asked;
-        let (trace, caller) = if parent.is_valid() {
-            (parent.trace_id(), Some(parent.is_sampled()))
-        } else {
-            (RandomIdGenerator::default().new_trace_id(), None)
-        };
-        let context = self.context(trace, caller, *began);
-        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, *began).of_request(asked));
-        (context, made)
-    }
-
-    /// The span of a frame. It is no child of its handshake, whose trace would have no end; it links to it.
-    pub(crate) fn frame(&self, id: &str, handshake: Option<&SpanContext>) -> (SpanContext, Option<Trace>) {
-        let now = Instant::now();
-        let context = self.context(RandomIdGenerator::default().new_trace_id(), None, now);
-        let made = context.is_sampled().then(|| Trace::new(self.clone(), context.clone(), id, now).of_frame(handshake));
-        (context, made)
-    }
-
-    fn context(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> SpanContext {
+    pub(crate) fn context(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> SpanContext {
         let span = RandomIdGenerator::default().new_span_id();
         let flags = if self.samples(span, caller, now) { TraceFlags::SAMPLED } else { TraceFlags::default() };
         SpanContext::new(trace, span, flags, false, TraceState::NONE)
@@ -318,13 +297,11 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::observe::trace::Asked;
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
     fn tracer(share: f64) -> (Tracer, Outbox) {
-        let mut config = crate::config::Config::default().telemetry;
-        config.otlp_sample = share;
-        config.otlp_endpoint = Some(Collector::parse("http://127.0.0.1:1").unwrap());
-        Tracer::new(&config).unwrap().unwrap()
+        Tracer::new(Some(Collector::parse("http://127.0.0.1:1").unwrap()), share).unwrap().unwrap()
     }
 
     fn parent(sampled: bool) -> Asked<'static> {
@@ -344,9 +321,8 @@ mod tests {
     #[tokio::test]
     async fn a_trace_that_ends_a_little_after_its_request_is_exported_too() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let mut config = crate::config::Config::default().telemetry;
-        config.otlp_endpoint = Some(Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap());
-        let (tracer, outbox) = Tracer::new(&config).unwrap().unwrap();
+        let endpoint = Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
+        let (tracer, outbox) = Tracer::new(Some(endpoint), 1.0).unwrap().unwrap();
         let takes = async {
             let (mut socket, _) = listener.accept().await.unwrap();
             assert!(socket.read(&mut [0; 1024]).await.unwrap() > 0);

@@ -10,11 +10,13 @@ use mlswarp::warp::{OutputSpec, Report};
 use tokio::sync::Semaphore;
 
 use crate::app::App;
-use crate::app::draw::{Cost, Drawn, Picture, Piece};
-use crate::app::warp::{MeshForm, PosedMesh, Timing};
+use crate::app::drag::{MeshForm, PosedMesh};
+use crate::app::draw::{Drawn, Picture, Piece};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::observe::Scope;
+use crate::observe::stages::Cost;
+use crate::observe::stages::Timing;
 use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 use crate::session::SessionId;

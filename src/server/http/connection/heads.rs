@@ -25,10 +25,13 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Sleep, sleep};
 
-use super::serve::{FIELDS, HEAD};
 use crate::app::App;
 use crate::http::middleware::refused;
 use crate::problem::{Code, Problem};
+
+/// Largest head: bytes, and on HTTP/1.1 fields. Over it a problem on HTTP/1.1 (`heads.rs`); on HTTP/2 an empty 431, which h2 answers by itself.
+pub(crate) const HEAD: usize = 64 << 10;
+pub(crate) const FIELDS: usize = 100;
 
 /// The longest target that hyper reads.
 const URI: usize = (u16::MAX - 1) as usize;

@@ -26,7 +26,7 @@ use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
-use super::heads::{Heads, Turns, counted};
+use super::heads::{HEAD, Heads, Turns, counted};
 use super::stream_stall::{Streams, with_stall_timeout};
 use super::transport::Transport;
 use super::write_timeout::WriteTimeoutStream;
@@ -45,9 +45,7 @@ const STREAMS: u32 = 64;
 const PENDING_RESETS: usize = 20;
 /// Streams that were reset from here for the client's mistakes: one more ends the connection (CVE-2025-8671).
 const LOCAL_RESETS: usize = 1024;
-/// Largest head: bytes, and on HTTP/1.1 fields. Over it a problem on HTTP/1.1 (`heads.rs`); on HTTP/2 an empty 431, which h2 answers by itself.
-pub(crate) const HEAD: usize = 64 << 10;
-pub(crate) const FIELDS: usize = 100;
+
 const HEAD_H2: u32 = 16 << 10;
 /// What an HTTP/2 client may send ahead on a stream, and on all of them: bytes that are kept until they are read.
 const STREAM_WINDOW: u32 = 256 << 10;

@@ -16,8 +16,9 @@ use http_body::Frame;
 use mlswarp::warp::Report;
 use tokio::sync::mpsc::UnboundedReceiver;
 
-use crate::app::draw::{Cost, Drawn, Picture, Piece};
-use crate::app::warp::Timing;
+use crate::app::draw::{Drawn, Picture, Piece};
+use crate::observe::stages::Cost;
+use crate::observe::stages::Timing;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
