@@ -1,5 +1,7 @@
 //! The service of mlswarp: image deformation over HTTP. The use cases are in [`app`], the routes in [`http`].
 
+#![forbid(unsafe_code)]
+
 pub mod app;
 pub mod auth;
 pub mod cache;
