@@ -26,6 +26,8 @@ use bombs::EmptyBlock;
 
 const WIDTH: u16 = 16_383;
 const HEIGHT: u16 = 3_050;
+/// How a file is made.
+type Made = fn() -> Vec<u8>;
 /// A request's body.
 const BODY: usize = 32 << 20;
 
@@ -96,7 +98,7 @@ fn main() {
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
-    let files: [(&str, fn() -> Vec<u8>); 12] = [
+    let files: [(&str, Made); 12] = [
         ("PNG, RGB", || png(8, 2, false)),
         ("PNG, RGBA of 16 bits", || png(16, 6, false)),
         ("PNG, RGB, interlaced", || png(8, 2, true)),

@@ -126,17 +126,19 @@ impl<B: AsRef<[u8]>> Seek for Pieces<'_, B> {
 pub(super) struct Bytes<'a> {
     cursor: ZCursor<&'a [u8]>,
     requests: u32,
+    /// The answer was no: nothing is handed out any more.
+    stopped: bool,
     work: &'a Work<'a>,
 }
 
 impl<'a> Bytes<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &'a Work<'a>) -> Self {
-        Self { cursor: ZCursor::new(bytes), requests: 0, work }
+        Self { cursor: ZCursor::new(bytes), requests: 0, stopped: false, work }
     }
 
     fn ask(&mut self) -> Result<(), ZByteIoError> {
-        let gone = self.work.requests(std::mem::take(&mut self.requests));
-        if gone { Err(ZByteIoError::Generic("the picture is no longer wanted")) } else { Ok(()) }
+        self.stopped = self.stopped || self.work.requests(std::mem::take(&mut self.requests));
+        if self.stopped { Err(ZByteIoError::Generic("the picture is no longer wanted")) } else { Ok(()) }
     }
 }
 
@@ -171,7 +173,7 @@ impl ZByteReaderTrait for Bytes<'_> {
     #[inline(always)]
     fn is_eof(&mut self) -> Result<bool, ZByteIoError> {
         self.requests += 1;
-        if self.requests >= REQUESTS {
+        if self.requests >= REQUESTS || self.stopped {
             self.ask()?;
         }
         self.cursor.is_eof()
