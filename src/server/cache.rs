@@ -494,7 +494,7 @@ mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-    async fn whoever_stays_gets_the_value_while_others_come_and_leave() {
+    async fn a_request_that_stays_gets_the_value_while_others_come_and_leave() {
         let (cache, budget) = (Cache::new(0), budget());
         for round in 0..2000_u32 {
             let wait = || {
