@@ -3,8 +3,9 @@
 //! its reservation of the account of memory, also when it was taken off the shelf and someone still uses it. An entry larger than its
 //! shelf is used but not kept.
 //!
-//! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left: that takes
-//! it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new build.
+//! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left:
+//! that takes it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new
+//! build.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -93,8 +94,9 @@ tokio::task_local! {
     static RETAINED: Retained;
 }
 
-/// Keeps builds going that were begun within [`Retained::during`], also after the request that began them was given up: a newer request of the same
-/// session takes the place of an older one and needs the same values, but may still be waiting for a worker. They stop when this is dropped too.
+/// Keeps builds going that were begun within [`Retained::during`], also after the request that began them was given up: a newer request of
+/// the same session takes the place of an older one and needs the same values, but may still be waiting for a worker. They stop when this
+/// is dropped too.
 #[derive(Clone, Debug, Default)]
 pub struct Retained(Arc<Mutex<Vec<Interest>>>);
 

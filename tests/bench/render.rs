@@ -1,5 +1,6 @@
-//! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth mesh of 100 x 100 vertices and two that fold, each
-//! level that the machine has, on 1 and 2 threads (bands in parallel); what lies outside painted with the edge; and how time grows with the pixels.
+//! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth mesh of 100 x 100 vertices and two that
+//! fold, each level that the machine has, on 1 and 2 threads (bands in parallel); what lies outside painted with the edge; and how time
+//! grows with the pixels.
 //!
 //! `cargo bench --bench render [-- FILTER]`; a filter is a part of a table's title.
 //! `render --paired DIR` writes sources, dense maps and our pictures of the cases of `cases` there, `index.json` naming them, and then times

@@ -1,6 +1,6 @@
-//! Work that nobody waits for any more, and the sets of handles that cost the most: the program is sent both, and an innocent client drags meanwhile.
-//! Its p99 and the time for which a worker stays busy after its client has left are printed beside the bar (`--nocapture`); asserted is only that the
-//! work ends long before it would be done.
+//! Work that nobody waits for any more, and the sets of handles that cost the most: the program is sent both, and an innocent client drags
+//! meanwhile. Its p99 and the time for which a worker stays busy after its client has left are printed beside the bar (`--nocapture`);
+//! asserted is only that the work ends long before it would be done.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -79,7 +79,7 @@ impl Victim {
     }
 }
 
-/// So many segments, and an exponent for which they are weighed by quadrature: a tenth of a millisecond a vertex and more.
+/// Segments that are weighed by quadrature at alpha 1.3: a tenth of a millisecond a vertex and more.
 fn slow_lines(count: u32) -> Vec<[[f64; 2]; 2]> {
     let line = |k: u32| {
         let (x, y) = (f64::from(k % 20) * 30.0 + 10.25, f64::from(k / 20) * 35.0 + 8.75);
@@ -206,7 +206,8 @@ async fn handles_that_crowd_keep_nobody_waiting() {
     well.end("handles that crowd").await;
 }
 
-/// Handles at both ends of each column of a grid, and one target for both: no cell covers anything, and the border jumps to and fro across the picture.
+/// Handles at both ends of each column of a grid, and one target for both: no cell covers anything, and the border jumps to and fro across
+/// the picture.
 fn chaotic(columns: u32) -> Value {
     let (width, height) = (f64::from(SIDES.0), f64::from(SIDES.1));
     let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);

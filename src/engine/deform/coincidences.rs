@@ -1,9 +1,10 @@
-//! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan; each pose then only
-//! compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
+//! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan; each pose
+//! then only compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
 //!
-//! The work is bounded for every set. Points are compared with a few others of the square cells around them: O(points). Segments are compared with
-//! what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set that leaves more pairs than
-//! [`MOST_WORK`] allows is refused; at the default limit of columns that is only one with a million pairs of which neither lies beside the other.
+//! The work is bounded for every set. Points are compared with a few others of the square cells around them: O(points). Segments are
+//! compared with what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set that
+//! leaves more pairs than [`MOST_WORK`] allows is refused; at the default limit of columns that is only one with a million pairs of which
+//! neither lies beside the other.
 
 use std::collections::HashMap;
 
@@ -20,19 +21,19 @@ const NEAR: f64 = 1.0;
 const NEAR_FACTOR: f64 = 10.0;
 /// More meetings than this in one set is a set that nobody drew by hand.
 const MOST: usize = 200_000;
-/// Points of a cell that other points are compared with, the first ones of the client's order. Of a crowd nearer than 1 px a warning needs some pairs,
-/// not all. Of a crowd within [`COINCIDENT_SHARE`] the first point stands for all others of its cell.
+/// Points of a cell that other points are compared with, the first ones of the client's order. Of a crowd nearer than 1 px a warning needs
+/// some pairs, not all. Of a crowd within [`COINCIDENT_SHARE`] the first point stands for all others of its cell.
 const CROWD: usize = 8;
 /// The side of a cell whose points all coincide, as a share of the distance up to which they do: its diagonal is shorter.
 const SAME_CELL: f64 = 0.7;
-/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, and [`COMPARISON`] more if it is
-/// compared, because neither lies on one side of the other's line.
+/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, and [`COMPARISON`]
+/// more if it is compared, because neither lies on one side of the other's line.
 const MOST_WORK: u64 = 16 << 20;
 /// See [`MOST_WORK`].
 const COMPARISON: u64 = 16;
 /// Directions that a sweep may take, evenly spread over half a turn.
 const DIRECTIONS: u32 = 8;
-/// A sweep along x that leaves at most so many pairs an element is good enough.
+/// A sweep along x that leaves at most this number of pairs for each element is good enough.
 const FEW_PAIRS: u64 = 8;
 
 /// A place on an element: the element's index and the parameter along it (0 for a point).

@@ -76,8 +76,8 @@ impl Mesh {
         (0..rows - 1).flat_map(move |j| (0..columns - 1).filter(move |&i| self.is_folded(i, j)).map(move |i| (i, j)))
     }
 
-    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `gone` said that nobody
-    /// waits any more; it is asked for each row.
+    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `gone` said that
+    /// nobody waits any more; it is asked for each row.
     #[must_use]
     pub fn folded_cell_count(&self, gone: &dyn Fn() -> bool) -> Option<u64> {
         let columns = self.grid.columns() as usize;

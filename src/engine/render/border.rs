@@ -1,10 +1,11 @@
 //! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides without drawing whether the target is covered,
 //! and finds the border's places nearest to the bare pixels for `Outside::Edge`. Lattice steps in, sampler coordinates out.
 //!
-//! A square of pixels has a list of the segments that may be nearest to one of its pixels: those that are no farther from its centre than the nearest
-//! one and the square's diagonal together. The lists of the largest squares come from a binary tree of boxes over consecutive segments, those of the
-//! squares within from the list around them. So the segments of a border that crosses the picture back and forth, whose boxes overlap everywhere, are
-//! looked at once a square and not once a pixel. The work has a bound for every border, because lists have one ([`SQUARES`]).
+//! A square of pixels has a list of the segments that may be nearest to one of its pixels: those that are no farther from its centre than
+//! the nearest one and the square's diagonal together. The lists of the largest squares come from a binary tree of boxes over consecutive
+//! segments, those of the squares within from the list around them. So the segments of a border that crosses the picture back and forth,
+//! whose boxes overlap everywhere, are looked at once a square and not once a pixel. The work has a bound for every border, because lists
+//! have one ([`SQUARES`]).
 
 use super::kernel::UNCOVERED;
 use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
@@ -13,9 +14,9 @@ use crate::pixmap::Extent;
 
 /// Segments in a leaf of the tree.
 const LEAF: usize = 4;
-/// Squares of pixels: their side, px, and the most segments in the list of one. Where more segments lie as near, those nearest to the centre are kept:
-/// then the place that is found may be farther away than the nearest one, by the square's diagonal at most. Places of the target alone decide which
-/// squares there are, so that any banding gives the same bytes.
+/// Squares of pixels: their side, px, and the most segments in the list of one. Where more segments lie as near, those nearest to the
+/// centre are kept: then the place that is found may be farther away than the nearest one, by the square's diagonal at most. Places of the
+/// target alone decide which squares there are, so that any banding gives the same bytes.
 const SQUARES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
 /// Lists up to this length are searched for each pixel without smaller squares.
 const SHORT: usize = 12;
@@ -95,7 +96,8 @@ impl Border {
         self.boxes.len().div_ceil(2)
     }
 
-    /// Of two segments equally near to `place` the one that a search down the tree finds first: nearer boxes come first, of equal ones the left one.
+    /// Of two segments equally near to `place` the one that a search down the tree finds first: nearer boxes come first, of equal ones the
+    /// left one.
     fn comes_first(&self, segment: usize, other: usize, place: Point) -> bool {
         let node = |segment: usize| segment / LEAF + self.leaves() - 1;
         let (mut a, mut b) = (node(segment.min(other)), node(segment.max(other)));
@@ -149,7 +151,8 @@ impl<'a> Search<'a> {
         Self { border, lists: Default::default(), work: 0 }
     }
 
-    /// Gives every bare pixel the sampler's coordinates of the border's place nearest to it; among equals that of the segment that comes first.
+    /// Gives every bare pixel the sampler's coordinates of the border's place nearest to it; among equals that of the segment that comes
+    /// first.
     pub(super) fn fill(&mut self, rows: &mut Rows<'_>) {
         let (side, _) = SQUARES[0];
         let before = self.work;
@@ -235,7 +238,8 @@ impl Border {
         nearest_on(a, b, place).0.sqrt()
     }
 
-    /// Appends all segments that are no farther from `place` than the nearest one and `beyond`, and some more; the distance of the nearest one.
+    /// Appends all segments that are no farther from `place` than the nearest one and `beyond`, and some more; the distance of the nearest
+    /// one.
     fn gather(&self, place: Point, beyond: f64, list: &mut Vec<Candidate>, work: &mut u64) -> f64 {
         let leaves = self.leaves();
         let mut nearest = f64::INFINITY;

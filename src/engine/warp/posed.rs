@@ -31,8 +31,8 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the grid is large or the plan has no table. Given up when `gone` says
-    /// that nobody waits any more.
+    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the grid is large or the plan has no table. Given up when
+    /// `gone` says that nobody waits any more.
     ///
     /// # Errors
     /// `folds: reject` and it folds; given up.

@@ -153,8 +153,8 @@ impl Setup {
         (self.grid.columns(), self.grid.rows())
     }
 
-    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work, in parallel on the current rayon pool where
-    /// there are many; given up when `gone`.
+    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work, in parallel on the current rayon
+    /// pool where there are many; given up when `gone`.
     ///
     /// # Errors
     /// A place that is not finite or beyond what coordinates may be; given up.
