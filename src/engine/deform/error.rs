@@ -106,7 +106,7 @@ pub enum DeformError {
         limit: u64,
     },
     /// Nobody waits for the result any more.
-    #[error("the work was given up: nobody waits for it any more")]
+    #[error("cancelled: the result is no longer wanted")]
     Cancelled,
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
     #[error("alpha is {alpha}; it must be {}", if *.lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" })]

@@ -28,7 +28,7 @@ pub enum WarpError {
         limit: f64,
     },
     /// Nobody waits for the result any more.
-    #[error("the work was given up: nobody waits for it any more")]
+    #[error("cancelled: the client has left or the deadline has passed")]
     Cancelled,
     /// Over a limit.
     #[error("{}; at most {limit}", measured(what, *actual))]

@@ -73,12 +73,13 @@ impl Share {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// Takes `more` bytes for something that has `own` already; alone it may be larger than the share.
+    /// Takes `more` bytes for something that has `own` already. One answer alone may exceed the share; requests may not.
     ///
     /// # Errors
     /// What the client holds: there is no room for more.
     pub(crate) fn take(&self, own: u64, more: u64) -> Result<(), u64> {
-        let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || held <= own);
+        let is_alone = |held: u64| self.quota == Quota::Answers && held <= own;
+        let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || is_alone(held));
         self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)
     }
 
@@ -97,6 +98,14 @@ mod tests {
 
     fn client(owner: u8, last: u8) -> Client {
         Client { owner: Owner::from_bytes([owner; 16]), address: IpAddr::from([127, 0, 0, last]) }
+    }
+
+    #[test]
+    fn one_request_alone_may_not_exceed_the_share() {
+        let share = Shares::new(Quota::Requests, 100).of(client(0, 1));
+        assert_eq!(share.take(0, 101), Err(0));
+        share.take(0, 100).unwrap();
+        assert_eq!(share.take(100, 1), Err(100));
     }
 
     #[test]

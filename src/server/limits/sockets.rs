@@ -65,13 +65,13 @@ impl SocketSlots {
         let mut taken = hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
         let (all, of_session) = (*hall.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
         let of_client = taken.clients.get(&tenant).map_or(0, |(sockets, _)| *sockets);
-        for (what, code, open, most) in [
-            ("sockets", Code::Overloaded, all, hall.most),
-            ("session_sockets", Code::Overloaded, of_session, OF_A_SESSION),
-            ("client_sockets", Code::RateLimited, of_client, hall.of_client),
+        for (what, whose, code, open, most) in [
+            ("sockets", "this server", Code::Overloaded, all, hall.most),
+            ("session_sockets", "this session", Code::Overloaded, of_session, OF_A_SESSION),
+            ("client_sockets", "this client", Code::RateLimited, of_client, hall.of_client),
         ] {
             if open >= most {
-                let detail = format!("all drag sockets are taken: {what} would be {}; at most {most}", open + 1);
+                let detail = format!("{whose} has {open} open drag sockets; at most {most}");
                 return Err(Problem::new(code, detail).limit(what, most, open + 1).retry_after(RETRY));
             }
         }

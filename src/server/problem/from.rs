@@ -43,7 +43,7 @@ impl From<CodecError> for Problem {
             CodecError::Unsupported { .. } => Self::new(Code::UnsupportedFormat, detail),
             CodecError::TooLarge { what, limit, actual } => Self::new(Code::TooLarge, detail).limit(what, limit, actual),
             CodecError::Bad { .. } => Self::new(Code::BadImage, detail),
-            CodecError::Cancelled => Self::new(Code::Timeout, detail),
+            CodecError::Cancelled => WarpError::Cancelled.into(),
         }
     }
 }
