@@ -108,11 +108,11 @@ pub type Incarnation = (SessionId, SystemTime);
 
 /// The sessions for which numbered requests are under way.
 #[derive(Clone, Debug, Default)]
-pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<QueueKey>>>>);
+pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<SessionSequence>>>>);
 
 /// The numbered requests of one life of a session.
 #[derive(Debug)]
-struct QueueKey {
+struct SessionSequence {
     newest: watch::Sender<u64>,
     /// What a superseded request was building, the newer one needs.
     builds: Retained,
@@ -123,7 +123,7 @@ struct QueueKey {
 pub struct SequencePosition {
     lanes: Sequencer,
     life: Incarnation,
-    lane: Arc<QueueKey>,
+    lane: Arc<SessionSequence>,
     seq: u64,
 }
 
@@ -131,7 +131,7 @@ impl Sequencer {
     /// Enters a request; those with a lower number are superseded from now on.
     #[must_use]
     pub fn enter(&self, life: Incarnation, seq: u64) -> SequencePosition {
-        let new = || Arc::new(QueueKey { newest: watch::Sender::new(seq), builds: Retained::default() });
+        let new = || Arc::new(SessionSequence { newest: watch::Sender::new(seq), builds: Retained::default() });
         let lane = Arc::clone(self.lock().entry(life).or_insert_with(new));
         lane.newest.send_if_modified(|newest| {
             let higher = seq > *newest;
@@ -141,7 +141,7 @@ impl Sequencer {
         SequencePosition { lanes: self.clone(), life, lane, seq }
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<Incarnation, Arc<QueueKey>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<Incarnation, Arc<SessionSequence>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -113,17 +113,26 @@ impl Mesh {
     }
 
     /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the convex
-    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell.
+    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell; `None` when `gone` says, asked
+    /// once a row, that the answer is no longer wanted.
     #[must_use]
-    pub fn intersects_picture(&self) -> bool {
+    pub fn intersects_picture(&self, gone: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
         let picture = Point::new(self.grid.width(), self.grid.height());
         let middle = self.posed(columns / 2, rows / 2);
         if middle.x > 0.0 && middle.x < picture.x && middle.y > 0.0 && middle.y < picture.y {
-            return true;
+            return Some(true);
         }
         let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
-        (0..rows - 1).any(|j| (0..columns - 1).any(|i| overlaps(corners(i, j), picture)))
+        for j in 0..rows - 1 {
+            if gone() {
+                return None;
+            }
+            if (0..columns - 1).any(|i| overlaps(corners(i, j), picture)) {
+                return Some(true);
+            }
+        }
+        Some(false)
     }
 
     fn is_folded(&self, i: u32, j: u32) -> bool {
@@ -163,7 +172,7 @@ mod tests {
             let vertices = (0..rows).flat_map(|j| (0..columns).map(move |i| grid.vertex(i, j)));
             #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
             let displacement = vertices.map(|p| map(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
-            Mesh::new(grid, displacement).intersects_picture()
+            Mesh::new(grid, displacement).intersects_picture(&|| false).unwrap()
         };
         for (columns, rows) in [(2, 2), (5, 4), (40, 30)] {
             let moved = |map: &dyn Fn(Point) -> Point| moved(columns, rows, map);

@@ -47,8 +47,8 @@ impl Posed {
             warnings.push(Warning::RotationUndefined);
             warnings.sort_unstable();
         }
-        // The last of the list, so it stays in order.
-        if !mesh.intersects_picture() {
+        // After all warnings of handles: the list stays sorted.
+        if !mesh.intersects_picture(gone).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
         let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };

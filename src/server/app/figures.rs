@@ -69,7 +69,7 @@ fn label(name: &'static str, value: &str) -> Labels {
     vec![(name, value.to_owned())]
 }
 
-const WORK: [(Work, &str); 3] = [(Work::Drag, "drag"), (Work::Upload, "upload"), (Work::Fetch, "fetch")];
+const WORK: [(Work, &str); 3] = [(Work::Drag, "drag"), (Work::Upload, "upload"), (Work::Transfer, "transfer")];
 
 impl Collector for App {
     fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
@@ -92,9 +92,9 @@ impl App {
         // Those that wait for a file take no worker.
         let [drag, upload, _] = each(&|_| self.0.config.work.workers);
         sheet.gauge("workers", "Requests that run at one time, at most", &[drag, upload])?;
-        let [drag, upload, fetch] = each(&|load| load.running);
+        let [drag, upload, transfer] = each(&|load| load.running);
         sheet.gauge("workers_busy", "Requests that run", &[drag, upload])?;
-        sheet.gauge("fetches", "Files of sessions that are being fetched from the store", &one(fetch.1))?;
+        sheet.gauge("transfers", "Files of sessions that are being sent to the store or fetched from it", &one(transfer.1))?;
         sheet.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue))?;
         sheet.gauge("queue_waiting", "Requests that wait", &each(&|load| load.waiting))?;
         let mut shed = Vec::new();

@@ -34,14 +34,14 @@ struct HoldingsState {
 
 #[derive(Debug, Default)]
 struct Held {
-    sessions: HashMap<SessionId, CacheEntry>,
+    sessions: HashMap<SessionId, Holding>,
     clients: HashMap<Tenant, Sum>,
     claims: u64,
 }
 
 /// A session.
 #[derive(Clone, Copy, Debug)]
-struct CacheEntry {
+struct Holding {
     tenant: Tenant,
     image: Digest,
     file: u64,
@@ -49,6 +49,8 @@ struct CacheEntry {
     used: Instant,
     /// By which claim it came to be as it is.
     claim: u64,
+    /// The store has not answered yet: nobody but the claim itself can end it.
+    is_pending: bool,
 }
 
 /// What one client keeps.
@@ -65,11 +67,11 @@ struct Sum {
 pub struct Claim {
     id: SessionId,
     claim: u64,
-    before: Option<CacheEntry>,
+    before: Option<Holding>,
 }
 
 impl Held {
-    fn add(&mut self, id: SessionId, kept: CacheEntry) {
+    fn add(&mut self, id: SessionId, kept: Holding) {
         let sum = self.clients.entry(kept.tenant).or_default();
         let files = sum.files.entry(kept.image).or_default();
         *files += 1;
@@ -78,7 +80,7 @@ impl Held {
         self.sessions.insert(id, kept);
     }
 
-    fn remove(&mut self, id: SessionId) -> Option<CacheEntry> {
+    fn remove(&mut self, id: SessionId) -> Option<Holding> {
         let kept = self.sessions.remove(&id)?;
         if let Some(sum) = self.clients.get_mut(&kept.tenant) {
             sum.sessions -= 1;
@@ -124,7 +126,9 @@ impl Holdings {
     /// [`Code::RateLimited`]: the client keeps as much as it may.
     pub fn claim(&self, tenant: Tenant, record: &Record, file: u64) -> Result<Claim, Problem> {
         let used = Instant::now();
-        self.change(record.id, |_| Some(CacheEntry { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0 }))
+        self.change(record.id, |_| {
+            Some(Holding { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0, is_pending: true })
+        })
     }
 
     /// Counts a record that is about to take the place of another one of its session.
@@ -132,10 +136,10 @@ impl Holdings {
     /// # Errors
     /// As [`Holdings::claim`].
     pub fn claim_revision(&self, record: &Record) -> Result<Claim, Problem> {
-        self.change(record.id, |before| before.map(|before| CacheEntry { record: record_bytes(record), ..before }))
+        self.change(record.id, |before| before.map(|before| Holding { record: record_bytes(record), ..before }))
     }
 
-    fn change(&self, id: SessionId, to: impl Fn(Option<CacheEntry>) -> Option<CacheEntry>) -> Result<Claim, Problem> {
+    fn change(&self, id: SessionId, to: impl Fn(Option<Holding>) -> Option<Holding>) -> Result<Claim, Problem> {
         let mut held = self.lock();
         let first = self.try_change(&mut held, id, &to);
         if first.is_err() {
@@ -145,12 +149,12 @@ impl Holdings {
         first
     }
 
-    fn try_change(&self, held: &mut Held, id: SessionId, to: impl Fn(Option<CacheEntry>) -> Option<CacheEntry>) -> Result<Claim, Problem> {
+    fn try_change(&self, held: &mut Held, id: SessionId, to: impl Fn(Option<Holding>) -> Option<Holding>) -> Result<Claim, Problem> {
         held.claims += 1;
         let claim = held.claims;
         let before = held.remove(id);
         let Some(kept) = to(before) else { return Ok(Claim { id, claim, before }) };
-        held.add(id, CacheEntry { claim, ..kept });
+        held.add(id, Holding { claim, is_pending: true, ..kept });
         let sum = &held.clients[&kept.tenant];
         let limits =
             [("client_sessions", "sessions", self.0.sessions, sum.sessions), ("client_store_bytes", "bytes", self.0.bytes, sum.bytes)];
@@ -161,6 +165,13 @@ impl Holdings {
         let detail =
             format!("this client would keep {actual} {unit} in the session store; at most {limit}. Delete sessions, or let them expire");
         Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
+    }
+
+    /// What was claimed is stored.
+    pub fn settle(&self, claim: &Claim) {
+        if let Some(kept) = self.lock().sessions.get_mut(&claim.id).filter(|kept| kept.claim == claim.claim) {
+            kept.is_pending = false;
+        }
     }
 
     /// What was claimed was not stored.
@@ -185,9 +196,19 @@ impl Holdings {
         }
     }
 
-    /// The session is gone.
-    pub fn ended(&self, id: SessionId) {
-        self.lock().remove(id);
+    /// By which claim the session is counted, if it is: [`Holdings::ended`] takes it.
+    #[must_use]
+    pub fn claim_of(&self, id: SessionId) -> Option<u64> {
+        self.lock().sessions.get(&id).map(|kept| kept.claim)
+    }
+
+    /// The session that was counted by `claim` when the store was asked is gone. One that has been stored since under the same name, or is being
+    /// stored, stays counted.
+    pub fn ended(&self, id: SessionId, claim: Option<u64>) {
+        let mut held = self.lock();
+        if held.sessions.get(&id).is_some_and(|kept| Some(kept.claim) == claim && !kept.is_pending) {
+            held.remove(id);
+        }
     }
 
     /// Forgets sessions that have expired.
@@ -235,6 +256,16 @@ mod tests {
         holdings.lock().clients.get(&tenant(n)).map_or((0, 0), |sum| (sum.sessions, sum.bytes))
     }
 
+    /// The session was stored, and is gone.
+    fn end(holdings: &Holdings, id: SessionId) {
+        let stored = |kept: &mut Holding| {
+            kept.is_pending = false;
+            kept.claim
+        };
+        let claim = holdings.lock().sessions.get_mut(&id).map(stored);
+        holdings.ended(id, claim);
+    }
+
     #[test]
     fn a_client_keeps_its_part_and_another_client_keeps_as_much() {
         let held = holdings(Duration::from_secs(60), 4, 1 << 20);
@@ -248,12 +279,12 @@ mod tests {
         held.claim(tenant(1), &Record { image: records[4].image, ..records[0].clone() }, 2 * FILE).unwrap();
         let each = record_bytes(&records[0]);
         assert_eq!((sum(&held, 1), sum(&held, 2)), ((2, 3 * FILE + 2 * each), (1, FILE + each)));
-        held.ended(records[1].id);
+        end(&held, records[1].id);
         held.claim(tenant(1), &records[2], FILE).unwrap();
         // Of another address now: it counts there.
         held.claim(tenant(2), &records[2], FILE).unwrap();
         assert_eq!((sum(&held, 1).0, sum(&held, 2).0), (1, 2));
-        records.iter().for_each(|ended| held.ended(ended.id));
+        records.iter().for_each(|ended| end(&held, ended.id));
         assert!(held.lock().clients.is_empty() && held.lock().sessions.is_empty());
     }
 
@@ -274,13 +305,32 @@ mod tests {
         larger.rest.weights = Some(vec![1.0; 100]);
         assert_eq!(held.claim_revision(&larger).unwrap_err().what, Some("client_store_bytes"));
         assert_eq!(sum(&held, 1), (3, FILE + 3 * each));
-        held.ended(record(1).id);
-        held.ended(record(2).id);
+        end(&held, record(1).id);
+        end(&held, record(2).id);
         held.claim_revision(&larger).unwrap();
         assert_eq!(sum(&held, 1), (1, FILE + each + 800));
         // Made by another process: nobody here keeps it.
         held.claim_revision(&record(7)).unwrap();
         assert_eq!(held.lock().sessions.len(), 1);
+    }
+
+    #[test]
+    fn a_session_that_is_being_stored_is_ended_by_nobody() {
+        let held = holdings(Duration::from_secs(60), 100, 1 << 20);
+        let record = record(1);
+        let end = |claim| held.ended(record.id, claim);
+        let first = held.claim(tenant(1), &record, FILE).unwrap();
+        end(held.claim_of(record.id));
+        assert_eq!(sum(&held, 1).0, 1, "it is pending");
+        held.settle(&first);
+        let before = held.claim_of(record.id);
+        // A delete is under way, and the same name is stored again before it is counted.
+        let second = held.claim(tenant(1), &record, FILE).unwrap();
+        held.settle(&second);
+        end(before);
+        assert_eq!(sum(&held, 1).0, 1, "it was stored since");
+        end(held.claim_of(record.id));
+        assert_eq!(sum(&held, 1), (0, 0));
     }
 
     #[test]
@@ -304,7 +354,7 @@ mod tests {
     #[test]
     fn an_expired_session_makes_room_and_a_used_one_does_not() {
         let idle = Duration::from_secs(60);
-        let held = holdings(idle, 1, 1 << 20);
+        let held = holdings(idle, 2, 1 << 20);
         let unused = |n: u8| held.lock().sessions.get_mut(&record(n).id).unwrap().used -= idle;
         held.claim(tenant(1), &record(1), FILE).unwrap();
         unused(1);

@@ -7,7 +7,7 @@ use mlswarp::warp::Setup;
 
 use super::App;
 use super::causes::Origin;
-use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, shelf_key, weight};
+use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, setup_key, weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -85,13 +85,14 @@ impl App {
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             let claim = self.0.holdings.claim_revision(&new)?;
             let revised = self.0.store.revise(old.revision, Arc::new(new)).await;
-            if !matches!(revised, Ok(Some(_))) {
-                self.0.holdings.undo(claim);
+            match revised {
+                Ok(Some(_)) => self.0.holdings.settle(&claim),
+                _ => self.0.holdings.undo(claim),
             }
             // Whoever was faster has changed fields that this request may not have named: they are kept.
             if let Some(session) = revised? {
                 self.cache_setup(&session.record, &setup).await;
-                self.0.setups.remove(shelf_key(&old));
+                self.0.setups.remove(setup_key(&old));
                 return Ok((session, setup));
             }
         }
@@ -100,11 +101,14 @@ impl App {
 
     /// Puts a session into the store and counts it for its client.
     async fn store_counted(&self, client: Client, record: Arc<Record>, file: Bytes) -> Result<Put, Problem> {
+        // One client's many files do not hold up another's.
+        let _turn = self.0.pool.admit(Work::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.holdings.claim(client.tenant(), &record, file.len() as u64)?;
         // If this request ends while the store works, the session may come to be: it stays counted.
         let put = self.0.store.put(record, file).await;
-        if put.is_err() {
-            self.0.holdings.undo(claim);
+        match put {
+            Ok(_) => self.0.holdings.settle(&claim),
+            Err(_) => self.0.holdings.undo(claim),
         }
         Ok(put?)
     }
@@ -113,10 +117,11 @@ impl App {
     ///
     /// [`Store::touch`]: crate::store::Store::touch
     pub(crate) async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+        let claim = self.0.holdings.claim_of(id);
         let touched = self.0.store.touch(id, seq).await;
         match &touched {
             Ok(_) => self.0.holdings.used(id),
-            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.holdings.ended(id),
+            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.holdings.ended(id, claim),
             Err(_) => {}
         }
         touched
@@ -126,13 +131,13 @@ impl App {
     async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
         if let Ok(held) = self.reserve(Purpose::Plan, weight(record)) {
             let known = CacheEntry::new(Arc::clone(setup), held);
-            let _ = self.0.setups.get(shelf_key(record), async { Ok(known) }, build_aborted).await;
+            let _ = self.0.setups.get(setup_key(record), async { Ok(known) }, build_aborted).await;
         }
     }
 
     /// Drops what was made for a record that is no session's any more.
     async fn evict_session(&self, record: &Record) {
-        let setup = self.0.setups.remove(shelf_key(record));
+        let setup = self.0.setups.remove(setup_key(record));
         // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the
         // same size and handles, if there is one, builds them again.
         let owner = record.id.owner();
@@ -159,9 +164,9 @@ impl App {
     /// # Errors
     /// Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
-        let known = self.0.store.peek(id).await;
+        let (known, claim) = (self.0.store.peek(id).await, self.0.holdings.claim_of(id));
         self.0.store.delete(id).await?;
-        self.0.holdings.ended(id);
+        self.0.holdings.ended(id, claim);
         if let Ok(session) = known {
             self.evict_session(&session.record).await;
         }

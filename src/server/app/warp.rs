@@ -106,7 +106,7 @@ impl App {
             let setup = app.0.pool.run(&ticket, new).await??;
             Ok(CacheEntry::new(Arc::new(setup), held))
         };
-        let known = self.0.setups.get(shelf_key(record), build, build_aborted).await?;
+        let known = self.0.setups.get(setup_key(record), build, build_aborted).await?;
         Ok(Arc::clone(&known.value))
     }
 
@@ -188,14 +188,14 @@ impl App {
         }
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let fetch = async move {
-            let _turn = app.0.pool.admit(Work::Fetch, QueueKey::session(client, theirs.id)).await?;
+            let _turn = app.0.pool.admit(Work::Transfer, QueueKey::session(client, theirs.id)).await?;
             let bytes = app.0.store.image_bytes(theirs.id, theirs.image).await?;
             let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
             let file = app.0.store.image(theirs.id, theirs.image).await?;
             held.shrink_to((file.len() as u64).max(LEAST_KEPT));
             Ok(CacheEntry::new(file, held))
         };
-        Ok(Source::File(File(self.0.files.get(shelf_key(record), fetch, build_aborted).await?.value)))
+        Ok(Source::File(File(self.0.files.get(setup_key(record), fetch, build_aborted).await?.value)))
     }
 
     /// The picture of its source.
@@ -279,7 +279,7 @@ pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usi
 }
 
 /// Records never change, so name and revision stand for the setup.
-pub(crate) fn shelf_key(record: &Record) -> Key {
+pub(crate) fn setup_key(record: &Record) -> Key {
     Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
 }
 

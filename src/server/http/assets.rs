@@ -130,7 +130,7 @@ mod tests {
         };
         let scripts = ASSETS.iter().filter(|(name, _)| name.ends_with(".js"));
         let imported: Vec<&str> = scripts.flat_map(|(name, _)| named(text(name), "from \"./")).collect();
-        let linked: Vec<&str> = named(INDEX, "=\"../../web/").chain(named(text("samples.js"), "\"../../web/")).collect();
+        let linked: Vec<&str> = named(INDEX, "=\"page/").chain(named(text("samples.js"), "\"page/")).collect();
         assert!(imported.len() > 30 && linked.len() > 10, "{} {}", imported.len(), linked.len());
         for name in imported.iter().chain(&linked) {
             assert!(ASSETS.iter().any(|(known, _)| known == name), "{name}");
@@ -149,6 +149,6 @@ mod tests {
             assert!(!text.contains("://"), "{name}");
         }
         assert!(!INDEX.contains("://") && !INDEX.contains(" style=") && !INDEX.contains(" onclick=") && !INDEX.contains("<style"));
-        assert!(INDEX.split("<script").skip(1).all(|script| script.contains("src=\"../../web/")));
+        assert!(INDEX.split("<script").skip(1).all(|script| script.contains("src=\"page/")));
     }
 }

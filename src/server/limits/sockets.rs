@@ -36,7 +36,7 @@ struct Taken {
 /// A socket's seat, free again when it is dropped.
 #[derive(Debug)]
 pub struct SocketSlot {
-    hall: Arc<SlotState>,
+    slots: Arc<SlotState>,
     id: SessionId,
     tenant: Tenant,
     frames: Arc<Semaphore>,
@@ -61,14 +61,14 @@ impl SocketSlots {
     /// # Errors
     /// [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
     pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
-        let hall = &self.0;
-        let mut taken = hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        let (all, of_session) = (*hall.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
+        let slots = &self.0;
+        let mut taken = slots.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        let (all, of_session) = (*slots.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
         let of_client = taken.clients.get(&tenant).map_or(0, |(sockets, _)| *sockets);
         for (what, whose, code, open, most) in [
-            ("sockets", "this server", Code::Overloaded, all, hall.most),
+            ("sockets", "this server", Code::Overloaded, all, slots.most),
             ("session_sockets", "this session", Code::Overloaded, of_session, OF_A_SESSION),
-            ("client_sockets", "this client", Code::RateLimited, of_client, hall.of_client),
+            ("client_sockets", "this client", Code::RateLimited, of_client, slots.of_client),
         ] {
             if open >= most {
                 let detail = format!("{whose} has {open} open drag sockets; at most {most}");
@@ -76,11 +76,11 @@ impl SocketSlots {
             }
         }
         *taken.sessions.entry(id).or_default() += 1;
-        let (sockets, frames) = taken.clients.entry(tenant).or_insert_with(|| (0, Arc::new(Semaphore::new(hall.frames))));
+        let (sockets, frames) = taken.clients.entry(tenant).or_insert_with(|| (0, Arc::new(Semaphore::new(slots.frames))));
         *sockets += 1;
         let frames = Arc::clone(frames);
-        hall.open.send_modify(|open| *open += 1);
-        Ok(SocketSlot { hall: Arc::clone(hall), id, tenant, frames })
+        slots.open.send_modify(|open| *open += 1);
+        Ok(SocketSlot { slots: Arc::clone(slots), id, tenant, frames })
     }
 
     /// Seats that are taken now.
@@ -106,7 +106,7 @@ impl SocketSlot {
 
 impl Drop for SocketSlot {
     fn drop(&mut self) {
-        let mut taken = self.hall.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut taken = self.slots.taken.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(of_session) = taken.sessions.get_mut(&self.id) {
             *of_session -= 1;
             if *of_session == 0 {
@@ -119,7 +119,7 @@ impl Drop for SocketSlot {
                 taken.clients.remove(&self.tenant);
             }
         }
-        self.hall.open.send_modify(|open| *open -= 1);
+        self.slots.open.send_modify(|open| *open -= 1);
     }
 }
 

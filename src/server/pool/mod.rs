@@ -62,9 +62,9 @@ pub enum PoolError {
 /// Uploads get a third of the time that drags get where both want the same processor, and all of it where no drag does.
 const UPLOADS_NICE: i32 = 5;
 
-/// Files of sessions that are fetched at one time: a slow store holds the memory of so many, and no worker. Fewer than the connections for files to a
-/// Redis: some of those are left to uploads.
-const FETCHES: usize = 6;
+/// Files of sessions that are sent to the store or fetched from it at one time, and one more of a client that has none: a slow store holds the
+/// memory of that many files, and no worker. No more than the connections for files to a Redis, so none of them waits for another there.
+const TRANSFERS: usize = 6;
 
 /// Which gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,8 +73,8 @@ pub enum Work {
     Drag,
     /// Decodes, or fills tables.
     Upload,
-    /// Waits for a session's file, and computes nothing.
-    Fetch,
+    /// Waits for a session's file, to the store or from it, and computes nothing.
+    Transfer,
 }
 
 /// What a pool is made of.
@@ -95,7 +95,7 @@ pub struct Shape {
 pub struct Pool {
     drags: Arc<AdmissionQueue>,
     uploads: Arc<AdmissionQueue>,
-    fetches: Arc<AdmissionQueue>,
+    transfers: Arc<AdmissionQueue>,
     /// For what is split, while the thread that split it sleeps; one thing at a time.
     wide: Arc<Mutex<ThreadPool>>,
     crowd: RecentConcurrency,
@@ -184,7 +184,7 @@ impl Pool {
         Ok(Self {
             drags: gate("drag", drag_wait, 0)?,
             uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
-            fetches: AdmissionQueue::new(WorkerThreads::default(), FETCHES, queue, upload_wait),
+            transfers: AdmissionQueue::new(WorkerThreads::default(), TRANSFERS, queue, upload_wait),
             wide: Arc::new(Mutex::new(wide)),
             crowd: RecentConcurrency::default(),
             workers,
@@ -196,7 +196,7 @@ impl Pool {
         match work {
             Work::Drag => &self.drags,
             Work::Upload => &self.uploads,
-            Work::Fetch => &self.fetches,
+            Work::Transfer => &self.transfers,
         }
     }
 

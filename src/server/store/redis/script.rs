@@ -39,7 +39,7 @@ if is[1] == ARGV[2] and redis.call('EXISTS', KEYS[2]) == 1 then
   redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
   said = 2
 end
-return {status, is[2] or '', is[3] or '', is[4] or ''}";
+return {said, is[2] or '', is[3] or '', is[4] or ''}";
 
 /// KEYS[4]: the file, set in the same transaction. ARGV idle, made, record, revision, life; the revision that may be replaced (none: no session), and
 /// whether its record can be read. Another revision may be one that this program cannot read: it stays, and so does its file.
