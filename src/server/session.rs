@@ -1,15 +1,9 @@
-//! Names of sessions, and the rule that the newest pose wins: a request whose `seq` is lower than one already seen costs no rendering,
-//! also while it waits. The rule across processes is the store's; the lanes here wake those who wait in this one.
+//! The id of a session, and its revision.
 
-use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::SystemTime;
 
-use tokio::sync::watch;
 use uuid::{Uuid, Variant};
 
-use crate::cache::Retained;
 use crate::client::Owner;
 
 /// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
@@ -103,84 +97,9 @@ impl fmt::Debug for SessionId {
     }
 }
 
-/// A life of a session: the numbers of its requests start anew with each.
-pub type Incarnation = (SessionId, SystemTime);
-
-/// The sessions for which numbered requests are under way.
-#[derive(Clone, Debug, Default)]
-pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<SessionSequence>>>>);
-
-/// The numbered requests of one life of a session.
-#[derive(Debug)]
-struct SessionSequence {
-    newest: watch::Sender<u64>,
-    /// What a superseded request was building, the newer one needs.
-    builds: Retained,
-}
-
-/// A numbered request under way.
-#[derive(Debug)]
-pub struct SequencePosition {
-    lanes: Sequencer,
-    life: Incarnation,
-    lane: Arc<SessionSequence>,
-    seq: u64,
-}
-
-impl Sequencer {
-    /// Enters a request; those with a lower number are superseded from now on.
-    #[must_use]
-    pub fn enter(&self, life: Incarnation, seq: u64) -> SequencePosition {
-        let new = || Arc::new(SessionSequence { newest: watch::Sender::new(seq), builds: Retained::default() });
-        let lane = Arc::clone(self.lock().entry(life).or_insert_with(new));
-        lane.newest.send_if_modified(|newest| {
-            let higher = seq > *newest;
-            *newest = seq.max(*newest);
-            higher
-        });
-        SequencePosition { lanes: self.clone(), life, lane, seq }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<Incarnation, Arc<SessionSequence>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl SequencePosition {
-    /// A higher number has been seen.
-    #[must_use]
-    pub fn is_superseded(&self) -> bool {
-        *self.lane.newest.borrow() > self.seq
-    }
-
-    /// Waits until a higher number is seen.
-    pub async fn superseded(&self) {
-        let mut newest = self.lane.newest.subscribe();
-        // The sender lives as long as `self`, so waiting cannot fail.
-        let _ = newest.wait_for(|newest| *newest > self.seq).await;
-    }
-
-    /// Builds that go on for as long as a numbered request of the session is under way.
-    #[must_use]
-    pub fn builds(&self) -> &Retained {
-        &self.lane.builds
-    }
-}
-
-impl Drop for SequencePosition {
-    fn drop(&mut self) {
-        let mut lanes = self.lanes.lock();
-        // The map's and this one: arcs are cloned under the lock alone.
-        if Arc::strong_count(&self.lane) <= 2 {
-            lanes.remove(&self.life);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn names_are_hyphenated_uuids_of_version_4() {
@@ -206,35 +125,5 @@ mod tests {
     fn a_log_does_not_give_a_session_away() {
         let id = SessionId::random(Owner::ANYBODY);
         assert!(format!("{id:?}").len() < 12);
-    }
-
-    #[tokio::test]
-    async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
-        let lanes = Sequencer::default();
-        let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
-        let old = lanes.enter(id, 4);
-        let retry = lanes.enter(id, 4);
-        let other = lanes.enter((SessionId::random(Owner::ANYBODY), id.1), 1);
-        let replaced = lanes.enter((id.0, id.1 + Duration::from_nanos(1)), 1);
-        assert!(!old.is_superseded() && !retry.is_superseded());
-        let waiting = tokio::spawn(async move {
-            old.superseded().await;
-            old.seq
-        });
-        let new = lanes.enter(id, 5);
-        assert_eq!(waiting.await.unwrap(), 4);
-        assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded() && !replaced.is_superseded());
-        assert!(lanes.enter(id, 3).is_superseded());
-    }
-
-    #[test]
-    fn a_lane_goes_with_its_last_request() {
-        let lanes = Sequencer::default();
-        let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
-        let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
-        drop(a);
-        assert_eq!(lanes.lock().len(), 1);
-        drop(b);
-        assert_eq!(lanes.lock().len(), 0);
     }
 }

@@ -51,7 +51,7 @@ const OPTIONS: [&str; 18] = [
     "--max-client-share",
     "100",
     "--log",
-    "off,mlswarp_server::http::server=info",
+    "off,mlswarp_server::http::connection=info",
 ];
 
 /// What the hands share.

@@ -28,7 +28,7 @@ struct Victim {
 impl Victim {
     fn start(options: &[&str]) -> Self {
         Self {
-            program: Program::start(&[&["--workers", "2", "--log", "off,mlswarp_server::http::server=info"], options].concat()),
+            program: Program::start(&[&["--workers", "2", "--log", "off,mlswarp_server::http::connection=info"], options].concat()),
             client: Client::new(),
         }
     }

@@ -182,7 +182,7 @@ fn processor_time() -> Duration {
 #[tokio::test(flavor = "current_thread")]
 async fn four_times_what_the_machine_holds() {
     let program =
-        Program::start(&["--memory-bytes", "256MiB", "--max-client-share", "100", "--log", "warn,mlswarp_server::http::server=info"]);
+        Program::start(&["--memory-bytes", "256MiB", "--max-client-share", "100", "--log", "warn,mlswarp_server::http::connection=info"]);
     let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/chelsea.png")).unwrap();
     let client = Client::builder().timeout(Duration::from_secs(100)).build().unwrap();
     let url: Arc<str> = format!("http://{}", program.address).into();

@@ -9,12 +9,6 @@ use super::probe::Parsed;
 use super::{CodecError, Format, Header, Limits, Work};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
-/// A colour profile larger than this is dropped: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
-pub(super) const MAX_ICC: usize = 1 << 20;
-
-/// The most that a profile takes, inflated and as it will be written back.
-pub const PROFILE_BYTES: u64 = 2 * MAX_ICC as u64;
-
 /// An upright picture and what must travel with it.
 #[derive(Debug, Clone)]
 pub struct Decoded {
@@ -103,44 +97,6 @@ impl Opened<'_> {
 /// A decoder that panics has met a damaged file.
 fn contained<T>(format: Format, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
     catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
-}
-
-/// The allocator refused. How much it had left is not known, so the limit reads 0.
-pub(super) const fn no_room(asked: u64) -> CodecError {
-    CodecError::TooLarge { what: "image_bytes", limit: 0, actual: asked }
-}
-
-/// An empty vector with room for `len` samples.
-pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
-    let refused = no_room(len.saturating_mul(size_of::<T>() as u64));
-    let mut samples = Vec::new();
-    let len = usize::try_from(len).map_err(|_| refused.clone())?;
-    samples.try_reserve_exact(len).map_err(|_| refused)?;
-    Ok(samples)
-}
-
-/// `len` samples of zero. Memory is touched for the first time here, which takes as long as some decoders: the question is asked meanwhile.
-pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
-    const PART: usize = 1 << 22;
-    let mut samples = room(len)?;
-    let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));
-    while samples.len() < len {
-        work.check()?;
-        samples.resize(len.min(samples.len() + PART), T::default());
-    }
-    Ok(samples)
-}
-
-/// Samples of a picture.
-pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
-    pixels.saturating_mul(channels.count() as u64)
-}
-
-/// A profile is kept when it is one (ICC.1, 7.2: its length in its first four bytes, `acsp` at byte 36), of sane size, and for RGB.
-pub(super) fn keep_rgb_profile(profile: Vec<u8>) -> Option<Vec<u8>> {
-    let length = profile.first_chunk().map(|length| u32::from_be_bytes(*length));
-    let is_one = length.is_some_and(|length| length as usize == profile.len()) && profile.get(36..40) == Some(b"acsp");
-    (is_one && profile.len() <= MAX_ICC && profile.get(16..20) == Some(b"RGB ")).then_some(profile)
 }
 
 #[cfg(test)]

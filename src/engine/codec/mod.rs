@@ -1,6 +1,9 @@
 //! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `open` checks every limit on that header before
-//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`Work`); `Writer` turns strips of rows into the bytes of a file, PNG strip by strip in any order.
+//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`Work`); `Writer` turns
+//! strips of rows into the bytes of a file, PNG strip by strip in any order.
 
+#[forbid(unsafe_code)]
+mod alloc;
 #[forbid(unsafe_code)]
 mod decode;
 #[forbid(unsafe_code)]
@@ -12,6 +15,8 @@ mod orientation;
 mod png;
 #[forbid(unsafe_code)]
 mod probe;
+#[forbid(unsafe_code)]
+mod profile;
 mod read_jpeg;
 mod read_png;
 mod read_webp;
@@ -28,10 +33,11 @@ mod write_jpeg;
 #[forbid(unsafe_code)]
 mod write_webp;
 
-pub use decode::{Decoded, Opened, PROFILE_BYTES, decode, open};
+pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
 pub use limits::Limits;
 pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
+pub use profile::PROFILE_BYTES;
 pub use work::Work;
 pub use write::{Encoding, Writer};

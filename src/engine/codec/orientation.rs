@@ -2,7 +2,7 @@
 //! IFD 0 (EXIF 2.32, 4.6.5) and applied once. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity, never an
 //! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
 
-use super::decode::zeros;
+use super::alloc::zeros;
 use super::{CodecError, Work};
 
 const ORIENTATION_TAG: u16 = 0x0112;

@@ -7,7 +7,8 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::CodecError;
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
+use super::alloc::{room, sample_count, zeros};
+use super::profile::{MAX_ICC, keep_rgb_profile};
 use super::work::{Bytes, Work};
 use crate::pixmap::{Channels, Extent, Samples};
 

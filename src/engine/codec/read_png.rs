@@ -6,7 +6,8 @@ use std::borrow::Cow;
 use std::io::Read;
 
 use super::CodecError;
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
+use super::alloc::{room, sample_count, zeros};
+use super::profile::{MAX_ICC, keep_rgb_profile};
 use super::work::{Pieces, Work};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 

@@ -5,12 +5,13 @@
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::decode::{MAX_ICC, keep_rgb_profile, room, sample_count, zeros};
+use super::alloc::{room, sample_count, zeros};
+use super::profile::{MAX_ICC, keep_rgb_profile};
 use super::work::{Pieces, Work};
 use super::{CodecError, vp8l};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(super) const NAME: &str = "WebP";
+pub(super) use super::vp8l::NAME;
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
 /// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.

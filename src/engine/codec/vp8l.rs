@@ -7,8 +7,9 @@
 //! take no bits is skipped in one step.
 
 use super::CodecError;
-use super::read_webp::NAME;
 use super::work::Work;
+
+pub(super) const NAME: &str = "WebP";
 
 /// Tables of more bytes than this are refused. Encoders stay far below it: libwebp makes at most 2,600 groups, of some 20 KiB each.
 const MAX_CODE_BYTES: u64 = 128 << 20;

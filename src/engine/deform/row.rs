@@ -56,7 +56,7 @@ impl RowInputs<'_> {
         let r2min = self.nearest(v, scratch);
         let mut anchor = self.weights(v, &r2min, scratch);
         self.choose_frame(&mut anchor, scratch);
-        let at_v = self.to_frame(v, &anchor, scratch);
+        let at_v = self.in_frame(v, &anchor, scratch);
         fit(self.method, self.sources, &anchor.tau, &at_v, scratch, rows);
         let snap = SNAP_SHARE * self.extent;
         for k in 0..N {
@@ -139,7 +139,7 @@ impl RowInputs<'_> {
 
     /// Brings all places into the anchor's frame, formed from the handles themselves: exact where they are whole numbers. Returns v's place.
     #[inline(always)]
-    fn to_frame<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
+    fn in_frame<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
         let ([tx, ty], [sx, sy], o) = (&anchor.tau, &anchor.shift, &anchor.o);
         let mut index = 0;
         for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {

@@ -1,7 +1,5 @@
 //! A segment in a row: its mass and moments as N vertices see them, and what each of its ends takes of them.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
-
 use super::lanes::PointMass;
 use super::segments::View;
 

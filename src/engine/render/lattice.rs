@@ -3,8 +3,6 @@
 //! [`BLOCK`] (the last vertex of a row is repeated). Cells are bounded by ranges of y, per row of cells and per block of cells, by which a
 //! strip of target rows finds the cells that touch it. Memory and time O(vertices).
 
-#![expect(clippy::cast_possible_truncation, reason = "lattice places are clamped to +-LIMIT before they are narrowed")]
-
 /// Lattice steps in a target pixel.
 pub(super) const ONE: i32 = 256;
 /// The lattice place of the first pixel's centre.

@@ -15,6 +15,7 @@ use super::App;
 use super::causes::Origin;
 use super::draw::{DrawJob, Drawn};
 use super::warp::{ATTEMPTS, Source, json_unless};
+use crate::app::sequence::SequencePosition;
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::Share;
@@ -23,7 +24,7 @@ use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
-use crate::session::{SequencePosition, SessionId};
+use crate::session::SessionId;
 use crate::store::{Record, Session, StoreError};
 use crate::wire::formats::Formats;
 use crate::wire::{AsJson, DragObject, MeshObject, MeshShape};
@@ -231,7 +232,7 @@ impl App {
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
             Some(seq) => {
-                let place = self.0.lanes.enter((id, record.created), seq);
+                let place = self.0.sequencer.enter((id, record.created), seq);
                 Ok(SequencedRequest { record, place: Some((place, seq)) })
             }
             None => Ok(SequencedRequest { record, place: None }),

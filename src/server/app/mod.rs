@@ -9,6 +9,7 @@ pub mod holdings;
 pub(crate) mod lifecycle;
 pub mod live_drag;
 pub(crate) mod points;
+pub mod sequence;
 pub(crate) mod session;
 pub mod warp;
 
@@ -20,6 +21,7 @@ use bytes::Bytes;
 use mlswarp::warp::{Image, Plan, Setup};
 use thiserror::Error;
 
+use crate::app::sequence::Sequencer;
 use crate::auth::AccessControl;
 use crate::cache::Cache;
 use crate::client::Client;
@@ -32,7 +34,6 @@ use crate::observe::metrics::Metrics;
 use crate::observe::tracer::{Exporting, NotTraced, Outbox, Tracer};
 use crate::pool::{Pool, PoolError, QueueKey, Shape, Work};
 use crate::problem::{Code, Problem};
-use crate::session::Sequencer;
 use crate::store::timed::Timed;
 use crate::store::{NotOpened, Store, StoreError};
 use causes::Causes;
@@ -77,7 +78,7 @@ pub(crate) struct AppState {
     /// Keeps nothing: those who wait for one session's file share one look at the store.
     pub(crate) files: Cache<Bytes>,
     pub(crate) store: Arc<dyn Store>,
-    pub(crate) lanes: Sequencer,
+    pub(crate) sequencer: Sequencer,
     pub(crate) phases: Phases,
     pub(crate) causes: Causes,
     pub(crate) pictures: Pictures,
@@ -180,7 +181,7 @@ impl App {
             setups: Cache::new(work.plan_cache_bytes / SETUP_SHARE),
             files: Cache::new(0),
             store,
-            lanes: Sequencer::default(),
+            sequencer: Sequencer::default(),
             phases: Phases::default(),
             causes: Causes::default(),
             pictures: Pictures::default(),
