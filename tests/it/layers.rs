@@ -13,7 +13,7 @@ const SERVER: [(&str, &[&str]); 15] = [
     ("config", &["store", "observe", "auth", "limits"]),
     ("drag", &["wire"]),
     ("pool", &["observe", "limits", "session", "client"]),
-    ("cache", &["observe", "limits", "problem"]),
+    ("cache", &["observe", "limits", "problem", "client"]),
     ("store", &["observe", "limits", "wire", "problem", "session", "client"]),
     ("observe", &["auth", "limits", "problem"]),
     ("auth", &["limits", "problem", "client"]),

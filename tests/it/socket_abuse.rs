@@ -265,7 +265,7 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     // Nobody is closed for taking nothing and saying nothing while the others come.
-    let program = Program::start(&["--socket-timeout", "10m", "--socket-idle", "10m"]);
+    let program = Program::start(&["--socket-timeout", "10m", "--socket-idle", "10m", "--max-client-share", "100"]);
     let http = reqwest::Client::new();
     let session = async |picture: Vec<u8>| {
         let url = format!("http://{}/sessions", program.address);

@@ -232,7 +232,10 @@ impl Pool {
         let began = Instant::now();
         let gate = self.gate(work);
         let turn = gate.enter(lane).await;
-        stage("queue", began);
+        // The stage of that name is the wait for a worker.
+        if work != Work::Transfer {
+            stage("queue", began);
+        }
         Ok(Ticket { gate: Arc::clone(gate), _turn: Arc::new(turn?), scope: Scope::current(), waited: began.elapsed() })
     }
 
