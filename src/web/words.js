@@ -14,6 +14,7 @@ const PROBLEMS = {
   network: ["The server does not answer", "Your handles are safe in this browser. Trying again by itself."],
   overloaded: ["The server has its hands full", "Trying again by itself in a moment."],
   stored_by_another_version: ["The server is being updated", "Another version of it keeps this picture. Trying again by itself."],
+  misdirected: ["This server does not answer at this address", "Open it as localhost, or add the name to --allowed-hosts."],
   rate_limited: ["Too many requests at once", "Trying again by itself in a moment."],
   timeout: ["That took too long", "Trying again by itself. A smaller picture is quicker."],
   no_such_session: ["The session has ended", "Open the picture again: the server keeps it for a while only, and this browser has no copy."],

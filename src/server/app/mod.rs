@@ -1,5 +1,4 @@
-//! The application: what stays between requests (pool, caches, sessions) and the walk of one request through the warp. No HTTP outside
-//! of [`http`]; every error is a [`Problem`].
+//! The use cases, and the state that they share: pool, caches, sessions, limits. No HTTP and no JSON here; every error is a [`Problem`].
 
 pub mod causes;
 pub mod drag;

@@ -1,15 +1,15 @@
 //! Admission and the compute threads. A request goes through one of two gates: work on a session that is warm (a drag), and everything that
 //! decodes or fills tables first (an upload). Each has as many turns and threads as there are workers, so that milliseconds never wait behind
 //! seconds, and either may use the whole machine while the other is idle; and one turn and thread more, for a client that would otherwise
-//! wait for the long requests of others. A request runs at once, waits its turn for as long as the gate's patience lasts, or is refused;
+//! wait for the long requests of others. A request runs at once, waits for its turn at most for the gate's `max_wait`, or is refused;
 //! which request is next is decided by `queue`, fairly between clients. No async thread ever computes, no compute thread ever waits for a
 //! client.
 //!
-//! A third gate has no threads: those who need a session's file from the store pass it while they wait for the file, before they ask for a turn.
+//! A third gate has no threads: a request passes it while it waits for a session's file, to the store or from it, and holds no worker.
 //!
-//! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads, `spread`; the strips of
-//! a picture are taken by helpers, as many as no other picture wants (`crowd`). A helper leaves after its strip when a request waits for
-//! a thread.
+//! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads,
+//! [`Pool::run_parallel`]; the strips of a picture are taken by helpers, as many as no other picture wants (`recent_concurrency`). A helper
+//! leaves after its strip when a request waits for a thread.
 //!
 //! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
 //! request's future was dropped before.

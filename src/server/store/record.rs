@@ -2,7 +2,7 @@
 //!
 //! Programs of several versions use one store, during a rolling update and after a rollback. Four rules keep their sessions safe:
 //!
-//! 1. A field at its default is left out, of the record and of the digest `made`. The defaults are those of the form ([`base`]), not those of the
+//! 1. A field at its default is left out, of the record and of the digest `made`. The defaults are those of the form (`base`), not those of the
 //!    HTTP contract, which may change: an absent field means the same value in every version.
 //! 2. The digest `made` has one exception: the fields that the first version of the form had are always in it, because the first program wrote them
 //!    all. So every program computes the same digest of the same request, and a repeated `PUT` is one session whichever replica it reaches. A field
@@ -10,7 +10,7 @@
 //! 3. A record whose checksum is right and that this program cannot read in full (another version, an unknown field or value) was written by
 //!    another version of the program. It is kept as it is: not served, not replaced, not deleted, unless its owner deletes the session.
 //! 4. A record names each file that it needs by the 64 lower-case hexadecimal digits of the file's digest, in every version. A program that cannot
-//!    read the rest keeps the files that are named like this ([`named_files`]).
+//!    read the rest keeps the files that are named like this (`named_files`).
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};

@@ -1,6 +1,6 @@
-//! The drag: poses in, frames out, as long as a hand moves. What a socket hears comes in by [`Drag::hear`], what it is to say waits in
-//! [`Drag::say`]; in between stand the rules (`desk`), the width of previews (`pace`) and the making of one frame (`frame`). No socket is known
-//! here. A drag holds the newest pose, at most one frame that is made or being made, and what its socket has not taken yet.
+//! The drag: poses in, frames out, as long as a hand moves. Messages come in by [`Drag::on_message`], what is to be sent waits in
+//! [`Drag::next_outgoing`]; in between stand the rules and the width of previews ([`crate::drag`]) and the making of one frame (`frame`). No
+//! socket is known here. A drag holds the newest pose, at most one frame that is made or being made, and what its socket has not taken yet.
 
 mod frame;
 
