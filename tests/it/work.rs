@@ -140,9 +140,9 @@ async fn a_shared_plan_is_finished_for_the_client_that_stays() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn work_ends_at_its_deadline() {
-    let victim = Victim::start(&["--max-plan-bytes", "64MiB", "--request-timeout", "700ms"]);
+    let victim = Victim::start(&["--max-plan-bytes", "64MiB", "--request-timeout", "300ms"]);
     let lines = slow_lines(100);
-    let warp = json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 3.2}});
+    let warp = json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 1.0}});
     let request = victim.post("/warp").multipart(form(&photo(SIDES.0, SIDES.1), warp.to_string()));
     let answer = request.send().await.unwrap();
     let busy = victim.until_busy(0, "the deadline").await;
