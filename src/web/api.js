@@ -12,7 +12,9 @@ export class Problem extends Error {
   static async from(response) {
     try {
       return new Problem(await response.json(), response.status);
-    } catch {
+    } catch (error) {
+      // Given up while its body was read: that is no answer of anybody's.
+      if (wasAborted(error)) throw error;
       return Problem.ofStatus(response.status);
     }
   }

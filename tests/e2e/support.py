@@ -15,6 +15,8 @@ from pathlib import Path
 
 from PIL import Image, ImageChops, ImageDraw
 
+import playwright.sync_api
+
 HERE = Path(__file__).resolve().parent
 KEPT = HERE.parent / "artefacts" / "e2e"
 PHOTOGRAPHS = HERE.parent / "images"
@@ -135,7 +137,10 @@ class Visit:
 
     def body(self, selector):
         """Waits until the body's attributes are as a CSS selector says."""
-        self.page.wait_for_selector(f"body{selector}", state="attached")
+        try:
+            self.page.wait_for_selector(f"body{selector}", state="attached")
+        except playwright.sync_api.TimeoutError as late:
+            raise AssertionError(f"body{selector} never came: {self.data}") from late
         return self
 
     @property
