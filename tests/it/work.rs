@@ -119,17 +119,17 @@ async fn work_ends_when_its_client_leaves() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_shared_plan_is_finished_for_the_client_that_stays() {
-    let victim = Victim::start(&["--max-plan-bytes", "64MiB"]);
-    let lines = slow_lines(60);
-    let (picture, warp) =
-        (photo(SIDES.0, SIDES.1), json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 6.4}}).to_string());
+    let victim = Victim::start(&["--max-plan-bytes", "512MiB"]);
+    // A second of work and more, of which the first client sees a tenth.
+    let lines = slow_lines(100);
+    let (picture, warp) = (photo(SIDES.0, SIDES.1), json!({"p": lines, "q": moved(&lines), "alpha": 1.3, "grid": {"cell": 2}}).to_string());
     // Each with a connection of its own.
     let send =
         || tokio::spawn(Client::new().post(format!("http://{}/warp", victim.address())).multipart(form(&picture, warp.clone())).send());
     let first = send();
     victim.until_busy(1, "the first").await;
     let (second, third) = (send(), send());
-    tokio::time::sleep(Duration::from_millis(100)).await;
+    tokio::time::sleep(Duration::from_millis(50)).await;
     assert!(!first.is_finished(), "too little work to leave it");
     first.abort();
     third.abort();
