@@ -13,37 +13,30 @@ mod malloc_trim {
 use std::fmt::Display;
 use std::process::ExitCode;
 
-use clap::Parser as _;
 use mlswarp_server::cli::{health, warp};
-use mlswarp_server::config::{Cli, Command, Config};
+use mlswarp_server::config::{ArgsError, Cli, Command, Config};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
 
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
-        Ok(cli) => cli,
-        Err(said) => {
-            // Help and the version are printed the same way; there is nobody to tell when that fails.
-            let _ = said.print();
-            return ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(2));
+    match Cli::read(std::env::args_os()) {
+        Ok(cli) => run(cli.command.unwrap_or(Command::Serve), cli.config),
+        Err(ArgsError::Usage(text)) => {
+            // `--help` and `--version` are printed the same way. A failure to print cannot be reported.
+            let _ = text.print();
+            ExitCode::from(u8::try_from(text.exit_code()).unwrap_or(2))
         }
-    };
-    let command = cli.command.unwrap_or(Command::Serve);
-    let resolved = if matches!(command, Command::Serve) { cli.options.resolve_to_serve() } else { cli.options.resolve() };
-    let config = match resolved {
-        Ok(config) => config,
         Err(mistakes) => {
             eprintln!("{mistakes}");
-            return ExitCode::from(2);
+            ExitCode::from(2)
         }
-    };
-    run(command, config)
+    }
 }
 
 fn run(command: Command, config: Config) -> ExitCode {
     match command {
         Command::Serve => {
-            observe::start(&config.log, config.log_format);
+            observe::start(&config.telemetry.log, config.telemetry.log_format);
             malloc_trim::start();
             exit(connection::run(config).map_err(|e| format!("error: {e}")))
         }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use clap::{Arg, CommandFactory as _, Parser as _};
-use mlswarp_server::config::{Cli, Config};
+use clap::Arg;
+use mlswarp_server::config::{Config, command};
 
 use crate::support::program::{Program, mlswarp};
 
@@ -24,7 +24,7 @@ fn path() -> PathBuf {
 
 /// Every option that has a variable.
 fn options() -> Vec<Arg> {
-    Cli::command().get_arguments().filter(|option| option.get_env().is_some()).cloned().collect()
+    command().get_arguments().filter(|option| option.get_env().is_some()).cloned().collect()
 }
 
 fn variable(option: &Arg) -> &str {
@@ -74,8 +74,8 @@ fn environment_example_uncommented_is_the_default_configuration() {
     let written = expected();
     let variables = uncommented(&written);
     let flags = options().into_iter().map(|option| format!("--{}={}", option.get_long().unwrap(), variables[variable(&option)]));
-    let cli = Cli::try_parse_from(std::iter::once("mlswarp".to_owned()).chain(flags)).unwrap();
-    assert_eq!(cli.options.resolve().unwrap(), Config::default());
+    let config = Config::read(std::iter::once("mlswarp".to_owned()).chain(flags)).unwrap();
+    assert_eq!(config, Config::default());
 }
 
 #[test]

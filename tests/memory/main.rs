@@ -10,10 +10,9 @@ mod client;
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use clap::Parser as _;
 use client::Client;
 use mlswarp_server::app::App;
-use mlswarp_server::config::Cli;
+use mlswarp_server::config::Config;
 use mlswarp_server::http::connection::{listen, serve};
 
 /// What may stay more after many requests than after a few, bytes.
@@ -41,7 +40,7 @@ const REST: [[f64; 2]; 12] = [
 fn memory_of_a_drag_is_bounded_and_of_many_flat() {
     allocator::leave_this_thread_out();
     let full = std::env::var_os("MLSWARP_TESTS_FULL").is_some();
-    let config = Cli::try_parse_from(["mlswarp", "--listen", "127.0.0.1:0"]).unwrap().options.resolve().unwrap();
+    let config = Config::read(["mlswarp", "--listen", "127.0.0.1:0"]).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let listener = listen(config.listen).unwrap();
     let address = listener.local_addr().unwrap();

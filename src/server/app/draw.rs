@@ -320,7 +320,7 @@ impl DrawTask {
 
     fn draw_at(mut self, sitting: &DrawJob) {
         let began = Instant::now();
-        let limits = self.app.config().limits;
+        let limits = self.app.config().limits();
         let gone = || self.answer.is_closed();
         let prepare = || {
             let mut held = self.app.reserve_for(Purpose::Frame, &sitting.share, sitting.setup.posed_bytes())?;

@@ -95,7 +95,7 @@ impl App {
         let [drag, upload, transfer] = each(&|load| load.running);
         sheet.gauge("workers_busy", "Requests that run", &[drag, upload])?;
         sheet.gauge("transfers", "Files of sessions that are being sent to the store or fetched from it", &one(transfer.1))?;
-        sheet.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue))?;
+        sheet.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue()))?;
         sheet.gauge("queue_waiting", "Requests that wait", &each(&|load| load.waiting))?;
         let mut shed = Vec::new();
         for (load, work) in &loads {

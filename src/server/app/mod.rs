@@ -156,24 +156,25 @@ impl App {
     /// # Errors
     /// See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
-        let store = crate::store::open(&config.store.place, config.store.bounds)?;
+        let store = crate::store::open(&config.store.url, config.store.bounds())?;
         let (tracer, outbox) = Tracer::new(config.telemetry.otlp_endpoint.clone(), config.telemetry.otlp_sample)?.unzip();
         let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
-        let (work, access) = (config.work, &config.access);
-        let of_client = |total| config.access.client_share.of(total);
-        let WorkConfig { workers, queue, drag_wait, upload_wait, .. } = work;
+        let (work, auth, clients) = (config.work, &config.auth, &config.clients);
+        let of_client = |total| clients.client_share.of(total);
+        let WorkConfig { workers, drag_wait, upload_wait, .. } = work;
+        let queue = work.queue();
         let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(AppState {
             access: AccessControl::new(
-                access.keys.as_ref().map(|keys| keys.all.clone()),
-                access.rate_per_address,
-                access.rate_per_key,
-                ConnectionLimiter::new(access.max_connections, access.max_connections_per_address),
+                auth.keys.as_ref().map(|keys| keys.all.clone()),
+                clients.rate_per_address,
+                clients.rate_per_key,
+                ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
             ),
             budget: Budget::new(work.memory_bytes),
             answers: Shares::new(Quota::Answers, work.memory_bytes / UNREAD_PART),
             requests: Shares::new(Quota::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
-            holdings: Holdings::new(config.store.bounds, of_client),
+            holdings: Holdings::new(config.store.bounds(), of_client),
             pool: Pool::new(shape)?,
             images: Cache::new(work.image_cache_bytes),
             plans: Cache::new(work.plan_cache_bytes),
@@ -185,7 +186,7 @@ impl App {
             causes: Causes::default(),
             pictures: Pictures::default(),
             // Half of the places for the frames of one client: the others are left to requests.
-            seats: SocketSlots::new(config.max_sockets, of_client(config.max_sockets as u64), workers.max(queue / 2)),
+            seats: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
             drags: Drags::default(),
             metrics: Metrics::default(),
             tracer,
@@ -373,7 +374,7 @@ impl App {
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
     pub fn spawn_sweeper(&self) {
         let (store, holdings) = (Arc::downgrade(&self.0.store), self.0.holdings.clone());
-        let pause = (self.0.config.store.bounds.idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
+        let pause = (self.0.config.store.bounds().idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;

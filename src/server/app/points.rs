@@ -45,7 +45,7 @@ impl App {
         let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
-        let limits = self.0.config.limits;
+        let limits = self.0.config.limits();
         let setup = self.0.pool.run(&ticket, move |cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled())).await??;
         self.map(&ticket, self.share(client), Arc::new(setup), object).await
     }

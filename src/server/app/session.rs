@@ -75,7 +75,7 @@ impl App {
             // For as long as this computes, and not while it waits for the store.
             let ticket = self.0.pool.admit(Work::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
-            let (json, limits, extent) = (json.clone(), self.0.config.limits, old.extent);
+            let (json, limits, extent) = (json.clone(), self.0.config.limits(), old.extent);
             let resolve =
                 move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;

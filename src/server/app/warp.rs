@@ -101,7 +101,7 @@ impl App {
         let build = async move {
             let ticket = app.0.pool.admit(Work::Upload, QueueKey::session(client, theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
-            let limits = app.0.config.limits;
+            let limits = app.0.config.limits();
             let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
             let setup = app.0.pool.run(&ticket, new).await??;
             Ok(CacheEntry::new(Arc::new(setup), held))
@@ -143,7 +143,7 @@ impl App {
         }
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (limits, extent) = (self.0.config.limits, image.extent());
+        let (limits, extent) = (self.0.config.limits(), image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
         let (plan, plan_built) = self.plan(owner, ticket, &setup, Origin::Handles, &mut timing).await?;
         Ok((PreparedWarp { file, digest, object, format, image, setup }, plan, timing, plan_built))
@@ -156,7 +156,7 @@ impl App {
         digest: Digest,
         file: impl AsRef<[u8]> + Send + 'static,
     ) -> Result<Fetched<Image>, Problem> {
-        let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits.image);
+        let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits().image);
         let decode = async move {
             let theirs = app.clone();
             let decode = move |cancel: &Cancel| {

@@ -26,7 +26,7 @@ pub fn ask(config: &Config) -> io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     // There nobody speaks TLS, and no crowd of clients keeps this one out.
-    let Some(files) = config.access.tls.as_ref().filter(|_| watched.is_none()) else { return ask_over(stream, address) };
+    let Some(files) = config.auth.tls.as_ref().filter(|_| watched.is_none()) else { return ask_over(stream, address) };
     let client = files.trusting_it_alone().map_err(io::Error::other)?;
     let connection = ClientConnection::new(client, ServerName::IpAddress(address.ip().into())).map_err(io::Error::other)?;
     ask_over(StreamOwned::new(connection, stream), address)

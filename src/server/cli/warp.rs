@@ -36,17 +36,17 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
 }
 
 fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<Summary, Problem> {
-    let image = Arc::new(Image::decode(file, &config.limits.image)?);
-    let setup = Setup::new(&object.rest, image.extent(), &config.limits)?;
+    let image = Arc::new(Image::decode(file, &config.limits().image)?);
+    let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let q = match &object.q {
         Some(q) => q.as_slice(),
         None if object.rest.p.is_empty() => &[],
         None => return Err(q_is_missing()),
     };
     let pose = setup.pose(q)?;
-    object.output.target(image.extent(), &config.limits)?;
+    object.output.target(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
-    let warp = Warp::new(&image, &posed, &object.output, &config.limits)?;
+    let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
     let helpers = config.work.workers.saturating_sub(1);
     let drawn = if is_stdio(out) {
         draw(&warp, helpers, io::stdout())

@@ -1,64 +1,33 @@
-//! Where sessions live, and how many.
-
-use std::fmt;
+//! Options of the session store.
 
 use clap::Args;
 
-use super::{Mistakes, units, whole};
+use super::option::{checked, whole};
+use super::units::{bytes, span};
 use crate::store::{Bounds, StoreUrl};
 
-/// Options of the store, as text.
-#[derive(Debug, Args)]
-pub(crate) struct StoreArgs {
-    /// Where sessions live: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
-    #[arg(long, env = "MLSWARP_STORE", value_name = "STORE", default_value = "memory", hide_env_values = true, global = true)]
-    store: Secret,
-    /// How long a session lives without being used.
-    #[arg(long, env = "MLSWARP_SESSION_IDLE", value_name = "TIME", default_value = "15m", global = true)]
-    session_idle: String,
-    /// Most sessions; one more is answered 503. (Redis: no bound but its own memory.)
-    #[arg(long, env = "MLSWARP_MAX_SESSIONS", value_name = "N", default_value = "10000", global = true)]
-    max_sessions: String,
-    /// Bytes of the sessions' records and picture files; one more is answered 503. (Redis: memory for records that this process remembers; what it
-    /// may hold itself is its `maxmemory`.)
-    #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
-    store_bytes: String,
-}
-
-/// A text that may hold a password: it is not shown.
-#[derive(Clone)]
-struct Secret(String);
-
-impl From<String> for Secret {
-    fn from(text: String) -> Self {
-        Self(text)
-    }
-}
-
-impl fmt::Debug for Secret {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("..")
-    }
-}
-
-/// Where sessions live, and how many.
-#[derive(Clone, Debug, PartialEq)]
+/// Where sessions are stored, and how many.
+#[derive(Args, Clone, Debug, PartialEq)]
 pub struct StoreConfig {
-    /// Where.
-    pub place: StoreUrl,
-    /// How many, and for how long.
-    pub bounds: Bounds,
+    /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
+    #[arg(long = "store", value_name = "STORE", default_value = "memory", hide_env_values = true, value_parser = checked(str::parse::<StoreUrl>))]
+    pub url: StoreUrl,
+    /// Time after which an unused session expires.
+    #[arg(long, value_name = "TIME", default_value = "15m", value_parser = checked(span))]
+    pub session_idle: std::time::Duration,
+    /// Maximum number of sessions; further ones are answered 503. (Redis: limited by its own memory only.)
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = checked(whole::<usize>(0, 100_000_000)))]
+    max_sessions: usize,
+    /// Maximum size of the sessions' records and image files; further ones are answered 503. (Redis: memory for the records that this process
+    /// keeps a copy of; Redis itself is limited by its `maxmemory`.)
+    #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = checked(bytes))]
+    store_bytes: u64,
 }
 
-impl StoreArgs {
-    pub(crate) fn resolve(&self, m: &mut Mistakes) -> StoreConfig {
-        StoreConfig {
-            place: m.read("store", &self.store.0, str::parse),
-            bounds: Bounds {
-                idle: m.read("session-idle", &self.session_idle, units::span),
-                sessions: m.read("max-sessions", &self.max_sessions, |t| whole(t, 0, 100_000_000)),
-                bytes: m.read("store-bytes", &self.store_bytes, units::bytes),
-            },
-        }
+impl StoreConfig {
+    /// The limits of the store.
+    #[must_use]
+    pub const fn bounds(&self) -> Bounds {
+        Bounds { idle: self.session_idle, sessions: self.max_sessions, bytes: self.store_bytes }
     }
 }

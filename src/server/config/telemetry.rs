@@ -1,86 +1,94 @@
-//! What the service tells of itself, and to whom: traces, and numbers on a listener of their own.
+//! Options of logs, traces and metrics.
 
 use std::net::SocketAddr;
+use std::str::FromStr as _;
 
 use clap::Args;
 
-use super::{Mistakes, address};
+use super::address;
+use super::option::{Maybe, checked, checked_or, report};
+use crate::observe::LogFormat;
 use crate::observe::collector::Collector;
 
-/// The options as text; [`TelemetryArgs::resolve`] reads them.
-#[derive(Debug, Args)]
-pub(crate) struct TelemetryArgs {
-    /// Another address and port where /metrics, /healthz and /readyz are answered, without a key and without TLS.
-    #[arg(long, env = "MLSWARP_METRICS_LISTEN", value_name = "ADDR", default_value = "", hide_default_value = true, global = true)]
-    metrics_listen: String,
-    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or https://collector.example; spans go to /v1/traces there.
-    #[arg(long, env = "MLSWARP_OTLP_ENDPOINT", value_name = "URL", default_value = "", hide_default_value = true, global = true)]
-    otlp_endpoint: String,
-    /// Share of requests and frames that are traced, 0 to 1, where no caller has decided.
-    #[arg(long, env = "MLSWARP_OTLP_SAMPLE", value_name = "RATIO", default_value = "1", global = true)]
-    otlp_sample: String,
-}
-
-/// What the service tells of itself, and to whom.
-#[derive(Clone, Debug, PartialEq)]
+/// Logs, traces and metrics.
+#[derive(Args, Clone, Debug, PartialEq)]
 pub struct TelemetryConfig {
-    /// Where numbers and health are answered beside the service's own address.
-    pub metrics_listen: Option<SocketAddr>,
-    /// Where traces go; none are made without it.
-    pub otlp_endpoint: Option<Collector>,
-    /// Share of requests and frames that are traced.
+    /// Additional address and port for /metrics, /healthz and /readyz, without keys and without TLS.
+    #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true, value_parser = checked(optional_address))]
+    pub metrics_listen: Maybe<SocketAddr>,
+    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or https://collector.example; spans are sent to its /v1/traces.
+    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true, value_parser = checked(optional_collector))]
+    pub otlp_endpoint: Maybe<Collector>,
+    /// Ratio of requests and frames that are traced, 0 to 1, unless the caller has decided.
+    #[arg(long, value_name = "RATIO", default_value = "1", value_parser = checked(ratio))]
     pub otlp_sample: f64,
+    /// Log filter, such as `info`, `mlswarp=debug,warn` or `off`.
+    #[arg(long, value_name = "FILTER", default_value = "info", value_parser = checked(filter))]
+    pub log: String,
+    /// Format of log lines: `text` or `json`.
+    #[arg(long, value_name = "FORMAT", default_value = "text", value_parser = checked_or(LogFormat::Text, log_format))]
+    pub log_format: LogFormat,
 }
 
-impl TelemetryArgs {
-    pub(crate) fn resolve(&self, m: &mut Mistakes, listen: SocketAddr) -> TelemetryConfig {
-        TelemetryConfig {
-            metrics_listen: m.read("metrics-listen", &self.metrics_listen, |text| other_address(text, listen)),
-            otlp_endpoint: m.read("otlp-endpoint", &self.otlp_endpoint, |text| {
-                if text.is_empty() { Ok(None) } else { Collector::parse(text).map(Some) }
-            }),
-            otlp_sample: m.read("otlp-sample", &self.otlp_sample, ratio),
+impl TelemetryConfig {
+    /// Reports an additional address that is the service's own.
+    pub(super) fn check_listen(&self, listen: SocketAddr) {
+        let is_taken = |other: &SocketAddr| {
+            let (theirs, ours) = (other.ip().to_canonical(), listen.ip().to_canonical());
+            // Port 0 is a different one each time.
+            other.port() == listen.port() && other.port() != 0 && (theirs == ours || theirs.is_unspecified() || ours.is_unspecified())
+        };
+        if let Some(taken) = self.metrics_listen.filter(is_taken) {
+            let mistake = format!("{taken} is the address of the service (--listen); choose another port");
+            report::<()>("metrics-listen", Err(mistake));
         }
     }
 }
 
-/// None, or an address that is not the service's own.
-fn other_address(text: &str, listen: SocketAddr) -> Result<Option<SocketAddr>, String> {
-    if text.is_empty() {
-        return Ok(None);
-    }
-    let asked = address(text)?;
-    let is_taken = |asked: SocketAddr| {
-        let (theirs, ours) = (asked.ip().to_canonical(), listen.ip().to_canonical());
-        // Port 0 is another one each time.
-        asked.port() == listen.port() && asked.port() != 0 && (theirs == ours || theirs.is_unspecified() || ours.is_unspecified())
-    };
-    match asked.filter(|asked| is_taken(*asked)) {
-        Some(taken) => Err(format!("{taken} is where the service itself listens (--listen): take another port")),
-        None => Ok(asked),
-    }
+fn optional_address(text: &str) -> Result<Maybe<SocketAddr>, String> {
+    if text.is_empty() { Ok(None) } else { address(text).map(Some) }
+}
+
+fn optional_collector(text: &str) -> Result<Maybe<Collector>, String> {
+    if text.is_empty() { Ok(None) } else { Collector::parse(text).map(Some) }
 }
 
 fn ratio(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|ratio| (0.0..=1.0).contains(ratio)).ok_or_else(|| format!("`{text}` is not a number from 0 to 1"))
 }
 
+fn filter(text: &str) -> Result<String, String> {
+    tracing_subscriber::EnvFilter::from_str(text)
+        .map(|_| text.to_owned())
+        .map_err(|e| format!("`{text}` is not a filter such as info or mlswarp=debug,warn: {e}"))
+}
+
+fn log_format(text: &str) -> Result<LogFormat, String> {
+    match text {
+        "text" => Ok(LogFormat::Text),
+        "json" => Ok(LogFormat::Json),
+        _ => Err(format!("`{text}` is neither text nor json")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
-
     use super::*;
-    use crate::config::{Cli, Config};
+    use crate::config::Config;
 
     fn resolve(args: &[&str]) -> Result<Config, String> {
-        Cli::try_parse_from([&["mlswarp"], args].concat()).expect("known flags").options.resolve().map_err(|m| m.to_string())
+        Config::read([&["mlswarp"], args].concat()).map_err(|m| m.to_string())
     }
 
     #[test]
     fn nothing_is_told_to_anybody_unless_asked() {
-        let nothing = TelemetryConfig { metrics_listen: None, otlp_endpoint: None, otlp_sample: 1.0 };
-        assert_eq!(resolve(&[]).unwrap().telemetry, nothing);
-        assert_eq!(resolve(&["--metrics-listen", "", "--otlp-endpoint", ""]).unwrap().telemetry, nothing);
+        let nothing = (None, None, 1.0);
+        let telemetry = |args: &[&str]| {
+            let TelemetryConfig { metrics_listen, otlp_endpoint, otlp_sample, .. } = resolve(args).unwrap().telemetry;
+            (metrics_listen, otlp_endpoint, otlp_sample)
+        };
+        assert_eq!(telemetry(&[]), nothing);
+        assert_eq!(telemetry(&["--metrics-listen", "", "--otlp-endpoint", ""]), nothing);
     }
 
     #[test]

@@ -103,14 +103,14 @@ async fn file(State(_): State<App>, Path(name): Path<String>, headers: HeaderMap
 
 /// `name=number ...`: bytes, pixels, pixels, seconds, and 1 where pictures are kept in memory alone.
 fn limits(config: &Config) -> String {
-    let image = config.limits.image;
+    let image = config.limits().image;
     format!(
         "body={} pixels={} side={} idle={} memory={}",
         config.max_body_bytes,
         image.max_pixels,
         image.max_side,
-        config.store.bounds.idle.as_secs(),
-        u8::from(config.store.place == StoreUrl::Memory)
+        config.store.bounds().idle.as_secs(),
+        u8::from(config.store.url == StoreUrl::Memory)
     )
 }
 

@@ -32,7 +32,7 @@ use crate::problem::{Code, Problem};
 /// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
-    let scraped = if app.config().access.open_metrics { Open } else { Keyed };
+    let scraped = if app.config().auth.open_metrics { Open } else { Keyed };
     let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
     vec![
         ("/warp", Keyed, post(routes::warp::warp)),

@@ -5,10 +5,9 @@ use std::sync::LazyLock;
 use axum::Router;
 use axum::body::Body;
 use axum::http::Request;
-use clap::Parser as _;
 use http_body_util::BodyExt as _;
 use mlswarp_server::app::App;
-use mlswarp_server::config::Cli;
+use mlswarp_server::config::Config;
 use mlswarp_server::http::router;
 use tokio::runtime::{Builder, Runtime};
 use tower::ServiceExt as _;
@@ -22,7 +21,7 @@ const OPTIONS: &str = "mlswarp --workers 1 --max-image-pixels 64k --max-columns 
 /// An application of one worker, and the runtime that it lives in.
 pub(super) fn app() -> (App, Runtime) {
     let runtime = Builder::new_current_thread().enable_all().build().expect("a runtime");
-    let config = Cli::try_parse_from(OPTIONS.split_whitespace()).expect("flags of this program").options.resolve().expect("sane values");
+    let config = Config::read(OPTIONS.split_whitespace()).expect("sane values");
     (App::new(config).expect("threads"), runtime)
 }
 

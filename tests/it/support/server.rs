@@ -2,9 +2,8 @@
 
 use std::net::SocketAddr;
 
-use clap::Parser as _;
 use mlswarp_server::app::App;
-use mlswarp_server::config::{Cli, Config};
+use mlswarp_server::config::Config;
 use mlswarp_server::http::connection::{listen, serve};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Client, RequestBuilder, Response};
@@ -16,7 +15,7 @@ use super::picture::decoded;
 /// Options as on the command line. No test that is not about waiting depends on how fast this machine is.
 pub(crate) fn config(options: &[&str]) -> Config {
     let usual = ["mlswarp", "--listen", "127.0.0.1:0", "--drag-wait", "10m", "--upload-wait", "10m"];
-    Cli::try_parse_from([&usual, options].concat()).unwrap().options.resolve().unwrap()
+    Config::read([&usual, options].concat()).unwrap()
 }
 
 /// As which client the requests of a test are counted.

@@ -93,12 +93,12 @@ pub fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
 /// The listener failed, or the certificate cannot be read.
 pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
     let config = app.config().clone();
-    let access = &config.access;
+    let (access, timeouts) = (&config.auth, config.timeouts);
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let watchers = config.telemetry.metrics_listen.map(listen).transpose()?;
-    raise_open_files(access.max_connections);
+    raise_open_files(config.clients.max_connections);
     let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
     let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
     let reread = Reloader::new(&app, tls);
@@ -106,7 +106,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     let work = config.work;
     tracing::info!(
         workers = work.workers,
-        queue = work.queue,
+        queue = work.queue(),
         memory = work.memory_bytes,
         keys = reread.keys(),
         "listening on {scheme}://{address}"
@@ -125,10 +125,10 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     let left = async {
         stop.await;
         app.leave();
-        if !access.drain_delay.is_zero() {
-            tracing::info!(delay = ?access.drain_delay, "leaving: not ready any more, still serving");
+        if !timeouts.drain_delay.is_zero() {
+            tracing::info!(delay = ?timeouts.drain_delay, "leaving: not ready any more, still serving");
             tokio::select! {
-                () = tokio::time::sleep(access.drain_delay) => {}
+                () = tokio::time::sleep(timeouts.drain_delay) => {}
                 () = app.hurrying() => {}
             }
         }
@@ -139,12 +139,12 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         () = left => {}
     }
     drop(listener);
-    tracing::info!(grace = ?access.shutdown_grace, connections = tasks.len(), "stopping");
+    tracing::info!(grace = ?timeouts.shutdown_grace, connections = tasks.len(), "stopping");
     app.stop();
     let ending = async {
         let all_ended = async { while tasks.join_next().await.is_some() {} };
         // Those that go on after the grace are cut off.
-        let _ = tokio::time::timeout(access.shutdown_grace, all_ended).await;
+        let _ = tokio::time::timeout(timeouts.shutdown_grace, all_ended).await;
         tasks.abort_all();
         // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
         let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;

@@ -29,7 +29,7 @@ pub(crate) struct Reloader {
 
 impl Reloader {
     pub(crate) fn new(app: &App, tls: Option<watch::Sender<Arc<ServerConfig>>>) -> Self {
-        let access = &app.config().access;
+        let access = &app.config().auth;
         let mut reread = Self { app: app.clone(), keys: access.keys.clone(), tls: access.tls.clone().zip(tls), seen: Vec::new() };
         reread.seen = looks(&reread.files());
         reread

@@ -32,7 +32,7 @@ use super::transport::Transport;
 use super::write_timeout::WriteTimeoutStream;
 use crate::app::App;
 use crate::auth::tls::H2;
-use crate::config::AccessConfig;
+use crate::config::{AuthConfig, Timeouts};
 use crate::http::body::{LimitedBody, Waiting};
 use crate::http::middleware::refused;
 use crate::http::{router, watched};
@@ -75,7 +75,8 @@ enum Version {
 pub(crate) struct Connections {
     app: App,
     router: Router,
-    config: AccessConfig,
+    auth: AuthConfig,
+    timeouts: Timeouts,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
     places: ConnectionLimiter,
     /// They go on while the service stops, to its very end.
@@ -86,25 +87,41 @@ impl Connections {
     /// Of the service.
     pub(crate) fn new(app: &App, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
         let places = app.access().places().clone();
-        Self { app: app.clone(), router: router(app.clone()), config: app.config().access.clone(), tls, places, are_last: false }
+        Self {
+            app: app.clone(),
+            router: router(app.clone()),
+            auth: app.config().auth.clone(),
+            timeouts: app.config().timeouts,
+            tls,
+            places,
+            are_last: false,
+        }
     }
 
     /// Of those who watch it.
     pub(crate) fn of_watchers(app: &App) -> Self {
         let places = ConnectionLimiter::new(WATCHERS.0, WATCHERS.1);
-        Self { app: app.clone(), router: watched(app.clone()), config: app.config().access.clone(), tls: None, places, are_last: true }
+        Self {
+            app: app.clone(),
+            router: watched(app.clone()),
+            auth: app.config().auth.clone(),
+            timeouts: app.config().timeouts,
+            tls: None,
+            places,
+            are_last: true,
+        }
     }
 
     /// A place for another connection, if there is one.
     pub(crate) fn place(&self, peer: IpAddr) -> Option<ConnectionPermit> {
-        self.places.take(peer, self.config.trusted_proxies.iter().any(|network| network.has(peer)))
+        self.places.take(peer, self.auth.trusted_proxies.iter().any(|network| network.has(peer)))
     }
 
     /// Serves a connection until it ends.
     pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: ConnectionPermit) {
-        let opened = match WriteTimeoutStream::new(socket, self.config.write_timeout, place) {
+        let opened = match WriteTimeoutStream::new(socket, self.timeouts.write, place) {
             Ok(steady) => tokio::select! {
-                opened = timeout(self.config.header_timeout, self.open(steady)) => opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
+                opened = timeout(self.timeouts.header, self.open(steady)) => opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
                 () = self.late() => Err(io::ErrorKind::TimedOut.into()),
             },
             Err(error) => Err(error),
@@ -167,7 +184,7 @@ impl Connections {
 
     fn http1_builder(&self) -> http1::Builder {
         let mut builder = http1::Builder::new();
-        builder.timer(TokioTimer::new()).header_read_timeout(self.config.header_timeout).max_buf_size(HEAD);
+        builder.timer(TokioTimer::new()).header_read_timeout(self.timeouts.header).max_buf_size(HEAD);
         builder
     }
 
@@ -177,7 +194,7 @@ impl Connections {
         let refusing = service_fn(|request: Request<Incoming>| {
             begun.store(true, Ordering::Relaxed);
             let waits = request.headers().contains_key(EXPECT);
-            drop(LimitedBody::wrap(Body::new(request.into_body()), 0, self.config.body_timeout, waits, Waiting::default()));
+            drop(LimitedBody::wrap(Body::new(request.into_body()), 0, self.timeouts.body, waits, Waiting::default()));
             let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
             std::future::ready(Ok(refused(&self.app, problem)))
         });
@@ -185,7 +202,7 @@ impl Connections {
     }
 
     async fn http2(&self, wire: Transport, peer: SocketAddr) {
-        let streams = Streams::new(self.config.write_timeout);
+        let streams = Streams::new(self.timeouts.write);
         let mut builder = http2::Builder::new(streams.clone());
         builder
             .timer(TokioTimer::new())
@@ -196,8 +213,8 @@ impl Connections {
             .initial_stream_window_size(STREAM_WINDOW)
             .initial_connection_window_size(CONNECTION_WINDOW)
             .max_send_buf_size(STREAM_SEND)
-            .keep_alive_interval(self.config.header_timeout)
-            .keep_alive_timeout(self.config.header_timeout);
+            .keep_alive_interval(self.timeouts.header)
+            .keep_alive_timeout(self.timeouts.header);
         let begun = Arc::<AtomicBool>::default();
         let service = self.service(peer, &begun);
         let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service));
@@ -212,10 +229,10 @@ impl Connections {
                     () = self.unbegun(&begun) => return log_late(),
                 }
             }
-            () = streams.idle(self.config.header_timeout) => {
+            () = streams.idle(self.timeouts.header) => {
                 connection.as_mut().graceful_shutdown();
                 // What is left is in the hands of the client: the last bytes of an answer, or nothing.
-                match timeout(self.config.write_timeout, connection).await {
+                match timeout(self.timeouts.write, connection).await {
                     Ok(ended) => ended,
                     Err(_) => return tracing::debug!("a connection without requests did not end: it is cut"),
                 }

@@ -11,7 +11,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
 use crate::auth::cors::Origins;
-use crate::config::AccessConfig;
+use crate::config::AuthConfig;
 use crate::http::socket::handshake::is_of_this_site;
 use crate::problem::{Code, Problem};
 
@@ -44,7 +44,7 @@ pub(crate) struct Site {
 }
 
 impl Site {
-    pub(crate) fn new(config: &AccessConfig, request: &Request) -> Self {
+    pub(crate) fn new(config: &AuthConfig, request: &Request) -> Self {
         let headers = request.headers();
         let origins = &config.cors_origin;
         let allowed = match headers.get(ORIGIN) {

@@ -37,7 +37,7 @@ pub(crate) fn client(app: &App, request: &Request) -> Client {
     let forwarded = request.headers().get_all(FORWARDED_FOR).iter().map(|value| value.to_str().unwrap_or_default());
     // One header of many values or many headers: one list.
     let hops = forwarded.flat_map(|value| value.split(','));
-    Client { address: client_ip(peer.ip(), hops, &app.config().access.trusted_proxies), ..Client::default() }
+    Client { address: client_ip(peer.ip(), hops, &app.config().auth.trusted_proxies), ..Client::default() }
 }
 
 /// Lets in who may come in, and says to the handler whose sessions are meant. The key goes no further.

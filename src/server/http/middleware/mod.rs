@@ -52,13 +52,13 @@ pub(crate) struct Fence {
 impl Fence {
     /// Of the service.
     pub(crate) fn of_service(app: &App) -> Self {
-        Self { app: app.clone(), hosts: app.config().access.hosts(app.config().listen).cloned() }
+        Self { app: app.clone(), hosts: app.config().auth.hosts(app.config().listen).cloned() }
     }
 
     /// Of the listener for metrics and health.
     pub(crate) fn of_watchers(app: &App) -> Self {
         let config = app.config();
-        let hosts = config.telemetry.metrics_listen.and_then(|listen| config.access.hosts_without_keys(listen));
+        let hosts = config.telemetry.metrics_listen.and_then(|listen| config.auth.hosts_without_keys(listen));
         Self { app: app.clone(), hosts: hosts.cloned() }
     }
 }
@@ -74,7 +74,7 @@ pub(crate) async fn fence(State(Fence { app, hosts }): State<Fence>, request: Re
         began,
         method: known_method(request.method().as_str()),
         route: route.as_ref().map(MatchedPath::as_str),
-        scheme: if app.config().access.tls.is_some() { "https" } else { "http" },
+        scheme: if app.config().auth.tls.is_some() { "https" } else { "http" },
     });
     let scope = Scope::request(&id, tracer.zip(asked.as_ref()));
     let host = host::check(&request, hosts.as_ref());
@@ -100,7 +100,7 @@ async fn fenced(app: App, mut request: Request, next: Next, host: Result<(), Pro
     let (method, version) = (request.method().clone(), request.version());
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
-    let site = Site::new(&app.config().access, &request);
+    let site = Site::new(&app.config().auth, &request);
     let mut code = None;
     let preflight = host.is_ok().then(|| site.preflight(&request)).flatten();
     let mut response = match preflight {
@@ -133,7 +133,7 @@ pub(crate) fn refused(app: &App, problem: Problem) -> Response {
         app.metrics().refused(&problem);
         let code = Some(problem.code);
         let mut response = finish(problem.into_response(), &head.id);
-        let site = Site::new(&app.config().access, &Request::default());
+        let site = Site::new(&app.config().auth, &Request::default());
         sent(app, &mut response, site, &Sent { head: &head, method: "", code });
         response
     })
@@ -168,21 +168,21 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
     let waits_for_permission = request.headers().contains_key(EXPECT);
     let waiting = Waiting::default();
-    let request = request
-        .map(|body| LimitedBody::wrap(body, config.max_body_bytes, config.access.body_timeout, waits_for_permission, waiting.clone()));
+    let request =
+        request.map(|body| LimitedBody::wrap(body, config.max_body_bytes, config.timeouts.body, waits_for_permission, waiting.clone()));
     if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
         return too_large("body_bytes", config.max_body_bytes, length).into_response();
     }
     // The request's future is alive until the end: dropped, it waits for nothing.
     let mut run = std::pin::pin!(AssertUnwindSafe(next.run(request)).catch_unwind());
-    match tokio::time::timeout(config.access.request_timeout, run.as_mut()).await {
+    match tokio::time::timeout(config.timeouts.request, run.as_mut()).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
             tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
             Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
         }
         Err(_) => {
-            let seconds = config.access.request_timeout.as_secs_f64();
+            let seconds = config.timeouts.request.as_secs_f64();
             let problem = if waiting.is_for_client() {
                 Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
             } else {

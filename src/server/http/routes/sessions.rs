@@ -103,7 +103,7 @@ fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> R
 
 /// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
 fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve_for(Purpose::Frame, &app.share(client), longest_text(warp, app.config().limits.columns))
+    app.reserve_for(Purpose::Frame, &app.share(client), longest_text(warp, app.config().limits().columns))
 }
 
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {

@@ -47,7 +47,7 @@ pub(crate) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     if keeps {
         return Err(Problem::new(Code::BadValue, "session=true makes a session of an upload; this body names one"));
     }
-    let body = json(&app, client, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits.columns as u64)).await?;
+    let body = json(&app, client, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits().columns as u64)).await?;
     let _parsed = parsed(&app, client, &body)?;
     let drag = DragObject::parse(&body, true)?;
     let id = session_id(client, drag.session.as_deref().unwrap_or_default())?;

@@ -40,11 +40,11 @@ pub(crate) async fn drag(
     Path(id): Path<String>,
     mut request: Request,
 ) -> Response {
-    let answer = match handshake::accept(&request, &app.config().access.cors_origin) {
+    let answer = match handshake::accept(&request, &app.config().auth.cors_origin) {
         Ok(answer) => answer,
         Err(refusal) => return refusal,
     };
-    let wishes = match wishes(request.uri().query(), app.config().limits.image.max_side) {
+    let wishes = match wishes(request.uri().query(), app.config().limits().image.max_side) {
         Ok(wishes) => wishes,
         Err(problem) => return problem.into_response(),
     };
@@ -207,14 +207,14 @@ impl Life {
     /// The next deadline: of a client that takes nothing, of one that acknowledges nothing, of one that says nothing.
     fn deadline<S: AsyncRead + AsyncWrite + Unpin>(&self, drag: &Drag, line: &WebSocketConnection<S>, config: &Config) -> (Instant, Then) {
         if let Some(since) = line.blocked() {
-            return (since + config.socket_timeout, Then::End("the client does not take what it is sent"));
+            return (since + config.timeouts.socket, Then::End("the client does not take what it is sent"));
         }
         let silence = match self.pinged {
             // A client that takes what it is sent is there, and hears a ping after that.
-            None => (self.heard.max(line.wrote()) + config.socket_idle, Then::Ping),
-            Some(pinged) => (pinged.max(line.wrote()) + config.socket_idle, Then::End("no answer to a ping")),
+            None => (self.heard.max(line.wrote()) + config.timeouts.socket_idle, Then::Ping),
+            Some(pinged) => (pinged.max(line.wrote()) + config.timeouts.socket_idle, Then::End("no answer to a ping")),
         };
-        let owed = drag.owed_since().filter(|_| line.is_clear()).map(|since| since.max(line.wrote()) + config.socket_timeout);
+        let owed = drag.owed_since().filter(|_| line.is_clear()).map(|since| since.max(line.wrote()) + config.timeouts.socket);
         match owed {
             Some(owed) if owed < silence.0 => (owed, Then::End("a frame was not acknowledged in time")),
             _ => silence,

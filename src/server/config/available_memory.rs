@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 const UNKNOWN: u64 = 2 << 30;
 
 /// Bytes that this process may come to hold before the kernel ends it.
-pub(crate) fn available() -> u64 {
+pub(super) fn bytes() -> u64 {
     let read = |path: &Path| fs::read_to_string(path).ok();
     least(&read).unwrap_or(UNKNOWN)
 }
@@ -68,6 +68,6 @@ mod tests {
 
     #[test]
     fn this_machine_has_some() {
-        assert!(available() > 64 << 20);
+        assert!(bytes() > 64 << 20);
     }
 }

@@ -1,0 +1,46 @@
+//! Options that limit what one client may use.
+
+use clap::Args;
+
+use super::option::{Maybe, checked, unless, whole};
+
+/// What clients may use: requests per second, connections, sockets and shares of the totals.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub struct ClientLimits {
+    /// Requests per second of one API key name, with bursts of twice as many; further requests are answered 429.
+    #[arg(long, value_name = "N|off", default_value = "off", value_parser = checked(unless("off", whole::<u32>(1, 1_000_000))))]
+    pub rate_per_key: Maybe<u32>,
+    /// Requests per second of one address (IPv6: one /64), with bursts of twice as many; further requests are answered 429.
+    #[arg(long, value_name = "N|off", default_value = "off", value_parser = checked(unless("off", whole::<u32>(1, 1_000_000))))]
+    pub rate_per_address: Maybe<u32>,
+    /// Maximum number of connections; further ones are closed immediately.
+    #[arg(long, value_name = "N", default_value = "2048", value_parser = checked(whole::<usize>(1, 1_000_000)))]
+    pub max_connections: usize,
+    /// Maximum number of connections from one address (IPv6: one /64), trusted proxies excepted.
+    #[arg(long, value_name = "N", default_value = "512", value_parser = checked(whole::<usize>(1, 1_000_000)))]
+    pub max_connections_per_address: usize,
+    /// Maximum number of drag sockets; further ones are answered 503.
+    #[arg(long, value_name = "N", default_value = "256", value_parser = checked(whole::<usize>(0, 1_000_000)))]
+    pub max_sockets: usize,
+    /// Largest share of one client, in percent, of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for uploads; requests above
+    /// it are answered 429. A client is the name of a key or, without keys, an address (IPv6: one /64). 100 = no limit.
+    #[arg(long = "max-client-share", value_name = "PERCENT", default_value = "50", value_parser = checked(client_share))]
+    pub client_share: ClientShare,
+}
+
+/// The share of a total that one client may use, in percent. A share of 100 sets no limit: then the limit of the total applies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClientShare(u64);
+
+impl ClientShare {
+    /// The client's part of a total, rounded up, so that each client may use at least one.
+    #[must_use]
+    pub const fn of(self, total: u64) -> u64 {
+        let part = total / 100 * self.0 + (total % 100 * self.0).div_ceil(100);
+        if part >= total { u64::MAX } else { part }
+    }
+}
+
+fn client_share(text: &str) -> Result<ClientShare, String> {
+    whole(1, 100)(text.trim_end_matches('%')).map(ClientShare)
+}
