@@ -154,11 +154,8 @@ def look_after(check, stack, uploader):
     check("each knows how far it was dragged", not behind, behind)
     lost = [session for session in uploader.promised if stack.proxy.ask("GET", f"/sessions/{session}")[0] != 200]
     check("no upload that was answered is lost", not lost and uploader.promised, f"{len(uploader.promised)} looked at, {len(lost)} lost")
-    built = {
-        c: sum(stack.figure(r, "mlswarp_plan_builds_total", f'cause="{c}"') for r in stack.replicas)
-        for c in ("new", "evicted", "elsewhere")
-    }
-    say(f"plans filled, by why: {', '.join(f'{c} {n:.0f}' for c, n in built.items())} (of the processes that live)")
+    built = sum(stack.figure(r, "mlswarp_cache_builds_total", 'cache="plans"') for r in stack.replicas)
+    say(f"plans built: {built:.0f} (of the processes that live)")
     # An id is all that is needed to use a session where nobody needs a key.
     log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
     told = [hand.name for hand in HANDS if hand.session in log]

@@ -358,7 +358,7 @@ def check_envoy(stage):
             replicas[servers[1].host].end(signal.SIGTERM)
 
         # The one that has most is killed, so that some are concerned.
-        servers.sort(key=lambda server: -metric(server, "mlswarp_plan_builds_total"))
+        servers.sort(key=lambda server: -metric(server, "mlswarp_cache_builds_total", 'cache="plans"'))
         events = (
             (KILLED, lambda: replicas[servers[0].host].end(signal.SIGKILL), lambda: heed(proxy, admin, servers[1:])),
             (DRAINED, drain, lambda: heed(proxy, admin, servers[2:])),

@@ -102,8 +102,8 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
     for secret in [&id, KEY, "ann", "secret-state", "/no/such/path", "127.0.0.1"] {
         assert!(!bytes.windows(secret.len()).any(|window| window == secret.as_bytes()), "{secret}");
     }
-    let tally = server.app.tracer().unwrap().tally();
-    assert_eq!((tally.exported(), tally.dropped()), (collector.spans().len() as u64, 0));
+    let stats = server.app.tracer().unwrap().stats();
+    assert_eq!((stats.exported(), stats.dropped()), (collector.spans().len() as u64, 0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -235,7 +235,7 @@ async fn spans_that_nobody_takes_are_counted() {
     let away = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let server = Server::start(&["--otlp-endpoint", &format!("http://{away}")]).await;
     server.is_well().await;
-    eventually("they are dropped", || server.app.tracer().unwrap().tally().dropped() >= 7).await;
+    eventually("they are dropped", || server.app.tracer().unwrap().stats().dropped() >= 7).await;
     let metrics = server.get("/metrics").send().await.unwrap().text().await.unwrap();
     assert!(metrics.contains("mlswarp_spans_exported_total 0\n"), "{metrics}");
     let dropped = metrics.lines().find_map(|line| line.strip_prefix("mlswarp_spans_dropped_total ")).unwrap();
@@ -249,8 +249,8 @@ async fn spans_that_a_collector_rejects_are_not_exported() {
     let server = Server::start(&["--otlp-endpoint", &collector.url()]).await;
     server.is_well().await;
     let tally = || {
-        let tally = server.app.tracer().unwrap().tally();
-        (tally.exported(), tally.dropped())
+        let stats = server.app.tracer().unwrap().stats();
+        (stats.exported(), stats.dropped())
     };
     eventually("the batch is counted", || tally() != (0, 0)).await;
     let (exported, dropped) = tally();

@@ -3,7 +3,6 @@
 
 use std::future::Future;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -12,7 +11,6 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpError};
 
 use super::App;
-use super::causes::Origin;
 use super::draw::{DrawJob, Drawn};
 use super::warp::{ATTEMPTS, Source, json_unless};
 use crate::app::sequence::SequencePosition;
@@ -20,7 +18,7 @@ use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
-use crate::observe::scope::stage;
+use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
@@ -144,7 +142,7 @@ impl App {
             match self.warm(client, &record).await {
                 Ok(warm) => return Ok((record, warm)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
-                    let newest = self.0.store.peek(record.id).await?.record;
+                    let newest = in_stage("store", self.0.store.peek(record.id)).await?.record;
                     if newest.revision == record.revision {
                         return Err(problem);
                     }
@@ -168,7 +166,7 @@ impl App {
         let image = self.session_image(&ticket, record, source).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;
+        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, &mut timing).await?;
         Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
     }
 
@@ -192,7 +190,7 @@ impl App {
         let is_warm = self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
         let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, QueueKey::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, Origin::Session, &mut timing).await?;
+        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, &mut timing).await?;
         Ok((ticket, Walked { setup, plan, timing, plan_built }))
     }
 
@@ -253,7 +251,7 @@ impl App {
     }
 
     fn superseded(&self, seq: u64) -> Problem {
-        self.0.pictures.superseded.fetch_add(1, Ordering::Relaxed);
+        self.0.metrics.requests_superseded.inc();
         Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq").actual(seq)
     }
 }

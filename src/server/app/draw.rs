@@ -207,7 +207,7 @@ struct PictureGuard {
 
 impl PictureGuard {
     fn new(app: &App) -> Self {
-        app.0.pictures.begun.fetch_add(1, Ordering::Relaxed);
+        app.metrics().pictures_begun.inc();
         Self { app: app.clone(), finished: AtomicBool::new(false) }
     }
 
@@ -215,7 +215,7 @@ impl PictureGuard {
         if !self.finished.swap(true, Ordering::Relaxed) {
             self.app.metrics().drawn(clock.cost());
             clock.tell();
-            self.app.0.pictures.finished.fetch_add(1, Ordering::Relaxed);
+            self.app.metrics().pictures_finished.inc();
         }
     }
 }
@@ -223,7 +223,7 @@ impl PictureGuard {
 impl Drop for PictureGuard {
     fn drop(&mut self) {
         if !*self.finished.get_mut() {
-            self.app.0.pictures.abandoned.fetch_add(1, Ordering::Relaxed);
+            self.app.metrics().pictures_abandoned.inc();
         }
     }
 }

@@ -1,9 +1,8 @@
 //! The use cases, and the state that they share: pool, caches, sessions, limits. No HTTP and no JSON here; every error is a [`Problem`].
 
-pub mod causes;
 pub mod drag;
 pub mod draw;
-mod figures;
+mod gauges;
 pub mod holdings;
 pub(crate) mod lifecycle;
 pub mod live_drag;
@@ -12,8 +11,7 @@ pub mod sequence;
 pub(crate) mod session;
 pub mod warp;
 
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -30,12 +28,10 @@ use crate::limits::connections::ConnectionLimiter;
 use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
-use crate::observe::tracer::{Exporting, NotTraced, Outbox, Tracer};
+use crate::observe::tracer::{Tracer, TracerError};
 use crate::pool::{Pool, PoolError, QueueKey, Shape, Work};
 use crate::problem::{Code, Problem};
-use crate::store::timed::Timed;
 use crate::store::{NotOpened, Store, StoreError};
-use causes::Causes;
 use holdings::Holdings;
 use lifecycle::Phases;
 
@@ -79,29 +75,9 @@ pub(crate) struct AppState {
     pub(crate) store: Arc<dyn Store>,
     pub(crate) sequencer: Sequencer,
     pub(crate) phases: Phases,
-    pub(crate) causes: Causes,
-    pub(crate) pictures: Pictures,
     pub(crate) seats: SocketSlots,
-    pub(crate) drags: Drags,
     pub(crate) metrics: Metrics,
     pub(crate) tracer: Option<Tracer>,
-    pub(crate) outbox: Mutex<Option<Outbox>>,
-}
-
-/// Pictures begun, and how they ended.
-#[derive(Debug, Default)]
-pub(crate) struct Pictures {
-    pub(crate) begun: AtomicU64,
-    pub(crate) finished: AtomicU64,
-    pub(crate) abandoned: AtomicU64,
-    pub(crate) superseded: AtomicU64,
-}
-
-/// What the drag sockets did.
-#[derive(Debug, Default)]
-pub(crate) struct Drags {
-    pub(crate) frames: AtomicU64,
-    pub(crate) superseded: AtomicU64,
 }
 
 /// What has happened so far.
@@ -147,18 +123,17 @@ pub enum NotStarted {
     Store(#[from] NotOpened),
     /// Traces cannot be exported.
     #[error("{0}")]
-    Traces(#[from] NotTraced),
+    Traces(#[from] TracerError),
 }
 
 impl App {
-    /// Opens the store and starts the compute pool.
+    /// Opens the store, starts the compute pool and, with a collector, the export of traces, which needs a runtime.
     ///
     /// # Errors
     /// See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.url, config.store.bounds())?;
-        let (tracer, outbox) = Tracer::new(config.telemetry.otlp_endpoint.clone(), config.telemetry.otlp_sample)?.unzip();
-        let store = if tracer.is_some() { Arc::new(Timed(store)) } else { store };
+        let tracer = Tracer::new(config.telemetry.otlp_endpoint.clone(), config.telemetry.otlp_sample)?;
         let (work, auth, clients) = (config.work, &config.auth, &config.clients);
         let of_client = |total| clients.client_share.of(total);
         let WorkConfig { workers, drag_wait, upload_wait, .. } = work;
@@ -183,14 +158,10 @@ impl App {
             store,
             sequencer: Sequencer::default(),
             phases: Phases::default(),
-            causes: Causes::default(),
-            pictures: Pictures::default(),
             // Half of the places for the frames of one client: the others are left to requests.
             seats: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
-            drags: Drags::default(),
             metrics: Metrics::default(),
             tracer,
-            outbox: Mutex::new(outbox),
             config,
         })))
     }
@@ -289,37 +260,30 @@ impl App {
     /// What has happened so far.
     #[must_use]
     pub fn counters(&self) -> Counters {
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let pictures = &self.0.pictures;
+        let metrics = &self.0.metrics;
         Counters {
             plans_built: self.0.plans.usage().built,
             images_decoded: self.0.images.usage().built,
-            pictures_begun: read(&pictures.begun),
-            pictures_finished: read(&pictures.finished),
-            pictures_abandoned: read(&pictures.abandoned),
-            superseded: read(&pictures.superseded),
+            pictures_begun: metrics.pictures_begun.get(),
+            pictures_finished: metrics.pictures_finished.get(),
+            pictures_abandoned: metrics.pictures_abandoned.get(),
+            superseded: metrics.requests_superseded.get(),
             sockets_open: self.0.seats.taken() as u64,
-            frames_sent: read(&self.0.drags.frames),
-            poses_superseded: read(&self.0.drags.superseded),
+            frames_sent: metrics.frames_sent.get(),
+            poses_superseded: metrics.poses_superseded.get(),
         }
     }
 
-    /// What is collected of requests as they are answered.
+    /// Counters and histograms.
     #[must_use]
     pub fn metrics(&self) -> &Metrics {
         &self.0.metrics
     }
 
-    /// Who begins traces, where there is a collector.
+    /// Starts spans, if there is a collector.
     #[must_use]
     pub fn tracer(&self) -> Option<&Tracer> {
         self.0.tracer.as_ref()
-    }
-
-    /// Exports traces from now on, once. Needs a runtime.
-    #[must_use]
-    pub fn export_traces(&self) -> Option<Exporting> {
-        self.0.outbox.lock().unwrap_or_else(PoisonError::into_inner).take().map(Outbox::open)
     }
 
     /// Drops every cached picture, plan and setup, as if all had been evicted. Sessions stay.

@@ -6,11 +6,11 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::causes::Origin;
 use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, setup_key, weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
+use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Work};
 use crate::problem::Problem;
@@ -79,12 +79,12 @@ impl App {
             let resolve =
                 move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
-            self.plan(id.owner(), &ticket, &setup, Origin::Handles, &mut Timing::default()).await?;
+            self.plan(id.owner(), &ticket, &setup, &mut Timing::default()).await?;
             drop(ticket);
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             let claim = self.0.holdings.claim_revision(&new)?;
-            let revised = self.0.store.revise(old.revision, Arc::new(new)).await;
+            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new))).await;
             match revised {
                 Ok(Some(_)) => self.0.holdings.settle(&claim),
                 _ => self.0.holdings.undo(claim),
@@ -105,7 +105,7 @@ impl App {
         let _turn = self.0.pool.admit(Work::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.holdings.claim(client.tenant(), &record, file.len() as u64)?;
         // If this request ends while the store works, the session may come to be: it stays counted.
-        let put = self.0.store.put(record, file).await;
+        let put = in_stage("store", self.0.store.put(record, file)).await;
         match put {
             Ok(_) => self.0.holdings.settle(&claim),
             Err(_) => self.0.holdings.undo(claim),
@@ -118,7 +118,7 @@ impl App {
     /// [`Store::touch`]: crate::store::Store::touch
     pub(crate) async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
         let claim = self.0.holdings.claim_of(id);
-        let touched = self.0.store.touch(id, seq).await;
+        let touched = in_stage("store", self.0.store.touch(id, seq)).await;
         match &touched {
             Ok(_) => self.0.holdings.used(id),
             Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.holdings.ended(id, claim),
@@ -144,9 +144,7 @@ impl App {
         if !self.0.store.names(owner, record.image) {
             self.0.images.remove(image_key(record));
             if let Some(setup) = setup {
-                let key = Key::new(owner, setup.plan_key());
-                self.0.plans.remove(key);
-                self.0.causes.forget(key);
+                self.0.plans.remove(Key::new(owner, setup.plan_key()));
             }
         }
     }
@@ -156,7 +154,7 @@ impl App {
     /// # Errors
     /// Unknown or expired.
     pub async fn session(&self, id: SessionId) -> Result<Session, Problem> {
-        Ok(self.0.store.peek(id).await?)
+        Ok(in_stage("store", self.0.store.peek(id)).await?)
     }
 
     /// Ends the session. One that was deleted a short time ago, or that another version of the program has stored, has nothing here to forget.
@@ -164,8 +162,8 @@ impl App {
     /// # Errors
     /// Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
-        let (known, claim) = (self.0.store.peek(id).await, self.0.holdings.claim_of(id));
-        self.0.store.delete(id).await?;
+        let (known, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.holdings.claim_of(id));
+        in_stage("store", self.0.store.delete(id)).await?;
         self.0.holdings.ended(id, claim);
         if let Ok(session) = known {
             self.evict_session(&session.record).await;

@@ -12,12 +12,11 @@ use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
 use serde::Serialize;
 
 use super::App;
-use super::causes::Origin;
 use super::draw::{DrawJob, Drawn};
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
-use crate::observe::scope::stage;
+use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, Work};
 use crate::problem::{Code, Problem};
@@ -145,7 +144,7 @@ impl App {
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits(), image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
-        let (plan, plan_built) = self.plan(owner, ticket, &setup, Origin::Handles, &mut timing).await?;
+        let (plan, plan_built) = self.plan(owner, ticket, &setup, &mut timing).await?;
         Ok((PreparedWarp { file, digest, object, format, image, setup }, plan, timing, plan_built))
     }
 
@@ -189,9 +188,9 @@ impl App {
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let fetch = async move {
             let _turn = app.0.pool.admit(Work::Transfer, QueueKey::session(client, theirs.id)).await?;
-            let bytes = app.0.store.image_bytes(theirs.id, theirs.image).await?;
+            let bytes = in_stage("store", app.0.store.image_bytes(theirs.id, theirs.image)).await?;
             let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
-            let file = app.0.store.image(theirs.id, theirs.image).await?;
+            let file = in_stage("store", app.0.store.image(theirs.id, theirs.image)).await?;
             held.shrink_to((file.len() as u64).max(LEAST_KEPT));
             Ok(CacheEntry::new(file, held))
         };
@@ -211,7 +210,6 @@ impl App {
         owner: Owner,
         ticket: &Ticket,
         setup: &Arc<Setup>,
-        origin: Origin,
         timing: &mut Timing,
     ) -> Result<(Arc<CacheEntry<Plan>>, bool), Problem> {
         let began = Instant::now();
@@ -222,8 +220,6 @@ impl App {
             let threads = app.0.pool.clone();
             let fill = move |cancel: &Cancel| threads.run_parallel(|| theirs.plan_unless(&|| cancel.is_cancelled()));
             let plan = app.0.pool.run(&ticket, fill).await??;
-            let cause = app.0.causes.built(key, origin);
-            tracing::debug!(cause = cause.name(), "a plan was built");
             Ok(CacheEntry::new(plan, held))
         };
         let fetched = self.0.plans.get(key, build, build_aborted).await?;

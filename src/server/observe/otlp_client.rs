@@ -1,10 +1,11 @@
-//! Batches of spans to their collector: one connection that is kept, HTTP/1.1, plain or by TLS. Whoever calls bounds the time.
+//! An HTTP client for the OTLP exporter: HTTP/1.1, plain or over TLS, on one connection that is kept.
 
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use http_body_util::{BodyExt as _, Full, Limited};
 use hyper::client::conn::http1::{SendRequest, handshake};
@@ -15,57 +16,70 @@ use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceResponse
 use prost::Message as _;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
+use tokio::runtime::Handle;
 use tokio::sync::Mutex;
+use tokio::time::timeout;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
 use super::collector::Collector;
 use crate::auth::tls::trusting_the_systems_roots;
 
-/// Most bytes of a collector's answer: it has next to nothing to say.
-const ANSWER: usize = 64 << 10;
+/// Maximum size of a collector's response.
+const MAX_RESPONSE_BYTES: usize = 64 << 10;
+/// Maximum time for a collector to accept a batch.
+const EXPORT_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A client of one collector.
-pub(crate) struct Post {
+#[derive(Clone)]
+pub(crate) struct OtlpClient(Arc<ClientState>);
+
+struct ClientState {
     authority: String,
     tls: Option<(TlsConnector, ServerName<'static>)>,
-    /// Spans that the collector would not have, though it took their batch.
+    /// Spans that the collector rejected of batches that it accepted.
     rejected: Arc<AtomicU64>,
     connection: Mutex<Option<SendRequest<Full<Bytes>>>>,
+    /// The exporter has a thread of its own, without a runtime.
+    runtime: Handle,
 }
 
-impl fmt::Debug for Post {
+impl fmt::Debug for OtlpClient {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Post").field("authority", &self.authority).finish_non_exhaustive()
+        f.debug_struct("OtlpClient").field("authority", &self.0.authority).finish_non_exhaustive()
     }
 }
 
-impl Post {
+impl OtlpClient {
     /// # Errors
-    /// TLS is wanted, and nobody is trusted or the collector's name is none.
+    /// There is no runtime. With TLS: no root certificates are trusted, or the collector's name is invalid.
     pub(crate) fn new(collector: &Collector, rejected: Arc<AtomicU64>) -> Result<Self, String> {
         let tls = || {
             let name = ServerName::try_from(collector.host().to_owned()).map_err(|error| error.to_string())?;
             Ok::<_, String>((TlsConnector::from(trusting_the_systems_roots()?), name))
         };
         let tls = collector.is_tls.then(tls).transpose()?;
-        Ok(Self { authority: collector.authority.clone(), tls, rejected, connection: Mutex::new(None) })
+        let runtime = Handle::try_current().map_err(|error| error.to_string())?;
+        let authority = collector.authority.clone();
+        Ok(Self(Arc::new(ClientState { authority, tls, rejected, connection: Mutex::new(None), runtime })))
     }
+}
 
+impl ClientState {
     async fn connect(&self) -> Result<SendRequest<Full<Bytes>>, HttpError> {
         let stream = TcpStream::connect(&self.authority).await?;
         match &self.tls {
-            Some((connector, name)) => begin(connector.connect(name.clone(), stream).await?).await,
-            None => begin(stream).await,
+            Some((connector, name)) => start(connector.connect(name.clone(), stream).await?).await,
+            None => start(stream).await,
         }
     }
 
-    async fn post(&self, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
+    async fn send(&self, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
         let (mut head, body) = request.into_parts();
         head.headers.insert(HOST, HeaderValue::from_str(&self.authority)?);
-        // On a connection of HTTP/1.1 the path alone is asked for.
+        // HTTP/1.1 sends the path alone.
         head.uri = head.uri.path().parse()?;
-        // Taken out: a call that is given up leaves no half-read answer behind.
+        // Taken out: a cancelled request leaves no connection with a half-read response behind.
         let mut slot = self.connection.lock().await;
         let kept = slot.take().filter(|connection| !connection.is_closed());
         let mut connection = match kept {
@@ -75,27 +89,27 @@ impl Post {
         connection.ready().await?;
         let response = connection.send_request(Request::from_parts(head, Full::new(body))).await?;
         let (head, body) = response.into_parts();
-        let body = Limited::new(body, ANSWER).collect().await?.to_bytes();
+        let body = Limited::new(body, MAX_RESPONSE_BYTES).collect().await?.to_bytes();
         *slot = Some(connection);
-        // A collector that has nothing to add says nothing; what cannot be read is nothing.
-        let answer = ExportTraceServiceResponse::decode(body.clone()).unwrap_or_default();
-        let rejected = answer.partial_success.map_or(0, |partial| partial.rejected_spans);
+        // A response that cannot be read rejects nothing.
+        let response = ExportTraceServiceResponse::decode(body.clone()).unwrap_or_default();
+        let rejected = response.partial_success.map_or(0, |partial| partial.rejected_spans);
         self.rejected.fetch_add(u64::try_from(rejected).unwrap_or(0), Ordering::Relaxed);
         Ok(Response::from_parts(head, body))
     }
 }
 
-async fn begin<S>(stream: S) -> Result<SendRequest<Full<Bytes>>, HttpError>
+async fn start<S>(stream: S) -> Result<SendRequest<Full<Bytes>>, HttpError>
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
     let (sender, connection) = handshake(TokioIo::new(stream)).await?;
-    // Ends with the sender, and its errors are the sender's.
+    // Ends with the sender, which also returns its errors.
     tokio::spawn(connection);
     Ok(sender)
 }
 
-impl HttpClient for Post {
+impl HttpClient for OtlpClient {
     fn send_bytes<'a, 'b>(
         &'a self,
         request: Request<Bytes>,
@@ -104,10 +118,12 @@ impl HttpClient for Post {
         'a: 'b,
         Self: 'b,
     {
+        let client = Arc::clone(&self.0);
+        let sending = self.0.runtime.spawn(async move { timeout(EXPORT_TIMEOUT, client.send(request)).await? });
         Box::pin(async move {
-            let posted = self.post(request).await;
-            // The exporter says no more than that the network failed.
-            posted.inspect_err(|error| tracing::debug!(%error, "spans were not posted to {}", self.authority))
+            let sent = sending.await.unwrap_or_else(|ended| Err(ended.into()));
+            // The exporter's own error does not have the reason.
+            sent.inspect_err(|error| tracing::debug!(%error, "spans were not sent to {}", self.0.authority))
         })
     }
 }

@@ -1,14 +1,14 @@
-//! Whose request is worked on: what log lines and stages ask, wherever they are told. It goes with the request's future, and by its ticket to
-//! compute threads; outside of requests it is empty.
+//! The request that the current code works on: its id and its span. A scope goes with the request's futures, and by its ticket to compute threads;
+//! outside of requests it is empty.
 
 use std::future::Future;
 use std::sync::Arc;
-use std::time::Instant;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant, SystemTime};
 
-use opentelemetry::TraceId;
-use opentelemetry::trace::SpanContext;
+use opentelemetry::trace::{Span as _, SpanBuilder, SpanContext, SpanKind, Status, TraceContextExt as _, TraceId, Tracer as _};
+use opentelemetry::{Context, KeyValue};
 
-use super::trace::{Answer, Asked, Trace};
 use super::tracer::Tracer;
 use crate::problem::Code;
 
@@ -16,61 +16,147 @@ tokio::task_local! {
     static CURRENT: Scope;
 }
 
-/// One request, or one frame of a drag. Cloning shares it.
+/// One request, or one frame of a drag. Clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Scope(Option<Arc<Inner>>);
+pub struct Scope(Option<Arc<Request>>);
 
 #[derive(Debug)]
-struct Inner {
+struct Request {
     id: Arc<str>,
-    /// Of this request's own span, recorded or not; of the handshake's, at a socket.
-    context: Option<SpanContext>,
-    /// Ends with the last of those who work for the request.
-    trace: Option<Trace>,
+    /// The context of the request's span, recorded or not.
+    span_context: Option<SpanContext>,
+    recorded: Option<RecordedSpan>,
+}
+
+/// A sampled span. It is exported when the last scope of its request is dropped.
+#[derive(Debug)]
+struct RecordedSpan {
+    tracer: Tracer,
+    context: Context,
+    began: Instant,
+    start_time: SystemTime,
+    /// The end of the response's head or of the last stage, in nanoseconds after the beginning; 0 before there is one.
+    ended: AtomicU64,
+}
+
+impl RecordedSpan {
+    fn nanos(&self, at: Instant) -> u64 {
+        u64::try_from(at.saturating_duration_since(self.began).as_nanos()).unwrap_or(u64::MAX)
+    }
+
+    fn end_at(&self, at: Instant) {
+        self.ended.fetch_max(self.nanos(at), Ordering::Relaxed);
+    }
+}
+
+impl Drop for RecordedSpan {
+    fn drop(&mut self) {
+        let ended = match *self.ended.get_mut() {
+            // The client left before an answer.
+            0 => self.nanos(Instant::now()),
+            ended => ended,
+        };
+        self.context.span().end_with_timestamp(self.start_time + Duration::from_nanos(ended));
+    }
+}
+
+/// What a span tells of a request at its beginning.
+#[derive(Debug)]
+pub struct RequestInfo<'a> {
+    /// The caller's span, if it sent one.
+    pub parent: Context,
+    /// When the request arrived.
+    pub began: Instant,
+    /// The method, if HTTP defines it.
+    pub method: Option<&'static str>,
+    /// The pattern of the route, if there is one.
+    pub route: Option<&'a str>,
+    /// `http` or `https`.
+    pub scheme: &'static str,
 }
 
 impl Scope {
-    /// A request of that id, which is a plain word. `traced`: by whom, and what is known of it.
+    /// A request without a trace. `id` is made of letters, digits, `-`, `_` and `.`.
     #[must_use]
-    pub fn request(id: &str, traced: Option<(&Tracer, &Asked<'_>)>) -> Self {
-        let (context, trace) = traced.map(|(tracer, asked)| tracer.request(id, asked)).unzip();
-        Self(Some(Arc::new(Inner { id: id.into(), context, trace: trace.flatten() })))
+    pub fn untraced(id: &str) -> Self {
+        Self(Some(Arc::new(Request { id: id.into(), span_context: None, recorded: None })))
     }
 
-    /// The request that is worked on here.
+    /// A request whose span is named and described by `info`.
+    #[must_use]
+    pub fn request(id: &str, tracer: &Tracer, info: &RequestInfo<'_>) -> Self {
+        let RequestInfo { parent, began, method, route, scheme } = info;
+        Self::start(id.into(), tracer, parent, *began, |span| {
+            span.set_attribute(KeyValue::new("http.request.method", method.unwrap_or("_OTHER")));
+            span.set_attribute(KeyValue::new("url.scheme", *scheme));
+            let method = method.unwrap_or("HTTP");
+            match route {
+                Some(route) => {
+                    span.set_attribute(KeyValue::new("http.route", (*route).to_owned()));
+                    span.update_name(format!("{method} {route}"));
+                }
+                None => span.update_name(method),
+            }
+        })
+    }
+
+    /// A frame of the drag that this request opened. Its trace is its own, since the handshake's would have no end, and links to the handshake's.
+    #[must_use]
+    pub fn frame(&self, tracer: Option<&Tracer>) -> Self {
+        let (Some(handshake), Some(tracer)) = (&self.0, tracer) else { return self.clone() };
+        Self::start(Arc::clone(&handshake.id), tracer, &Context::new(), Instant::now(), |span| {
+            span.update_name("drag frame");
+            if let Some(context) = &handshake.span_context {
+                span.add_link(context.clone(), Vec::new());
+            }
+        })
+    }
+
+    fn start(
+        id: Arc<str>,
+        tracer: &Tracer,
+        parent: &Context,
+        began: Instant,
+        describe: impl FnOnce(&mut opentelemetry_sdk::trace::Span),
+    ) -> Self {
+        let start_time = SystemTime::now().checked_sub(began.elapsed()).unwrap_or(SystemTime::UNIX_EPOCH);
+        let builder = SpanBuilder::from_name("").with_kind(SpanKind::Server).with_start_time(start_time);
+        let mut span = tracer.sdk().build_with_context(builder, parent);
+        let span_context = Some(span.span_context().clone());
+        let recorded = span.is_recording().then(|| {
+            span.set_attribute(KeyValue::new("mlswarp.request_id", id.to_string()));
+            describe(&mut span);
+            RecordedSpan { tracer: tracer.clone(), context: Context::new().with_span(span), began, start_time, ended: AtomicU64::new(0) }
+        });
+        Self(Some(Arc::new(Request { id, span_context, recorded })))
+    }
+
+    /// The scope of the current code.
     #[must_use]
     pub fn current() -> Self {
         CURRENT.try_with(Self::clone).unwrap_or_default()
     }
 
-    /// The same request after its answer: its id is still told, and its trace does not wait for what comes now.
+    /// The same request without its span, for work that goes on after the response: log lines still have its id.
     #[must_use]
     pub fn answered(&self) -> Self {
-        let Some(inner) = &self.0 else { return Self::default() };
-        Self(Some(Arc::new(Inner { id: Arc::clone(&inner.id), context: inner.context.clone(), trace: None })))
-    }
-
-    /// A frame of the drag that this request has opened, with a trace of its own that links to the handshake's.
-    #[must_use]
-    pub fn frame(&self, tracer: Option<&Tracer>) -> Self {
-        let (Some(inner), Some(tracer)) = (&self.0, tracer) else { return self.clone() };
-        let (context, trace) = tracer.frame(&inner.id, inner.context.as_ref());
-        Self(Some(Arc::new(Inner { id: Arc::clone(&inner.id), context: Some(context), trace })))
+        let Some(request) = &self.0 else { return Self::default() };
+        Self(Some(Arc::new(Request { id: Arc::clone(&request.id), span_context: request.span_context.clone(), recorded: None })))
     }
 
     /// The request's id.
     #[must_use]
     pub fn id(&self) -> Option<&str> {
-        self.0.as_ref().map(|inner| &*inner.id)
+        self.0.as_ref().map(|request| &*request.id)
     }
 
-    /// The id of its trace, where there is a collector.
+    /// The id of its trace, if traces are exported.
     #[must_use]
     pub fn trace_id(&self) -> Option<TraceId> {
-        self.0.as_ref()?.context.as_ref().map(SpanContext::trace_id)
+        self.0.as_ref()?.span_context.as_ref().map(SpanContext::trace_id)
     }
 
-    /// Works for the request on this thread.
+    /// Runs `work` in this scope on this thread.
     pub fn enter<T>(&self, work: impl FnOnce() -> T) -> T {
         match &self.0 {
             Some(_) => CURRENT.sync_scope(self.clone(), work),
@@ -78,49 +164,68 @@ impl Scope {
         }
     }
 
-    /// Works for the request wherever the future goes.
+    /// Runs `future` in this scope.
     pub fn wrap<F: Future>(self, future: F) -> impl Future<Output = F::Output> {
         CURRENT.scope(self, future)
     }
 
-    /// How the request was answered.
-    pub fn tell(&self, answer: Answer) {
-        if let Some(trace) = self.trace() {
-            trace.answered(answer);
-        }
-    }
-
-    /// Why a frame has come to nothing.
-    pub fn fail(&self, code: Code) {
-        if let Some(trace) = self.trace() {
-            trace.failed(code);
-        }
-    }
-
-    /// What is made here is traced.
+    /// The span is sampled: stages are recorded.
     #[must_use]
     pub fn is_traced(&self) -> bool {
-        self.trace().is_some()
+        self.recorded().is_some()
     }
 
-    fn trace(&self) -> Option<&Trace> {
-        self.0.as_ref()?.trace.as_ref()
+    fn recorded(&self) -> Option<&RecordedSpan> {
+        self.0.as_ref()?.recorded.as_ref()
     }
 
-    /// A stage of what is traced.
+    /// Records the response's status; the span ends here unless a stage goes on.
+    pub fn set_response(&self, status: u16, code: Option<Code>) {
+        if let Some(recorded) = self.recorded() {
+            recorded.end_at(Instant::now());
+            recorded.context.span().set_attribute(KeyValue::new("http.response.status_code", i64::from(status)));
+        }
+        if let Some(code) = code {
+            self.set_error(code);
+        }
+    }
+
+    /// Records a problem. A client's mistake is no error of the service.
+    pub fn set_error(&self, code: Code) {
+        if let Some(recorded) = self.recorded() {
+            let span = recorded.context.span();
+            span.set_attribute(KeyValue::new("error.type", code.as_str()));
+            if code.status() >= 500 {
+                span.set_status(Status::error(""));
+            }
+        }
+    }
+
+    /// Records a stage as a child span.
     pub fn stage(&self, name: &'static str, began: Instant, ended: Instant) {
-        if let Some(trace) = self.trace() {
-            trace.stage(name, began, ended);
+        if let Some(recorded) = self.recorded() {
+            let at = |instant| recorded.start_time + Duration::from_nanos(recorded.nanos(instant));
+            let builder = SpanBuilder::from_name(name).with_start_time(at(began));
+            recorded.tracer.sdk().build_with_context(builder, &recorded.context).end_with_timestamp(at(ended));
+            recorded.end_at(ended);
         }
     }
 }
 
-/// A stage of the request that is worked on here has ended now.
+/// Records a stage of the current request that ends now.
 pub fn stage(name: &'static str, began: Instant) {
-    // Without a clone: the way of a drag goes through here, traced or not.
+    // Without cloning the scope: every frame of a drag calls this.
     let _ = CURRENT.try_with(|scope| {
         if scope.is_traced() {
             scope.stage(name, began, Instant::now());
         }
     });
+}
+
+/// Awaits `future` as a stage of the current request.
+pub async fn in_stage<T>(name: &'static str, future: impl Future<Output = T>) -> T {
+    let began = Instant::now();
+    let output = future.await;
+    stage(name, began);
+    output
 }

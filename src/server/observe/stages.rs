@@ -1,21 +1,21 @@
-//! How long the stages of a picture took, as responses, metrics and traces give it.
+//! Durations of the stages of a picture, as `Server-Timing` and the metrics report them.
 
 use std::time::Duration;
 
-/// Wall time of the steps before drawing.
+/// Wall time of the stages before drawing.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
     /// Waiting for a worker.
     pub queue: Duration,
-    /// Digest and decoding of the file, or waiting for who does.
+    /// Hashing and decoding the file, or waiting for another request that does.
     pub decode: Duration,
-    /// The table of coefficients, or waiting for who fills it.
+    /// Building the table of coefficients, or waiting for another request that does.
     pub plan: Duration,
     /// Posing the grid.
     pub deform: Duration,
 }
 
-/// Processor time of drawing, all threads together.
+/// Processor time of drawing, summed over all threads.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cost {
     /// Mesh to pixels.

@@ -1,184 +1,231 @@
-//! Traces on their way to a collector: which requests are traced, a bounded queue that never makes anybody wait, and one task that exports it in
-//! batches. Where the collector does not keep up, is away or never answers, spans are dropped and counted.
-//!
-//! A caller's `traceparent` is followed: what it does not sample is not traced; what it samples is, as often as `OBEYED` allows, since anybody
-//! may send the flag. Beyond that, and without a caller, the share decides by the id of the request's own span: the trace's id is the caller's to
-//! choose.
+//! The OpenTelemetry tracer: the SDK's provider and batch processor with our sampler, our bounds and counters of exported and dropped spans.
 
-use std::fmt;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::time::Duration;
 
-use opentelemetry::trace::{SpanContext, SpanId, TraceFlags, TraceId, TraceState};
-use opentelemetry::{InstrumentationScope, KeyValue};
+use opentelemetry::trace::TracerProvider as _;
+use opentelemetry::{Context, InstrumentationScope, KeyValue};
 use opentelemetry_otlp::{Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::resource::EnvResourceDetector;
-use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator, SpanExporter as _};
+use opentelemetry_sdk::trace::{
+    BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanLimits, SpanProcessor,
+};
 use thiserror::Error;
-use tokio::sync::{mpsc, oneshot, watch};
-use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
-use super::collected::Collected;
 use super::collector::Collector;
-use super::otlp_client::Post;
-use crate::limits::bucket::Bucket;
+use super::otlp_client::OtlpClient;
+use super::sampler::Sampler;
 
 /// The name of the service in every trace.
 const SERVICE: &str = "mlswarp";
-/// Traces that wait to be exported, about a kilobyte each.
-const QUEUE: usize = 2048;
-/// Traces that are exported at once.
-const BATCH: usize = 256;
-/// How long the first of a batch waits for others.
-const PAUSE: Duration = Duration::from_secs(1);
-/// Longest time for a collector to take a batch.
-const PATIENCE: Duration = Duration::from_secs(10);
-/// Traces a second, and at once, that are made because a caller asked for them.
-const OBEYED: (f64, f64) = (100.0, 200.0);
+/// Maximum number of spans that wait to be exported, about half a kilobyte each; a request has eight.
+const MAX_QUEUED: usize = 16_384;
+/// Spans in one export.
+const BATCH: usize = 2048;
+/// Maximum time until a span is exported.
+const EXPORT_INTERVAL: Duration = Duration::from_secs(1);
+/// How often a shutdown looks for spans that have not ended.
+const POLL: Duration = Duration::from_millis(5);
 
-/// Traces of a collector cannot be made.
+/// The exporter cannot be made.
 #[derive(Debug, Error)]
-#[error("traces cannot be exported to {collector}: {why}")]
-pub struct NotTraced {
+#[error("traces cannot be exported to {collector}: {reason}")]
+pub struct TracerError {
     collector: Collector,
-    why: String,
+    reason: String,
 }
 
-/// Begins traces. Cloning shares it.
-#[derive(Clone, Debug)]
-pub struct Tracer(Arc<TracerState>);
-
-struct TracerState {
-    share: f64,
-    obeyed: Mutex<Bucket>,
-    queue: mpsc::Sender<Collected>,
-    /// Traces that have not ended.
-    open: watch::Sender<usize>,
-    tally: Arc<Tally>,
-}
-
-impl fmt::Debug for TracerState {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Shared").field("share", &self.share).field("tally", &self.tally).finish_non_exhaustive()
-    }
-}
-
-/// What has become of spans.
+/// Counts spans by their fate.
 #[derive(Debug, Default)]
-pub struct Tally {
+pub struct ExportStats {
     exported: AtomicU64,
     dropped: AtomicU64,
+    /// Spans that have not ended.
+    open: AtomicUsize,
+    queued: AtomicUsize,
+    /// The last export failed: the next failure is not logged.
+    is_failing: AtomicBool,
 }
 
-impl Tally {
-    /// Spans that a collector has taken.
+impl ExportStats {
+    /// Spans that the collector has accepted.
     #[must_use]
     pub fn exported(&self) -> u64 {
         self.exported.load(Ordering::Relaxed)
     }
 
-    /// Spans that were lost because the queue was full or the collector did not take them.
+    /// Spans that were lost: the queue was full, or the collector did not accept them.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 }
 
-/// What is to be exported, before somebody does.
-pub struct Outbox {
-    queue: mpsc::Receiver<Collected>,
-    open: watch::Receiver<usize>,
-    exporter: SpanExporter,
-    /// Spans that the collector would not have of batches that it took.
-    rejected: Arc<AtomicU64>,
-    collector: Collector,
-    tally: Arc<Tally>,
-}
-
-impl fmt::Debug for Outbox {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Outbox").field("collector", &self.collector).finish_non_exhaustive()
-    }
+/// Starts spans. Clones share it.
+#[derive(Clone, Debug)]
+pub struct Tracer {
+    sdk: SdkTracer,
+    queue: SpanQueue,
 }
 
 impl Tracer {
-    /// For the collector of the options, if there is one.
+    /// Exports to the collector of the options, if there is one, from now on. Needs a runtime then.
     ///
     /// # Errors
-    /// The exporter cannot be made of the address and the variables of OpenTelemetry.
-    pub fn new(endpoint: Option<Collector>, share: f64) -> Result<Option<(Self, Outbox)>, NotTraced> {
+    /// The exporter cannot be made with this address and OpenTelemetry's variables.
+    pub fn new(endpoint: Option<Collector>, share: f64) -> Result<Option<Self>, TracerError> {
         let Some(collector) = endpoint else { return Ok(None) };
-        let rejected = Arc::<AtomicU64>::default();
-        let built = Post::new(&collector, Arc::clone(&rejected)).and_then(|post| {
-            SpanExporter::builder()
-                .with_http()
-                .with_endpoint(collector.to_string())
-                .with_protocol(Protocol::HttpBinary)
-                .with_http_client(post)
-                // Trying again would stop the queue; what is lost is counted.
-                .with_retry_policy(RetryPolicy::disabled())
-                .build()
-                .map_err(|error| error.to_string())
-        });
-        let mut exporter = match built {
-            Ok(exporter) => exporter,
-            Err(why) => return Err(NotTraced { collector, why }),
-        };
-        exporter.set_resource(&resource());
-        let (sender, queue) = mpsc::channel(QUEUE);
-        let (open, opened) = watch::channel(0);
-        let tally = Arc::<Tally>::default();
-        let obeyed = Mutex::new(Bucket::new(OBEYED.0, OBEYED.1, Instant::now()));
-        let shared = TracerState { share, obeyed, queue: sender, open, tally: Arc::clone(&tally) };
-        Ok(Some((Self(Arc::new(shared)), Outbox { queue, open: opened, exporter, rejected, collector, tally })))
+        let queue = SpanQueue::new(&collector).map_err(|reason| TracerError { collector, reason })?;
+        let provider = SdkTracerProvider::builder()
+            .with_sampler(Sampler::new(share))
+            // Set here, or variables of the environment would set them.
+            .with_span_limits(SpanLimits::default())
+            .with_span_processor(queue.clone())
+            .build();
+        let scope = InstrumentationScope::builder(SERVICE).with_version(env!("CARGO_PKG_VERSION")).build();
+        Ok(Some(Self { sdk: provider.tracer_with_scope(scope), queue }))
     }
 
-    /// What has become of spans so far.
+    /// Counters of exported and dropped spans.
     #[must_use]
-    pub fn tally(&self) -> &Tally {
-        &self.0.tally
+    pub fn stats(&self) -> &ExportStats {
+        &self.queue.0.stats
     }
 
-    pub(crate) fn context(&self, trace: TraceId, caller: Option<bool>, now: Instant) -> SpanContext {
-        let span = RandomIdGenerator::default().new_span_id();
-        let flags = if self.samples(span, caller, now) { TraceFlags::SAMPLED } else { TraceFlags::default() };
-        SpanContext::new(trace, span, flags, false, TraceState::NONE)
+    pub(crate) const fn sdk(&self) -> &SdkTracer {
+        &self.sdk
     }
 
-    fn samples(&self, span: SpanId, caller: Option<bool>, now: Instant) -> bool {
-        let obeyed = || self.0.obeyed.lock().unwrap_or_else(PoisonError::into_inner).take(now);
-        match caller {
-            Some(false) => false,
-            Some(true) => by_share(span, self.0.share) || obeyed(),
-            None => by_share(span, self.0.share),
+    /// Exports what is left, for at most `timeout`. A thread may still hold the span of an answered request: it has a quarter of that time.
+    pub async fn shutdown(&self, timeout: Duration) {
+        let deadline = Instant::now() + timeout;
+        while self.stats().open.load(Ordering::Relaxed) > 0 && Instant::now() < deadline - timeout * 3 / 4 {
+            tokio::time::sleep(POLL).await;
         }
-    }
-
-    /// A trace begins; [`Tracer::hand_over`] is its end.
-    pub(crate) fn opened(&self) {
-        self.0.open.send_modify(|open| *open += 1);
-    }
-
-    pub(crate) fn hand_over(&self, collected: Collected) {
-        let spans = collected.spans() as u64;
-        if self.0.queue.try_send(collected).is_err() {
-            self.0.tally.dropped.fetch_add(spans, Ordering::Relaxed);
+        let queue = self.queue.clone();
+        let flush = move || queue.shutdown(deadline.saturating_duration_since(Instant::now()));
+        if !matches!(tokio::task::spawn_blocking(flush).await, Ok(Ok(()))) {
+            self.stats().is_failing.store(true, Ordering::Relaxed);
+            tracing::warn!("traces that were not exported within {timeout:?} are lost");
         }
-        self.0.open.send_modify(|open| *open -= 1);
     }
 }
 
-/// By 63 bits of a random id.
-fn by_share(span: SpanId, share: f64) -> bool {
-    let low = u64::from_be_bytes(span.to_bytes()) >> 1;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "between 0 and 2^63")]
-    let bound = (share * (1_u64 << 63) as f64) as u64;
-    low < bound
+/// The SDK's batch processor behind a bound that counts what it drops.
+#[derive(Clone, Debug)]
+struct SpanQueue(Arc<QueueState>);
+
+#[derive(Debug)]
+struct QueueState {
+    batches: BatchSpanProcessor,
+    stats: Arc<ExportStats>,
+    is_shut_down: AtomicBool,
 }
 
-/// What sends the spans: the operator's words (`OTEL_SERVICE_NAME`, `OTEL_RESOURCE_ATTRIBUTES`) come before our own.
+impl SpanQueue {
+    fn new(collector: &Collector) -> Result<Self, String> {
+        let (stats, rejected) = (Arc::<ExportStats>::default(), Arc::<AtomicU64>::default());
+        let mut exporter = SpanExporter::builder()
+            .with_http()
+            .with_endpoint(collector.to_string())
+            .with_protocol(Protocol::HttpBinary)
+            .with_http_client(OtlpClient::new(collector, Arc::clone(&rejected))?)
+            // A retry would stop the queue; lost spans are counted instead.
+            .with_retry_policy(RetryPolicy::disabled())
+            .build()
+            .map_err(|error| error.to_string())?;
+        opentelemetry_sdk::trace::SpanExporter::set_resource(&mut exporter, &resource());
+        let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
+        let config = BatchConfigBuilder::default()
+            .with_max_queue_size(MAX_QUEUED)
+            .with_max_export_batch_size(BATCH)
+            .with_scheduled_delay(EXPORT_INTERVAL)
+            .build();
+        let batches = BatchSpanProcessor::new(exporter, config);
+        Ok(Self(Arc::new(QueueState { batches, stats, is_shut_down: AtomicBool::new(false) })))
+    }
+
+    /// Exports what is queued; later spans are dropped.
+    fn shutdown(&self, timeout: Duration) -> OTelSdkResult {
+        self.0.is_shut_down.store(true, Ordering::Relaxed);
+        self.0.batches.shutdown_with_timeout(timeout)
+    }
+}
+
+impl SpanProcessor for SpanQueue {
+    fn on_start(&self, _: &mut Span, _: &Context) {
+        self.0.stats.open.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn on_end(&self, span: SpanData) {
+        let QueueState { batches, stats, is_shut_down } = &*self.0;
+        // The SDK's queue has the same bound, but does not say what it drops.
+        let queued = stats.queued.fetch_add(1, Ordering::Relaxed);
+        if queued < MAX_QUEUED && !is_shut_down.load(Ordering::Relaxed) {
+            batches.on_end(span);
+        } else {
+            stats.queued.fetch_sub(1, Ordering::Relaxed);
+            stats.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        stats.open.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    fn force_flush(&self) -> OTelSdkResult {
+        self.0.batches.force_flush()
+    }
+
+    /// Does nothing: the provider calls this when it is dropped, which must not block. [`Tracer::shutdown`] exports what is left.
+    fn shutdown_with_timeout(&self, _: Duration) -> OTelSdkResult {
+        Ok(())
+    }
+}
+
+/// Counts what becomes of each batch, and logs when exports begin to fail and when they succeed again.
+#[derive(Debug)]
+struct CountingExporter {
+    exporter: SpanExporter,
+    /// Spans that the collector rejected of the batch that it accepted.
+    rejected: Arc<AtomicU64>,
+    collector: Collector,
+    stats: Arc<ExportStats>,
+}
+
+impl opentelemetry_sdk::trace::SpanExporter for CountingExporter {
+    async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
+        let Self { exporter, rejected, collector, stats } = self;
+        stats.queued.fetch_sub(batch.len(), Ordering::Relaxed);
+        let count = batch.len() as u64;
+        let result = exporter.export(batch).await;
+        let rejected = rejected.swap(0, Ordering::Relaxed).min(count);
+        let was_failing = stats.is_failing.swap(result.is_err(), Ordering::Relaxed);
+        let dropped = match &result {
+            Ok(()) => {
+                if was_failing {
+                    tracing::info!("traces are exported again ({collector})");
+                }
+                if rejected > 0 {
+                    tracing::debug!(rejected, "the collector rejected spans ({collector})");
+                }
+                rejected
+            }
+            Err(error) => {
+                if !was_failing {
+                    tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}");
+                }
+                count
+            }
+        };
+        stats.exported.fetch_add(count - dropped, Ordering::Relaxed);
+        stats.dropped.fetch_add(dropped, Ordering::Relaxed);
+        result
+    }
+}
+
+/// The resource of all spans: `OTEL_SERVICE_NAME` and `OTEL_RESOURCE_ATTRIBUTES` come before our own attributes.
 fn resource() -> Resource {
     let own = [
         KeyValue::new("service.version", env!("CARGO_PKG_VERSION")),
@@ -192,191 +239,72 @@ fn resource() -> Resource {
     }
 }
 
-/// The task that exports.
-#[derive(Debug)]
-pub struct Exporting {
-    task: JoinHandle<()>,
-    open: watch::Receiver<usize>,
-    stop: oneshot::Sender<()>,
-}
-
-impl Exporting {
-    /// Exports what is left, for as long as `within`. A thread may still hold the trace of a request that has been answered: it has a part of that.
-    pub async fn finish(mut self, within: Duration) {
-        let end = tokio::time::Instant::now() + within;
-        let _ = tokio::time::timeout(within / 4, self.open.wait_for(|open| *open == 0)).await;
-        let _ = self.stop.send(());
-        if tokio::time::timeout_at(end, &mut self.task).await.is_err() {
-            self.task.abort();
-            tracing::warn!("traces that were not exported within {within:?} are lost");
-        }
-    }
-}
-
-impl Outbox {
-    /// Begins to export. Needs a runtime.
-    #[must_use]
-    pub fn open(self) -> Exporting {
-        let (stop, stopped) = oneshot::channel();
-        let open = self.open.clone();
-        Exporting { task: tokio::spawn(self.run(stopped)), open, stop }
-    }
-
-    async fn run(mut self, mut stopped: oneshot::Receiver<()>) {
-        let scope = InstrumentationScope::builder(SERVICE).with_version(env!("CARGO_PKG_VERSION")).build();
-        let mut is_away = false;
-        loop {
-            let mut batch = Vec::new();
-            let is_over = self.gather(&mut batch, &mut stopped).await;
-            let mut spans = Vec::new();
-            for collected in batch {
-                collected.write(&scope, &mut spans);
-            }
-            if !spans.is_empty() {
-                self.export(spans, &mut is_away).await;
-            }
-            if is_over {
-                return;
-            }
-        }
-    }
-
-    /// A batch; true when it is the last.
-    async fn gather(&mut self, batch: &mut Vec<Collected>, stopped: &mut oneshot::Receiver<()>) -> bool {
-        let mut until = None;
-        while batch.len() < BATCH {
-            let pause = async {
-                match until {
-                    Some(until) => tokio::time::sleep_until(until).await,
-                    None => std::future::pending().await,
-                }
-            };
-            let room = BATCH - batch.len();
-            tokio::select! {
-                biased;
-                _ = &mut *stopped, if !self.queue.is_closed() => self.queue.close(),
-                received = self.queue.recv_many(batch, room) => {
-                    if received == 0 {
-                        return true;
-                    }
-                    until.get_or_insert_with(|| tokio::time::Instant::now() + PAUSE);
-                }
-                () = pause => return false,
-            }
-        }
-        false
-    }
-
-    async fn export(&self, spans: Vec<opentelemetry_sdk::trace::SpanData>, is_away: &mut bool) {
-        let count = spans.len() as u64;
-        self.rejected.store(0, Ordering::Relaxed);
-        let why = match tokio::time::timeout(PATIENCE, self.exporter.export(spans)).await {
-            Ok(Ok(())) => {
-                let rejected = self.rejected.swap(0, Ordering::Relaxed).min(count);
-                self.tally.exported.fetch_add(count - rejected, Ordering::Relaxed);
-                self.tally.dropped.fetch_add(rejected, Ordering::Relaxed);
-                if rejected > 0 {
-                    tracing::debug!(rejected, "spans that the collector would not have are lost ({})", self.collector);
-                }
-                if std::mem::take(is_away) {
-                    tracing::info!("traces are exported again ({})", self.collector);
-                }
-                return;
-            }
-            Ok(Err(error)) => error.to_string(),
-            Err(_) => format!("no answer within {PATIENCE:?}"),
-        };
-        self.tally.dropped.fetch_add(count, Ordering::Relaxed);
-        // Told once, until it takes them again.
-        if !std::mem::replace(is_away, true) {
-            tracing::warn!("traces are not exported ({}), and dropped until they can be: {why}", self.collector);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observe::trace::Asked;
+    use crate::observe::Scope;
+    use crate::observe::scope::RequestInfo;
+    use opentelemetry::trace::{SpanContext, TraceContextExt as _, TraceFlags, TraceState};
+    use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator};
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    use tokio::net::TcpListener;
 
-    fn tracer(share: f64) -> (Tracer, Outbox) {
-        Tracer::new(Some(Collector::parse("http://127.0.0.1:1").unwrap()), share).unwrap().unwrap()
+    fn request(tracer: &Tracer, parent: Context) -> Scope {
+        let info = RequestInfo { parent, began: std::time::Instant::now(), method: Some("GET"), route: Some("/"), scheme: "http" };
+        Scope::request("r", tracer, &info)
     }
 
-    fn parent(sampled: bool) -> Asked<'static> {
-        asked(RandomIdGenerator::default().new_trace_id(), sampled)
-    }
-
-    fn asked(trace: TraceId, sampled: bool) -> Asked<'static> {
-        let flags = if sampled { TraceFlags::SAMPLED } else { TraceFlags::default() };
-        let span = RandomIdGenerator::default().new_span_id();
-        Asked { parent: SpanContext::new(trace, span, flags, true, TraceState::NONE), ..stranger() }
-    }
-
-    fn stranger() -> Asked<'static> {
-        Asked { parent: SpanContext::empty_context(), began: Instant::now(), method: Some("GET"), route: Some("/"), scheme: "http" }
+    async fn listen() -> (TcpListener, Collector) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let collector = Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
+        (listener, collector)
     }
 
     #[tokio::test]
     async fn a_trace_that_ends_a_little_after_its_request_is_exported_too() {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let endpoint = Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
-        let (tracer, outbox) = Tracer::new(Some(endpoint), 1.0).unwrap().unwrap();
+        let (listener, collector) = listen().await;
+        let tracer = Tracer::new(Some(collector), 1.0).unwrap().unwrap();
         let takes = async {
             let (mut socket, _) = listener.accept().await.unwrap();
             assert!(socket.read(&mut [0; 1024]).await.unwrap() > 0);
             socket.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n").await.unwrap();
             tokio::io::copy(&mut socket, &mut tokio::io::sink()).await.unwrap();
         };
-        let (_, trace) = tracer.request("late", &stranger());
+        let scope = request(&tracer, Context::new());
         let late = async {
             tokio::time::sleep(Duration::from_millis(100)).await;
-            drop(trace.unwrap());
+            drop(scope);
         };
-        let ends = async { tokio::join!(takes, outbox.open().finish(Duration::from_secs(60)), late) };
+        let ends = async { tokio::join!(takes, tracer.shutdown(Duration::from_secs(60)), late) };
         let _ = tokio::time::timeout(Duration::from_secs(30), ends).await;
-        assert_eq!((tracer.tally().exported(), tracer.tally().dropped()), (1, 0));
+        assert_eq!((tracer.stats().exported(), tracer.stats().dropped()), (1, 0));
+        drop(request(&tracer, Context::new()));
+        assert_eq!(tracer.stats().dropped(), 1, "after the end");
     }
 
-    #[test]
-    fn the_share_decides_where_no_caller_does() {
-        let count = |share: f64| {
-            let (tracer, _outbox) = tracer(share);
-            (0..1000).filter(|_| tracer.request("r", &stranger()).1.is_some()).count()
-        };
-        assert_eq!((count(0.0), count(1.0)), (0, 1000));
-        assert!((350..650).contains(&count(0.5)));
+    #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+    async fn a_request_belongs_to_its_callers_trace() {
+        let tracer = Tracer::new(Some(Collector::parse("http://127.0.0.1:1").unwrap()), 0.0).unwrap().unwrap();
+        let ids = RandomIdGenerator::default();
+        let caller = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), TraceFlags::SAMPLED, true, TraceState::NONE);
+        let scope = request(&tracer, Context::new().with_remote_span_context(caller.clone()));
+        assert!(scope.is_traced() && scope.trace_id() == Some(caller.trace_id()));
+        let other = request(&tracer, Context::new());
+        assert!(!other.is_traced() && other.trace_id().is_some_and(|id| id != caller.trace_id()));
     }
 
-    #[test]
-    fn a_caller_is_followed_and_bounded() {
-        let (everything, _outbox) = tracer(1.0);
-        assert!(everything.request("r", &parent(false)).1.is_none(), "what the caller does not sample is not traced");
-        let (nothing, _outbox) = tracer(0.0);
-        let asked = parent(true);
-        let (context, trace) = nothing.request("r", &asked);
-        assert!(trace.is_some() && context.trace_id() == asked.parent.trace_id() && context.span_id() != asked.parent.span_id());
-        let obeyed = (0..1000).filter(|_| nothing.request("r", &parent(true)).1.is_some()).count();
-        assert!((190..600).contains(&obeyed), "{obeyed}");
-    }
-
-    #[test]
-    fn a_caller_chooses_no_id_that_is_traced_more_often() {
-        let (tracer, _outbox) = tracer(0.01);
-        let traced = (0..2000).filter(|_| tracer.request("r", &asked(TraceId::from_bytes(1_u128.to_be_bytes()), true)).1.is_some()).count();
-        assert!((190..800).contains(&traced), "{traced}");
-    }
-
-    #[test]
-    fn a_full_queue_drops_and_counts() {
-        let (tracer, mut outbox) = tracer(1.0);
-        for _ in 0..QUEUE + 10 {
-            drop(tracer.request("r", &stranger()));
+    #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+    async fn a_full_queue_drops_and_counts() {
+        // It never answers: the first batch is under way for the rest of the test.
+        let (_silent, collector) = listen().await;
+        let tracer = Tracer::new(Some(collector), 1.0).unwrap().unwrap();
+        drop(request(&tracer, Context::new()));
+        while tracer.stats().queued.load(Ordering::Relaxed) > 0 {
+            tokio::time::sleep(POLL).await;
         }
-        assert_eq!((tracer.tally().dropped(), outbox.queue.len()), (10, QUEUE));
-        outbox.queue.close();
-        drop(tracer.request("r", &stranger()));
-        assert_eq!(tracer.tally().dropped(), 11, "and after the end");
+        for _ in 0..MAX_QUEUED + 10 {
+            drop(request(&tracer, Context::new()));
+        }
+        assert_eq!((tracer.stats().dropped(), tracer.stats().queued.load(Ordering::Relaxed)), (10, MAX_QUEUED));
     }
 }

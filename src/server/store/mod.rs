@@ -22,7 +22,6 @@ pub mod record;
 pub mod redis;
 #[cfg(test)]
 mod suite;
-pub mod timed;
 mod url;
 
 use std::fmt;

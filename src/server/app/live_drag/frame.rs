@@ -74,7 +74,7 @@ pub(crate) async fn make(
 ) -> Result<Frame, Problem> {
     let made = walk(app, client, id, frames, form, order).await;
     if let Err(problem) = &made {
-        Scope::current().fail(problem.code);
+        Scope::current().set_error(problem.code);
     }
     made
 }

@@ -8,7 +8,6 @@ use std::collections::VecDeque;
 use std::future::{Future, pending};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -184,7 +183,7 @@ impl Drag {
                 Step::Wait(until) => break until,
             }
         };
-        self.app.0.drags.superseded.fetch_add(self.desk.take_superseded(), Ordering::Relaxed);
+        self.app.metrics().poses_superseded.inc_by(self.desk.take_superseded());
         until
     }
 
@@ -197,7 +196,7 @@ impl Drag {
             self.says.push_back(Outgoing::Text(frame.report));
         }
         self.says.push_back(Outgoing::Frame(frame.seq, frame.pieces));
-        self.app.0.drags.frames.fetch_add(1, Ordering::Relaxed);
+        self.app.metrics().frames_sent.inc();
     }
 
     /// Goes on with what is being made; never ends when that is nothing. May be dropped and called again.

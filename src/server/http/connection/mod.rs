@@ -120,7 +120,6 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     }
     // Until this function ends, whatever becomes of the others.
     let _watched = watchers.map(|listener| watched(&app, listener)).transpose()?;
-    let exporting = app.export_traces();
     let mut tasks = JoinSet::new();
     let left = async {
         stop.await;
@@ -150,8 +149,8 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
         let told = tokio::time::timeout(FAREWELL, app.settled());
         let exported = async {
-            if let Some(exporting) = exporting {
-                exporting.finish(FAREWELL).await;
+            if let Some(tracer) = app.tracer() {
+                tracer.shutdown(FAREWELL).await;
             }
         };
         let _ = tokio::join!(told, exported);

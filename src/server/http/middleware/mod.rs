@@ -16,7 +16,6 @@ use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt as _;
 use opentelemetry::Context;
 use opentelemetry::propagation::TextMapPropagator as _;
-use opentelemetry::trace::{SpanContext, TraceContextExt as _};
 use opentelemetry_http::HeaderExtractor;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use uuid::Uuid;
@@ -26,7 +25,7 @@ use super::response::problem::finish;
 use crate::app::App;
 use crate::auth::hosts::Hosts;
 use crate::observe::metrics::known_method;
-use crate::observe::{Answer, Asked, Scope};
+use crate::observe::{RequestInfo, Scope};
 use crate::pool::panic_text;
 use crate::problem::{Code, Problem};
 use cross_origin::Site;
@@ -69,23 +68,22 @@ pub(crate) async fn fence(State(Fence { app, hosts }): State<Fence>, request: Re
     // The pattern, never the path: neither a log nor a trace may hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
     let tracer = app.tracer().filter(|_| !route.as_ref().is_some_and(|route| UNTRACED_ROUTES.contains(&route.as_str())));
-    let asked = tracer.map(|_| Asked {
-        parent: parent(request.headers()),
-        began,
-        method: known_method(request.method().as_str()),
-        route: route.as_ref().map(MatchedPath::as_str),
-        scheme: if app.config().auth.tls.is_some() { "https" } else { "http" },
-    });
-    let scope = Scope::request(&id, tracer.zip(asked.as_ref()));
+    let scope = match tracer {
+        None => Scope::untraced(&id),
+        Some(tracer) => {
+            let info = RequestInfo {
+                parent: TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(request.headers())),
+                began,
+                method: known_method(request.method().as_str()),
+                route: route.as_ref().map(MatchedPath::as_str),
+                scheme: if app.config().auth.tls.is_some() { "https" } else { "http" },
+            };
+            Scope::request(&id, tracer, &info)
+        }
+    };
     let host = host::check(&request, hosts.as_ref());
     let fenced = fenced(app.clone(), request, next, host, Head { began, id, route });
     scope.wrap(fenced).await
-}
-
-/// The span that a client has for its request (`traceparent`, W3C); an invalid one where it has none.
-fn parent(headers: &HeaderMap) -> SpanContext {
-    let context = TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
-    context.span().span_context().clone()
 }
 
 /// What is known of a request before anything is done.
@@ -129,7 +127,7 @@ async fn fenced(app: App, mut request: Request, next: Next, host: Result<(), Pro
 /// The answer to what never was a request: the head could not be read, or came where it may not.
 pub(crate) fn refused(app: &App, problem: Problem) -> Response {
     let head = Head { began: Instant::now(), id: Uuid::new_v4().to_string(), route: None };
-    Scope::request(&head.id, None).enter(|| {
+    Scope::untraced(&head.id).enter(|| {
         app.metrics().refused(&problem);
         let code = Some(problem.code);
         let mut response = finish(problem.into_response(), &head.id);
@@ -154,7 +152,7 @@ fn sent(app: &App, response: &mut Response, site: Site, to: &Sent<'_>) {
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status().as_u16();
-    Scope::current().tell(Answer { status, code: *code });
+    Scope::current().set_response(status, *code);
     let route = route.as_ref().map_or("-", MatchedPath::as_str);
     app.metrics().answered(route, method, status, began.elapsed());
     let ms = began.elapsed().as_secs_f64() * 1e3;
