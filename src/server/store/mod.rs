@@ -16,12 +16,10 @@
 pub mod file;
 mod index;
 pub mod memory;
-#[cfg(test)]
-mod model;
 pub mod record;
 pub mod redis;
 #[cfg(test)]
-mod suite;
+mod tests;
 pub mod timed;
 mod url;
 

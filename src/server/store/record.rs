@@ -273,7 +273,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::store::suite;
+    use crate::store::tests::suite;
     use crate::wire::tests::warp_object;
     use mlswarp::deform::Handle;
     use mlswarp::geometry::Point;

@@ -130,7 +130,7 @@ impl SessionCache {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::suite;
+    use crate::store::tests::suite;
 
     #[test]
     fn the_longest_unasked_are_forgotten_when_there_are_too_many() {

@@ -1,8 +1,7 @@
 use super::*;
 use crate::store::StoreUrl;
-use crate::store::model;
-use crate::store::suite;
-use crate::store::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::{model, suite};
 
 #[path = "../../../../tests/it/support/redis.rs"]
 mod server;

@@ -1,9 +1,8 @@
 use std::path::PathBuf;
 
 use super::*;
-use crate::store::model;
-use crate::store::suite;
-use crate::store::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::{model, suite};
 
 mod power;
 
