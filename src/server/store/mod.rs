@@ -191,11 +191,6 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// Whether the store would do its work now. Answers within about a second.
     fn ready(&self) -> Answer<'_, ()>;
 
-    /// Waits until the numbers that were answered are where others will look for them; for whoever is about to end.
-    fn flush(&self) -> Answer<'_, ()> {
-        Box::pin(std::future::ready(Ok(())))
-    }
-
     /// What is in it, as this process knows it; without waiting.
     fn figures(&self) -> Figures;
 }

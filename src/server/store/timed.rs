@@ -64,10 +64,6 @@ impl Store for Timed {
         self.0.ready()
     }
 
-    fn flush(&self) -> Answer<'_, ()> {
-        self.0.flush()
-    }
-
     fn figures(&self) -> Figures {
         self.0.figures()
     }

@@ -3,11 +3,10 @@
 //! its `maxmemory`. A picture's file is kept once a session, and transferred on a connection of its own (`files.rs`).
 //!
 //! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
-//! period, with numbers that rise in this process alone and are told to the server when it is back (`owed.rs`); everything else is refused.
+//! period, with numbers that rise in this process alone; the server learns the highest one from the next pose. Everything else is refused.
 
 mod connection;
 mod files;
-mod owed;
 mod script;
 mod session_cache;
 #[cfg(test)]
@@ -22,7 +21,6 @@ use std::time::{Duration, Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::warp::Digest;
 use redis::{Cmd, FromRedisValue};
-use tokio::task::JoinSet;
 
 use super::record;
 use super::record::Unreadable;
@@ -32,7 +30,6 @@ use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
 use connection::{Peer, RedisConnection};
 use files::Files;
-use owed::{Debt, Owed};
 use script::{Replaces, number, status};
 use session_cache::{Known, SessionCache, Warm};
 
@@ -46,8 +43,6 @@ const PATIENCE_FOR_FILES: Duration = Duration::from_secs(10);
 const PUTS: usize = 8;
 /// A file is held by the buffer that it comes in, which grows by doubling, and by itself.
 const COPIES: u64 = 3;
-/// Sessions whose numbers are told at one time, once the server hears.
-const TOLD_AT_ONCE: usize = 64;
 /// Longest wait of those who ask whether the server is there, and how long its answer is believed.
 const READINESS: Duration = Duration::from_secs(1);
 
@@ -62,7 +57,6 @@ struct RedisStoreState {
     files_peer: Arc<Peer>,
     files: Files,
     memory: SessionCache,
-    owed: Owed,
     /// A server that made a drag wait is not asked by drags before.
     spared: Mutex<Option<Instant>>,
     seen: Mutex<Option<(Instant, bool)>>,
@@ -92,7 +86,6 @@ impl RedisStore {
             files: Files::new(&files_peer),
             files_peer,
             memory: SessionCache::new(bounds.idle, bounds.bytes),
-            owed: Owed::default(),
             spared: Mutex::default(),
             seen: Mutex::default(),
             damaged: AtomicU64::new(0),
@@ -216,44 +209,10 @@ impl RedisStoreState {
                     known.seq = known.seq.max(seq);
                     *known
                 };
-                if seq.is_some() && self.owed.owe(id, Debt { given: warm.given(), until: Instant::now() + self.idle }) {
-                    tokio::spawn(Arc::clone(self).tell_owed());
-                }
                 Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
             }
             answer => answer,
         }
-    }
-
-    /// Tells the server what it does not know, until nothing is left of that.
-    async fn tell_owed(self: Arc<Self>) {
-        let mut at_once = 1;
-        loop {
-            let mut telling = JoinSet::new();
-            for (id, debt) in self.owed.take(at_once) {
-                let shared = Arc::clone(&self);
-                telling.spawn(async move { shared.tell(id, debt).await });
-            }
-            if telling.is_empty() {
-                return;
-            }
-            let told = telling.join_all().await;
-            at_once = if told.contains(&false) { 1 } else { TOLD_AT_ONCE };
-            if at_once == 1 {
-                tokio::time::sleep(READINESS).await;
-            }
-        }
-    }
-
-    /// Whether the server has heard it, or nobody has a use for it: a session that is gone, or lives anew.
-    async fn tell(&self, id: SessionId, debt: Debt) -> bool {
-        let command = script::touch(id, None, Some(debt.given), self.idle);
-        if Instant::now() >= debt.until || self.run::<(i64, Vec<u8>, String)>(PATIENCE, &command).await.is_ok() {
-            return true;
-        }
-        // Whoever asks this goes on telling.
-        let _ = self.owed.owe(id, debt);
-        false
     }
 
     async fn ask_touch(self: Arc<Self>, id: SessionId, seq: Option<u64>, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
@@ -408,13 +367,6 @@ impl Store for RedisStore {
 
     fn ready(&self) -> Answer<'_, ()> {
         Box::pin(self.0.ready())
-    }
-
-    fn flush(&self) -> Answer<'_, ()> {
-        Box::pin(async {
-            self.0.owed.nothing().await;
-            Ok(())
-        })
     }
 
     fn figures(&self) -> Figures {
