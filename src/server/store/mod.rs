@@ -43,6 +43,11 @@ use crate::session::{Revision, SessionId};
 /// What a store answers, later.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
+/// An answer that needs no waiting.
+fn known<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
+    Box::pin(std::future::ready(answer))
+}
+
 /// What stays while q moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
