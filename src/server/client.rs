@@ -3,6 +3,8 @@
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
+use data_encoding::HEXLOWER;
+
 /// Whose sessions are meant. Sessions of one owner do not exist for another, not even their names.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Owner([u8; 16]);
@@ -29,7 +31,7 @@ impl fmt::Debug for Owner {
         if *self == Self::ANYBODY {
             return f.write_str("anybody");
         }
-        self.0[..4].iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        f.write_str(&HEXLOWER.encode(&self.0[..4]))
     }
 }
 

@@ -17,7 +17,7 @@ from verdict import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Story, judge
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
-# Most that a replica takes to tell the store what it does not know, when it is there.
+# Most that a replica takes to answer how far a session was dragged.
 TOLD = 10.0
 HANDS = (
     RequestHand("request 1", "chelsea.png", 0.00),
@@ -133,7 +133,7 @@ def tell(stack, story):
 
 
 def known(stack, hand):
-    """The last pose that the store knows of: a replica tells it within seconds what it answered while the store was slow."""
+    """The last pose that the service knows of."""
     deadline, seq = time.monotonic() + TOLD, -1
     while seq < hand.answered and time.monotonic() < deadline:
         with contextlib.suppress(Failure):

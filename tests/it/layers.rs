@@ -81,9 +81,8 @@ fn code(text: &str) -> String {
 }
 
 fn is_test(file: &Path) -> bool {
-    let name = |part: &std::ffi::OsStr| part.to_str().is_some_and(|part| part.starts_with("tests") || part.ends_with("_tests.rs"));
-    // The stores' common tests, and what they are compared with.
-    file.iter().any(name) || ["store/suite.rs", "store/model.rs"].iter().any(|tests| file.ends_with(tests))
+    let name = |part: &std::ffi::OsStr| part.to_str().is_some_and(|part| part.starts_with("tests"));
+    file.iter().any(name)
 }
 
 impl Sources {

@@ -122,7 +122,7 @@ async fn new_handles_that_wait_for_the_store_keep_nobody_else_waiting() {
     let relay = Relay::start(&redis).await;
     let server = start(&relay, "1").await;
     let id = server.session(&photo(20, 14), &json!({"p": [[2, 2]]})).await;
-    relay.hold(Some("EVAL"));
+    relay.hold(Some("EVALSHA"));
     let put = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&json!({"p": [[4, 4]]}));
     let put = tokio::spawn(put.send());
     // The store is asked for the session and, when that has taken too long, for the new handles.

@@ -8,7 +8,6 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
 use crate::support::program::Program;
-use crate::support::redis::Redis;
 use crate::support::server::form;
 use crate::support::{Hand, photo};
 use crate::tls::Folder;
@@ -187,35 +186,4 @@ async fn a_second_signal_waits_for_neither_delay_nor_grace_and_a_third_changes_n
     assert!(log.contains("told twice"), "{log}");
     assert!(told.elapsed() < Duration::from_secs(10), "{:?}", told.elapsed());
     assert_eq!(answer(begun).await, "", "its time was over");
-}
-
-#[tokio::test]
-async fn what_the_store_was_not_told_is_told_before_the_end() {
-    let redis = Redis::start(&[]);
-    let store = redis.address();
-    let options = ["--store", store.as_str()];
-    let program = Program::start(&options);
-    let client = Client::new();
-    let upload =
-        client.post(format!("http://{}/sessions", program.address)).multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
-    let session: Value = upload.send().await.unwrap().json().await.unwrap();
-    let session = format!("sessions/{}", session["id"].as_str().unwrap());
-    let drag = async |seq: u64| {
-        let url = format!("http://{}/{session}/warp", program.address);
-        let answer = client.post(url).json(&json!({"seq": seq, "q": [[44, 44]]})).send().await.unwrap();
-        assert_eq!(answer.status(), 200);
-    };
-    drag(1).await;
-    redis.signal("-STOP");
-    for seq in [2, 3, 4] {
-        drag(seq).await;
-    }
-    // What it asked meanwhile it has given up, and asks again later.
-    tokio::time::sleep(Duration::from_millis(2500)).await;
-    redis.signal("-CONT");
-    program.terminate();
-    ends(program).await;
-    let another = Program::start(&options);
-    let there: Value = client.get(format!("http://{}/{session}", another.address)).send().await.unwrap().json().await.unwrap();
-    assert_eq!(there["seq"], 4);
 }

@@ -298,13 +298,6 @@ impl App {
         self.0.seats.empty().await;
     }
 
-    /// Waits until the session store knows of every number that was answered.
-    pub async fn settled(&self) {
-        if let Err(error) = self.0.store.flush().await {
-            tracing::warn!(%error, "the sessions' last numbers were not told");
-        }
-    }
-
     /// Whether work that arrives now would be admitted, and with what. A store that is away after it was there leaves a service that does what it can:
     /// a file is used by this process alone and Redis is away for all replicas, and a proxy that took every one of them away would end also the sessions that go on without it. Answers within about
     /// a second.

@@ -1,7 +1,6 @@
 //! `GET /` and `GET /page/{file}`: the drag page, compiled in. It is served whole or as 304; it loads nothing from elsewhere, and the policy
 //! below holds it to that. `page/README.md` lists what in it may be relied on.
 
-use std::fmt::Write as _;
 use std::sync::LazyLock;
 
 use axum::Router;
@@ -11,6 +10,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
 use bytes::Bytes;
+use data_encoding::HEXLOWER;
 use sha2::{Digest as _, Sha256};
 
 use crate::app::App;
@@ -60,12 +60,7 @@ pub(crate) struct Asset {
 
 impl Asset {
     pub(crate) fn new(media: &'static str, bytes: Bytes) -> Self {
-        let mut tag = String::from("\"");
-        for byte in &Sha256::digest(&bytes)[..16] {
-            // Writing to a string does not fail.
-            let _ = write!(tag, "{byte:02x}");
-        }
-        tag.push('"');
+        let tag = format!("\"{}\"", HEXLOWER.encode(&Sha256::digest(&bytes)[..16]));
         Self { media: HeaderValue::from_static(media), bytes, tag: HeaderValue::try_from(tag).expect("hex is visible ASCII") }
     }
 

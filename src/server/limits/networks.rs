@@ -1,69 +1,51 @@
-//! Networks of addresses (`10.0.0.0/8`, `::1`), and the address that a request counts for.
+//! Networks of IP addresses (`10.0.0.0/8`, `::1`), and the address that a request counts for.
 
 use std::net::{IpAddr, Ipv6Addr};
 
-/// Addresses with the same first bits.
+use ipnet::IpNet;
+
+/// A range of addresses with a common prefix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Network {
-    base: u128,
-    mask: u128,
-    is_v4: bool,
-}
+pub struct Network(IpNet);
 
 impl Network {
-    /// Reads an address, or an address and how many of its bits count.
+    /// Reads an address, or a network in CIDR notation.
     ///
     /// # Errors
     /// It is neither.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not an address or a network such as 10.0.0.0/8 or fd00::/8");
-        let (address, bits) = text.split_once('/').map_or((text, None), |(address, bits)| (address, Some(bits)));
-        let address = address.parse::<IpAddr>().map_err(|_| wrong())?;
-        let width = if address.is_ipv4() { 32 } else { 128 };
-        let bits = bits.map_or(Ok(width), |bits| bits.parse::<u8>().ok().filter(|bits| *bits <= width).ok_or_else(wrong))?;
-        let (number, is_v4) = number(address);
-        let mask = mask(bits, width);
-        Ok(Self { base: number & mask, mask, is_v4 })
+        let network = match text.split_once('/') {
+            Some((address, bits)) => address.parse().ok().zip(bits.parse().ok()).and_then(|(address, bits)| IpNet::new(address, bits).ok()),
+            None => text.parse::<IpAddr>().ok().map(IpNet::from),
+        };
+        network.map(Self).ok_or_else(|| format!("`{text}` is not an address or a network such as 10.0.0.0/8 or fd00::/8"))
     }
 
-    /// Whether an address is of this network. An IPv4 address in IPv6 clothes is an IPv4 address.
+    /// Whether the network contains an address. An IPv4-mapped IPv6 address is an IPv4 address.
     #[must_use]
-    pub fn has(&self, address: IpAddr) -> bool {
-        let (number, is_v4) = number(address.to_canonical());
-        is_v4 == self.is_v4 && number & self.mask == self.base
+    pub fn contains(&self, address: IpAddr) -> bool {
+        self.0.contains(&address.to_canonical())
     }
 }
 
-fn number(address: IpAddr) -> (u128, bool) {
-    match address {
-        IpAddr::V4(v4) => (u128::from(v4.to_bits()), true),
-        IpAddr::V6(v6) => (v6.to_bits(), false),
-    }
-}
-
-const fn mask(bits: u8, width: u8) -> u128 {
-    let all = if width == 128 { u128::MAX } else { (1 << width) - 1 };
-    if bits == 0 { 0 } else { all & (u128::MAX << (width - bits)) }
-}
-
-/// Where a request comes from: the peer, or, where the peer is a trusted proxy, the last address of `forwarded` (a whole `X-Forwarded-For`, first
-/// hop first) that is not one. What stands further to the left was written by whoever asked and says nothing.
+/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no trusted
+/// proxy. Addresses further to the left are written by the client and are ignored.
 #[must_use]
 pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
-    let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.has(address));
+    let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.contains(address));
     let mut at = peer.to_canonical();
     for hop in forwarded.rev() {
         if !is_trusted(at) {
             break;
         }
-        // What is no address was not written by a proxy that can be trusted: the one before it is the last that is known.
+        // A trusted proxy writes addresses only.
         let Some(address) = hop_address(hop.trim()) else { break };
         at = address.to_canonical();
     }
     at
 }
 
-/// `192.0.2.1`, `192.0.2.1:1234`, `2001:db8::1`, `[2001:db8::1]`, `[2001:db8::1]:1234`.
+/// Reads `192.0.2.1`, `192.0.2.1:1234`, `2001:db8::1`, `[2001:db8::1]`, `[2001:db8::1]:1234`.
 fn hop_address(text: &str) -> Option<IpAddr> {
     if let Ok(address) = text.parse::<IpAddr>() {
         return Some(address);
@@ -95,7 +77,7 @@ mod tests {
             ("::/0", "2001:db8::1", "10.0.0.1"),
         ] {
             let network = Network::parse(network).unwrap();
-            assert!(network.has(ip(inside)) && !network.has(ip(outside)), "{network:?}");
+            assert!(network.contains(ip(inside)) && !network.contains(ip(outside)), "{network:?}");
         }
         for wrong in ["", "10.0.0.0/33", "::/129", "10.0.0", "10.0.0.0/", "10.0.0.0/-1", "here", "10.0.0.0/8/8"] {
             assert!(Network::parse(wrong).is_err(), "{wrong}");

@@ -378,7 +378,7 @@ pub fn record_bytes(record: &Record) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::suite;
+    use crate::store::tests::suite;
 
     #[test]
     fn a_name_that_is_used_again_has_one_grave() {

@@ -129,9 +129,8 @@ impl Store for MemoryStore {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::model;
-    use crate::store::suite;
-    use crate::store::suite::bounds;
+    use crate::store::tests::suite::bounds;
+    use crate::store::tests::{model, suite};
 
     #[tokio::test]
     async fn keeps_the_rules_of_every_store() {

@@ -16,12 +16,10 @@
 pub mod file;
 mod index;
 pub mod memory;
-#[cfg(test)]
-mod model;
 pub mod record;
 pub mod redis;
 #[cfg(test)]
-mod suite;
+mod tests;
 mod url;
 
 use std::fmt;
@@ -43,6 +41,11 @@ use crate::session::{Revision, SessionId};
 
 /// What a store answers, later.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
+
+/// An answer that needs no waiting.
+fn known<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
+    Box::pin(std::future::ready(answer))
+}
 
 /// What stays while q moves.
 #[derive(Clone, Debug, PartialEq)]
@@ -191,11 +194,6 @@ pub trait Store: Send + Sync + fmt::Debug {
 
     /// Whether the store would do its work now. Answers within about a second.
     fn ready(&self) -> Answer<'_, ()>;
-
-    /// Waits until the numbers that were answered are where others will look for them; for whoever is about to end.
-    fn flush(&self) -> Answer<'_, ()> {
-        Box::pin(std::future::ready(Ok(())))
-    }
 
     /// What is in it, as this process knows it; without waiting.
     fn figures(&self) -> Figures;

@@ -15,6 +15,7 @@
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use data_encoding::HEXLOWER;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Method;
 use mlswarp::pixmap::Extent;
@@ -183,9 +184,9 @@ pub fn write(record: &Record) -> Vec<u8> {
     let created = record.created.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let written = Written {
         version: VERSION,
-        id: hex(&record.id.to_bytes()),
-        revision: hex(record.revision.as_bytes()),
-        image: hex(&record.image.0),
+        id: HEXLOWER.encode(&record.id.to_bytes()),
+        revision: HEXLOWER.encode(record.revision.as_bytes()),
+        image: record.image.to_string(),
         width: record.extent.width(),
         height: record.extent.height(),
         created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
@@ -244,28 +245,12 @@ pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
 
 /// Digest of what two records that are made alike share. The same in every version of the program (see the module's rules).
 pub(crate) fn made(record: &Record) -> Digest {
-    let made = (hex(&record.image.0), Warp(record, Defaults::Written));
+    let made = (record.image.to_string(), Warp(record, Defaults::Written));
     Digest::of(&serde_json::to_vec(&made).expect("an object of numbers and words"))
 }
 
-/// Lower-case hexadecimal digits.
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    use std::fmt::Write as _;
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
-fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
-    if text.len() != 2 * N || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
-        return None;
-    }
-    let mut bytes = [0; N];
-    for (byte, at) in bytes.iter_mut().zip((0..2 * N).step_by(2)) {
-        *byte = u8::from_str_radix(text.get(at..at + 2)?, 16).ok()?;
-    }
-    Some(bytes)
+fn unhex<const N: usize>(digits: &str) -> Option<[u8; N]> {
+    HEXLOWER.decode(digits.as_bytes()).ok()?.try_into().ok()
 }
 
 #[cfg(test)]
@@ -273,7 +258,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::store::suite;
+    use crate::store::tests::suite;
     use crate::wire::tests::warp_object;
     use mlswarp::deform::Handle;
     use mlswarp::geometry::Point;
@@ -353,7 +338,7 @@ mod tests {
     /// What the first version of the program computed. A program that computes anything else would make a session anew that a replica has.
     #[test]
     fn the_digest_of_what_a_session_was_made_from_is_the_first_programs() {
-        let digest = |record: &Record, warp: &str| Digest::of(format!("[\"{}\",{warp}]", hex(&record.image.0)).as_bytes());
+        let digest = |record: &Record, warp: &str| Digest::of(format!("[\"{}\",{warp}]", record.image).as_bytes());
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
@@ -389,7 +374,7 @@ mod tests {
         let record = rich();
         assert!(named_files(&write(&record)).contains(&record.image));
         let other = Digest([0xab; 32]);
-        let json = format!("{{\"version\":2,\"files\":[\"{}\",\"sha256:{}\"]}}", hex(&record.image.0), hex(&other.0));
+        let json = format!("{{\"version\":2,\"files\":[\"{}\",\"sha256:{}\"]}}", record.image, other);
         let mut named = [record.image, other];
         named.sort_unstable_by_key(|digest| digest.0);
         assert_eq!(named_files(&sealed(json.as_bytes())), named);

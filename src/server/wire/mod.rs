@@ -16,8 +16,6 @@ mod socket;
 mod write;
 
 #[cfg(test)]
-mod contract_tests;
-#[cfg(test)]
 pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};

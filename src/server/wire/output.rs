@@ -1,5 +1,6 @@
 //! The `output` object: how the picture is made. A drag gives some of its fields, which replace those of the session.
 
+use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::OutputSpec;
@@ -85,22 +86,9 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
 
 /// Straight RGBA of 6 or 8 hexadecimal digits; opaque with 6.
 fn colour(digits: &str) -> Option<[u8; 4]> {
-    let digits = digits.as_bytes();
-    if digits.len() != 6 && digits.len() != 8 {
-        return None;
+    let mut rgba = HEXLOWER_PERMISSIVE.decode(digits.as_bytes()).ok()?;
+    if rgba.len() == 3 {
+        rgba.push(255);
     }
-    let mut rgba = [0, 0, 0, 255];
-    for (sample, pair) in rgba.iter_mut().zip(digits.chunks_exact(2)) {
-        *sample = 16 * hex(pair[0])? + hex(pair[1])?;
-    }
-    Some(rgba)
-}
-
-fn hex(digit: u8) -> Option<u8> {
-    match digit {
-        b'0'..=b'9' => Some(digit - b'0'),
-        b'a'..=b'f' => Some(digit - b'a' + 10),
-        b'A'..=b'F' => Some(digit - b'A' + 10),
-        _ => None,
-    }
+    rgba.try_into().ok()
 }

@@ -75,7 +75,6 @@ impl Serialize for AsJson<Digest> {
 
 impl fmt::Display for AsJson<Digest> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("sha256:")?;
-        self.0.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        write!(f, "sha256:{}", self.0)
     }
 }

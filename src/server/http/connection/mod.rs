@@ -26,7 +26,7 @@ use crate::app::{App, NotStarted};
 use crate::auth::tls::TlsFiles;
 use crate::config::Config;
 
-/// Longest time for drag sockets to close when the service stops, and then for the store to be told the last numbers and for the last traces to leave.
+/// Longest time for drag sockets to close when the service stops, and then for the last traces to leave.
 const FAREWELL: Duration = Duration::from_secs(3);
 /// What is left of all of that, the grace included, to whoever is told a second time.
 const HURRY: Duration = Duration::from_secs(1);
@@ -147,13 +147,9 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         tasks.abort_all();
         // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
         let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
-        let told = tokio::time::timeout(FAREWELL, app.settled());
-        let exported = async {
-            if let Some(tracer) = app.tracer() {
-                tracer.shutdown(FAREWELL).await;
-            }
-        };
-        let _ = tokio::join!(told, exported);
+        if let Some(tracer) = app.tracer() {
+            tracer.shutdown(FAREWELL).await;
+        }
     };
     let hurried = async {
         app.hurrying().await;

@@ -114,7 +114,7 @@ impl Connections {
 
     /// A place for another connection, if there is one.
     pub(crate) fn place(&self, peer: IpAddr) -> Option<ConnectionPermit> {
-        self.places.take(peer, self.auth.trusted_proxies.iter().any(|network| network.has(peer)))
+        self.places.take(peer, self.auth.trusted_proxies.iter().any(|network| network.contains(peer)))
     }
 
     /// Serves a connection until it ends.

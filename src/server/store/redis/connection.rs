@@ -1,6 +1,5 @@
-//! One connection to the server, with a bound on every wait: for many requests at a time, or, of those for files, for one. A connection that broke is
-//! made anew by the next request. A server to which none can be made, or which does not answer, is left alone for a second, in which all who ask are
-//! told so at once. A file that does not come in time says nothing of the server, and ends its own connection alone.
+//! A connection to the server, with a time limit on every wait. A broken connection is replaced by the next request. A server that does not answer is
+//! not asked for a second; requests in that second fail at once. A file that is late says nothing about the server and closes only its own connection.
 
 use std::future::Future;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,217 +15,227 @@ use crate::observe::Scope;
 use crate::store::{Address, StoreError};
 
 /// Longest wait for a connection.
-const CONNECT: Duration = Duration::from_secs(1);
-/// How long a server that does not answer is left alone.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long a server that does not answer is not asked.
 const PAUSE: Duration = Duration::from_secs(1);
 /// Requests that wait to be written.
-const WAITING: usize = 1024;
+const WRITE_QUEUE: usize = 1024;
 
-/// A connection, or the want of one. Cloning shares it.
-#[derive(Clone)]
-pub(crate) struct RedisConnection(Arc<RedisConnectionState>);
-
-struct RedisConnectionState {
-    peer: Arc<Peer>,
-    slot: Mutex<Slot>,
-}
-
-/// What is known of the server from one kind of requests.
-pub(crate) struct Peer {
-    /// Which kind, for the log.
+/// The server and its health, as seen by one kind of requests.
+pub(crate) struct Endpoint {
+    /// The kind of requests, for the log.
     name: &'static str,
-    /// An answer that does not come in time is the server's fault, not that request's alone.
+    /// A late answer is a failure of the server, not of one request.
     is_prompt: bool,
     client: Client,
-    not_before: SyncMutex<Option<Instant>>,
+    paused_until: SyncMutex<Option<Instant>>,
     failures: AtomicU64,
     is_away: AtomicBool,
-    was_heard: AtomicBool,
+    has_answered: AtomicBool,
 }
 
-#[derive(Default)]
-struct Slot {
-    connection: Option<MultiplexedConnection>,
-    /// Counts connections: a failure is of one of them.
-    made: u64,
-}
-
-impl Peer {
+impl Endpoint {
     pub(crate) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
         Ok(Arc::new(Self {
             name,
             is_prompt,
             client: Client::open(address.info().clone())?,
-            not_before: SyncMutex::default(),
+            paused_until: SyncMutex::default(),
             failures: AtomicU64::new(0),
             is_away: AtomicBool::new(false),
-            was_heard: AtomicBool::new(false),
+            has_answered: AtomicBool::new(false),
         }))
     }
 
-    /// Requests that were not answered, or answered that there is no room.
+    /// Requests that failed, or were answered that there is no room.
     pub(crate) fn failures(&self) -> u64 {
         self.failures.load(Ordering::Relaxed)
     }
 
-    /// It did not answer what was asked last.
+    /// The last request was not answered.
     pub(crate) fn is_away(&self) -> bool {
         self.is_away.load(Ordering::Relaxed)
     }
 
-    /// It has answered at some time.
-    pub(crate) fn was_heard(&self) -> bool {
-        self.was_heard.load(Ordering::Relaxed)
+    pub(crate) fn has_answered(&self) -> bool {
+        self.has_answered.load(Ordering::Relaxed)
     }
 
-    /// The server was heard by others: it is not left alone any longer.
-    pub(crate) fn relent(&self) {
-        *self.not_before() = None;
+    /// Ends the pause: the server has answered other requests.
+    pub(crate) fn resume(&self) {
+        *self.paused_until() = None;
     }
 
-    fn not_before(&self) -> MutexGuard<'_, Option<Instant>> {
-        self.not_before.lock().unwrap_or_else(PoisonError::into_inner)
+    fn pause(&self) {
+        *self.paused_until() = Some(Instant::now() + PAUSE);
     }
 
-    fn is_left_alone(&self) -> bool {
-        self.not_before().is_some_and(|not_before| Instant::now() < not_before)
+    fn is_paused(&self) -> bool {
+        self.paused_until().is_some_and(|until| Instant::now() < until)
     }
 
-    fn leave_alone(&self) {
-        *self.not_before() = Some(Instant::now() + PAUSE);
+    fn paused_until(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.paused_until.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Told once, until it is back.
-    fn away(&self, why: &str) {
+    fn count_failure(&self) {
         self.failures.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Logs an outage once, when it begins.
+    fn report_away(&self, why: &str) {
+        self.count_failure();
         if !self.is_away.swap(true, Ordering::Relaxed) {
             tracing::error!("the session store is away ({}): {why}", self.name);
         }
     }
 
-    fn is_here(&self) {
-        self.was_heard.store(true, Ordering::Relaxed);
+    fn report_answer(&self) {
+        self.has_answered.store(true, Ordering::Relaxed);
         if self.is_away() && self.is_away.swap(false, Ordering::Relaxed) {
             tracing::info!("the session store is back ({})", self.name);
         }
     }
 }
 
+/// A connection that is made when it is needed. Cloning shares it.
+#[derive(Clone)]
+pub(crate) struct RedisConnection(Arc<RedisConnectionState>);
+
+struct RedisConnectionState {
+    endpoint: Arc<Endpoint>,
+    slot: Mutex<Slot>,
+}
+
+#[derive(Default)]
+struct Slot {
+    connection: Option<MultiplexedConnection>,
+    /// Counts connections, so that a failure closes the one that failed and no later one.
+    generation: u64,
+}
+
+impl Slot {
+    fn get(&self) -> Option<(u64, MultiplexedConnection)> {
+        Some((self.generation, self.connection.clone()?))
+    }
+}
+
 impl RedisConnection {
-    pub(crate) fn new(peer: &Arc<Peer>) -> Self {
-        Self(Arc::new(RedisConnectionState { peer: Arc::clone(peer), slot: Mutex::default() }))
+    pub(crate) fn new(endpoint: &Arc<Endpoint>) -> Self {
+        Self(Arc::new(RedisConnectionState { endpoint: Arc::clone(endpoint), slot: Mutex::default() }))
     }
 
-    /// Ends the connection. Only while nothing is asked.
+    /// Closes the connection. Only while no request uses it.
     pub(crate) fn close(&self) {
         if let Ok(mut slot) = self.0.slot.try_lock() {
             slot.connection = None;
         }
     }
 
-    /// What the server says to `ask` within `patience`. A connection that turns out to be broken, as after a pause in which the server was started
-    /// anew, is made anew and asked once more: whatever is asked comes to the same when it is done twice.
-    pub(crate) async fn ask<T, F>(&self, patience: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
+    /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that turns out to be broken it is sent once more: all
+    /// requests are idempotent.
+    pub(crate) async fn ask<T, F>(&self, limit: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {
-        // Which connection was asked last: by the time that nobody waits any more there may be a newer one.
         let used = AtomicU64::new(0);
-        let asked = timeout(patience, async {
-            let (made, connection) = self.connection().await?;
-            used.store(made, Ordering::Relaxed);
-            match ask(connection).await {
+        let answer = timeout(limit, async {
+            match self.try_once(&used, &ask).await? {
                 Err(error) if is_broken(&error) => {
-                    self.lose(made).await;
-                    let (made, connection) = self.connection().await?;
-                    used.store(made, Ordering::Relaxed);
-                    Ok((made, ask(connection).await))
+                    self.discard(used.load(Ordering::Relaxed)).await;
+                    self.try_once(&used, &ask).await
                 }
-                answered => Ok((made, answered)),
+                answer => Ok(answer),
             }
         });
-        match asked.await {
-            Ok(Ok((_, Ok(answer)))) => {
-                self.0.peer.is_here();
+        let endpoint = &self.0.endpoint;
+        match answer.await {
+            Ok(Ok(Ok(answer))) => {
+                endpoint.report_answer();
                 Ok(answer)
             }
-            Ok(Ok((made, Err(error)))) => Err(self.fail(made, &error).await),
+            Ok(Ok(Err(error))) => Err(self.fail(used.into_inner(), &error).await),
             Ok(Err(away)) => Err(away),
             Err(_) => {
-                self.0.peer.away(&format!("no answer within {patience:?}"));
-                if self.lose(used.into_inner()).await && self.0.peer.is_prompt {
-                    self.0.peer.leave_alone();
+                endpoint.report_away(&format!("no answer within {limit:?}"));
+                if self.discard(used.into_inner()).await && endpoint.is_prompt {
+                    endpoint.pause();
                 }
                 Err(StoreError::Away)
             }
         }
     }
 
-    /// The connection that is there, or another one. Connecting goes on when the one who asked for it leaves.
-    async fn connection(&self) -> Result<(u64, MultiplexedConnection), StoreError> {
-        let slot = self.0.slot.lock().await;
-        if let Some(connection) = &slot.connection {
-            return Ok((slot.made, connection.clone()));
-        }
-        if self.0.peer.is_left_alone() {
-            self.0.peer.failures.fetch_add(1, Ordering::Relaxed);
-            return Err(StoreError::Away);
-        }
-        drop(slot);
-        let line = self.clone();
-        tokio::spawn(Scope::current().wrap(async move { line.connect().await })).await.unwrap_or(Err(StoreError::Away))
+    /// `used` is set to the generation of the connection.
+    async fn try_once<T, F>(&self, used: &AtomicU64, ask: &impl Fn(MultiplexedConnection) -> F) -> Result<RedisResult<T>, StoreError>
+    where
+        F: Future<Output = RedisResult<T>>,
+    {
+        let open = self.0.slot.lock().await.get();
+        let (generation, connection) = match open {
+            Some(open) => open,
+            None => {
+                // A task: it goes on when the request is dropped.
+                let this = self.clone();
+                tokio::spawn(Scope::current().wrap(async move { this.connect().await })).await.unwrap_or(Err(StoreError::Away))?
+            }
+        };
+        used.store(generation, Ordering::Relaxed);
+        Ok(ask(connection).await)
     }
 
     async fn connect(&self) -> Result<(u64, MultiplexedConnection), StoreError> {
-        // Those who come meanwhile wait here.
+        let endpoint = &self.0.endpoint;
+        // Requests that arrive while it connects wait for the lock.
         let mut slot = self.0.slot.lock().await;
-        if let Some(connection) = &slot.connection {
-            return Ok((slot.made, connection.clone()));
+        if let Some(open) = slot.get() {
+            return Ok(open);
         }
-        if self.0.peer.is_left_alone() {
+        if endpoint.is_paused() {
+            endpoint.count_failure();
             return Err(StoreError::Away);
         }
-        // Waits for answers are bounded by who asks.
-        let config = AsyncConnectionConfig::new().set_connection_timeout(None).set_response_timeout(None).set_pipeline_buffer_size(WAITING);
-        let why = match timeout(CONNECT, self.0.peer.client.get_multiplexed_async_connection_with_config(&config)).await {
+        // Each request has a time limit of its own.
+        let config =
+            AsyncConnectionConfig::new().set_connection_timeout(None).set_response_timeout(None).set_pipeline_buffer_size(WRITE_QUEUE);
+        let why = match timeout(CONNECT_TIMEOUT, endpoint.client.get_multiplexed_async_connection_with_config(&config)).await {
             Ok(Ok(connection)) => {
-                slot.made += 1;
+                slot.generation += 1;
                 slot.connection = Some(connection.clone());
-                return Ok((slot.made, connection));
+                return Ok((slot.generation, connection));
             }
             Ok(Err(error)) => error.to_string(),
-            Err(_) => format!("no connection within {CONNECT:?}"),
+            Err(_) => format!("no connection within {CONNECT_TIMEOUT:?}"),
         };
-        self.0.peer.leave_alone();
+        endpoint.pause();
         drop(slot);
-        self.0.peer.away(&why);
+        endpoint.report_away(&why);
         Err(StoreError::Away)
     }
 
-    /// That connection is not used again. `false`: it had been lost before.
-    async fn lose(&self, made: u64) -> bool {
+    /// Drops the connection of that generation. `false`: it was dropped before.
+    async fn discard(&self, generation: u64) -> bool {
         let mut slot = self.0.slot.lock().await;
-        slot.made == made && slot.connection.take().is_some()
+        slot.generation == generation && slot.connection.take().is_some()
     }
 
-    /// What an error means. A server that is full goes on answering; any other one may have become another server's replica, or be starting.
-    async fn fail(&self, made: u64, error: &RedisError) -> StoreError {
-        let text = error.to_string();
-        let failures = &self.0.peer.failures;
+    /// Classifies an error. Only a full server, and a foreign value under a session's key, leave the connection open: after any other error the
+    /// server may have become a replica, or be starting.
+    async fn fail(&self, generation: u64, error: &RedisError) -> StoreError {
+        let (text, endpoint) = (error.to_string(), &self.0.endpoint);
         if text.contains("OOM") {
-            failures.fetch_add(1, Ordering::Relaxed);
+            endpoint.count_failure();
             tracing::warn!("the session store has no room: {text}");
             return StoreError::NoRoom;
         }
-        // What somebody else has put under one key is no outage of all of them.
         if text.contains("WRONGTYPE") || error.kind() == ErrorKind::UnexpectedReturnType {
-            failures.fetch_add(1, Ordering::Relaxed);
+            endpoint.count_failure();
             tracing::error!("the session store holds something else under a session's key: {text}");
             return StoreError::Away;
         }
-        self.0.peer.away(&text);
-        if self.lose(made).await && !is_broken(error) {
-            self.0.peer.leave_alone();
+        endpoint.report_away(&text);
+        if self.discard(generation).await && !is_broken(error) {
+            endpoint.pause();
         }
         StoreError::Away
     }

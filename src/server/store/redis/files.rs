@@ -1,4 +1,4 @@
-//! Connections for files, a few, each of which transfers one file at a time: a file that comes slowly keeps no record and no other file waiting.
+//! Connections for files. Each transfers one file at a time, so that a slow file delays neither records nor other files.
 
 use std::future::Future;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,62 +9,60 @@ use redis::aio::MultiplexedConnection;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use super::connection::{Peer, RedisConnection};
+use super::connection::{Endpoint, RedisConnection};
 use crate::store::StoreError;
 
-/// Files that are transferred at one time, at most. Others wait for a connection, as long as they may take in all.
+/// Files that are transferred at one time, at most.
 const TRANSFERS: usize = 8;
-/// The client library keeps the buffer of the largest answer of a connection: after a larger file than this the connection is closed.
-const LARGE: usize = 1 << 20;
+/// The client library keeps the largest buffer of a connection: after a larger file than this the connection is closed.
+const LARGE_FILE: usize = 1 << 20;
 
-/// The connections.
-pub(crate) struct Files {
-    places: Semaphore,
-    /// Those that transfer nothing now; the one that was used last is used next.
-    free: Mutex<Vec<RedisConnection>>,
+pub(crate) struct FileConnections {
+    permits: Semaphore,
+    /// The most recently used one is last, and is used next.
+    idle: Mutex<Vec<RedisConnection>>,
 }
 
-/// A connection that transfers a file.
+/// Gives its connection back when it is dropped.
 struct Transfer<'a> {
-    files: &'a Files,
-    line: RedisConnection,
-    /// It can transfer another one.
-    is_sound: bool,
+    files: &'a FileConnections,
+    connection: RedisConnection,
+    is_reusable: bool,
 }
 
 impl Drop for Transfer<'_> {
     fn drop(&mut self) {
-        // An answer that nobody waits for any more would come before the next one.
-        if !self.is_sound {
-            self.line.close();
+        // The answer of an abandoned request would come before the next one's.
+        if !self.is_reusable {
+            self.connection.close();
         }
-        self.files.free.lock().unwrap_or_else(PoisonError::into_inner).push(self.line.clone());
+        self.files.idle.lock().unwrap_or_else(PoisonError::into_inner).push(self.connection.clone());
     }
 }
 
-impl Files {
-    pub(crate) fn new(peer: &Arc<Peer>) -> Self {
-        let free = (0..TRANSFERS).map(|_| RedisConnection::new(peer)).collect();
-        Self { places: Semaphore::new(TRANSFERS), free: Mutex::new(free) }
+impl FileConnections {
+    pub(crate) fn new(endpoint: &Arc<Endpoint>) -> Self {
+        let idle = (0..TRANSFERS).map(|_| RedisConnection::new(endpoint)).collect();
+        Self { permits: Semaphore::new(TRANSFERS), idle: Mutex::new(idle) }
     }
 
-    /// What the server says to `ask` within `patience`, by a connection that transfers nothing else. `len`: bytes of the file.
+    /// As [`RedisConnection::ask`], on a connection that transfers nothing else. `len` is the size of the transferred file in bytes.
     pub(crate) async fn ask<T, F>(
         &self,
-        patience: Duration,
+        limit: Duration,
         len: impl FnOnce(&T) -> usize,
         ask: impl Fn(MultiplexedConnection) -> F,
     ) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {
-        let until = Instant::now() + patience;
-        let Ok(Ok(_place)) = timeout(patience, self.places.acquire()).await else { return Err(StoreError::Away) };
-        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let Some(line) = free else { return Err(StoreError::Away) };
-        let mut transfer = Transfer { files: self, line, is_sound: false };
-        let answer = transfer.line.ask(until.saturating_duration_since(Instant::now()), ask).await;
-        transfer.is_sound = answer.as_ref().is_ok_and(|answer| len(answer) <= LARGE);
+        let until = Instant::now() + limit;
+        let Ok(Ok(_permit)) = timeout(limit, self.permits.acquire()).await else { return Err(StoreError::Away) };
+        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let Some(connection) = idle else { return Err(StoreError::Away) };
+        let mut transfer = Transfer { files: self, connection, is_reusable: false };
+        let answer = transfer.connection.ask(until.saturating_duration_since(Instant::now()), ask).await;
+        transfer.is_reusable = answer.as_ref().is_ok_and(|answer| len(answer) <= LARGE_FILE);
         answer
     }
 }

@@ -1,13 +1,13 @@
-//! Sessions on a Redis or Valkey that several processes share: what one answers, the others see at once. Every operation is one script on the
-//! server (`script.rs` has the keys), and a step of a drag one way there and back; life spans are the server's own expiry, and how much there may be is
-//! its `maxmemory`. A picture's file is kept once a session, and transferred on a connection of its own (`files.rs`).
+//! The store on a Redis or Valkey server that several processes share.
 //!
-//! What is known of sessions that were used here is remembered (`warm.rs`). While the server does not answer, those sessions go on for one idle
-//! period, with numbers that rise in this process alone and are told to the server when it is back (`owed.rs`); everything else is refused.
+//! Every operation is one script (`script.rs` describes the keys), and every change is visible to all processes at once. Sessions expire by the server's
+//! own expiry; its `maxmemory` bounds their size. Each session has a copy of its picture's file, transferred on separate connections (`files.rs`).
+//!
+//! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on for one idle period, with numbers that rise in this
+//! process alone; the server learns the highest one from the next pose. Everything else is refused.
 
 mod connection;
 mod files;
-mod owed;
 mod script;
 mod session_cache;
 #[cfg(test)]
@@ -22,7 +22,6 @@ use std::time::{Duration, Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::warp::Digest;
 use redis::{Cmd, FromRedisValue};
-use tokio::task::JoinSet;
 
 use super::record;
 use super::record::Unreadable;
@@ -30,44 +29,49 @@ use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, S
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
-use connection::{Peer, RedisConnection};
-use files::Files;
-use owed::{Debt, Owed};
-use script::{Replaces, number, status};
-use session_cache::{Known, SessionCache, Warm};
+use connection::{Endpoint, RedisConnection};
+use files::FileConnections;
+use script::{Call, Replaces, number, status};
+use session_cache::{CachedSession, SessionCache};
 
 /// Longest wait for an answer.
-const PATIENCE: Duration = Duration::from_secs(2);
-/// Longest wait for an answer that can be done without.
-const IMPATIENCE: Duration = Duration::from_millis(200);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+/// Longest wait for an answer about a cached session.
+const CACHED_TIMEOUT: Duration = Duration::from_millis(200);
 /// Longest wait for a file.
-const PATIENCE_FOR_FILES: Duration = Duration::from_secs(10);
-/// Attempts to put a session that others replace at the same time.
-const PUTS: usize = 8;
-/// A file is held by the buffer that it comes in, which grows by doubling, and by itself.
-const COPIES: u64 = 3;
-/// Sessions whose numbers are told at one time, once the server hears.
-const TOLD_AT_ONCE: usize = 64;
-/// Longest wait of those who ask whether the server is there, and how long its answer is believed.
-const READINESS: Duration = Duration::from_secs(1);
+const FILE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Longest wait for an answer to `ready`, and how long that answer is reused.
+const READY_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long the server is not asked about cached sessions after one answer was late.
+const BACK_OFF: Duration = Duration::from_secs(1);
+/// Attempts to put a session that other processes replace at the same time.
+const PUT_ATTEMPTS: usize = 8;
+/// The memory for a fetched file, in files: itself, and a receive buffer that grows by doubling.
+const FILE_COPIES: u64 = 3;
 
-/// A store on a server that others share. Cloning shares the connections.
+/// A store on a shared server. Cloning shares the connections.
 #[derive(Clone)]
 pub struct RedisStore(Arc<RedisStoreState>);
 
 struct RedisStoreState {
     idle: Duration,
-    peer: Arc<Peer>,
-    line: RedisConnection,
-    files_peer: Arc<Peer>,
-    files: Files,
-    memory: SessionCache,
-    owed: Owed,
-    /// A server that made a drag wait is not asked by drags before.
-    spared: Mutex<Option<Instant>>,
-    seen: Mutex<Option<(Instant, bool)>>,
+    endpoint: Arc<Endpoint>,
+    connection: RedisConnection,
+    files_endpoint: Arc<Endpoint>,
+    files: FileConnections,
+    sessions: SessionCache,
+    backed_off_until: Mutex<Option<Instant>>,
+    /// The last answer to `ready`.
+    readiness: Mutex<Option<(Instant, bool)>>,
     damaged: AtomicU64,
     other_version: AtomicU64,
+}
+
+/// How a session is looked up.
+#[derive(Clone, Copy)]
+enum Lookup {
+    Peek,
+    Touch(Option<u64>),
 }
 
 impl fmt::Debug for RedisStore {
@@ -77,24 +81,23 @@ impl fmt::Debug for RedisStore {
 }
 
 impl RedisStore {
-    /// A store on the server of that address, which need not be there yet.
+    /// A store on the server of that address, which may be down at this moment.
     ///
     /// # Errors
-    /// The client library does not take the address.
+    /// The client library rejects the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
-        let peer = Peer::new("records", address, true).map_err(not_opened)?;
-        let files_peer = Peer::new("files", address, false).map_err(not_opened)?;
+        let endpoint = Endpoint::new("records", address, true).map_err(not_opened)?;
+        let files_endpoint = Endpoint::new("files", address, false).map_err(not_opened)?;
         Ok(Self(Arc::new(RedisStoreState {
             idle: bounds.idle,
-            line: RedisConnection::new(&peer),
-            peer,
-            files: Files::new(&files_peer),
-            files_peer,
-            memory: SessionCache::new(bounds.idle, bounds.bytes),
-            owed: Owed::default(),
-            spared: Mutex::default(),
-            seen: Mutex::default(),
+            connection: RedisConnection::new(&endpoint),
+            endpoint,
+            files: FileConnections::new(&files_endpoint),
+            files_endpoint,
+            sessions: SessionCache::new(bounds.idle, bounds.bytes),
+            backed_off_until: Mutex::default(),
+            readiness: Mutex::default(),
             damaged: AtomicU64::new(0),
             other_version: AtomicU64::new(0),
         })))
@@ -102,32 +105,36 @@ impl RedisStore {
 }
 
 impl RedisStoreState {
-    async fn run<T: FromRedisValue>(&self, patience: Duration, command: &Cmd) -> Result<T, StoreError> {
-        self.line.ask(patience, |mut connection| async move { command.query_async(&mut connection).await }).await
+    async fn call<T: FromRedisValue>(&self, call: Call) -> Result<T, StoreError> {
+        let call = &call;
+        self.connection.ask(ANSWER_TIMEOUT, |mut connection| async move { call.invoke_async(&mut connection).await }).await
+    }
+
+    async fn run<T: FromRedisValue>(&self, limit: Duration, command: &Cmd) -> Result<T, StoreError> {
+        self.connection.ask(limit, |mut connection| async move { command.query_async(&mut connection).await }).await
     }
 
     fn session(&self, record: Arc<Record>, seq: Option<u64>, left: Duration) -> Session {
         Session { record, seq, expires: SystemTime::now() + left.min(self.idle) }
     }
 
-    /// There is no such session, says the server.
-    fn gone(&self, id: SessionId, status: i64) -> StoreError {
-        self.memory.forget(id);
+    /// Forgets a session that the server does not have.
+    fn absent(&self, id: SessionId, status: i64) -> StoreError {
+        self.sessions.forget(id);
         if status == status::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
     }
 
-    /// The record, if it is whole and of that session. A damaged one is no session.
+    /// Reads a stored record. `None`: it is damaged, which counts as no session.
     ///
     /// # Errors
     /// Another version of the program has written it.
-    fn whole(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
+    fn readable(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
         let why = match record::read(bytes) {
             Ok(record) if record.id == id => return Ok(Some(record)),
             Ok(_) => Unreadable::Damaged("it is another session's"),
             Err(why) => why,
         };
-        // What is remembered of it is not so any more.
-        self.memory.forget(id);
+        self.sessions.forget(id);
         match why {
             Unreadable::Damaged(why) => {
                 self.damaged.fetch_add(1, Ordering::Relaxed);
@@ -135,7 +142,7 @@ impl RedisStoreState {
                 Ok(None)
             }
             Unreadable::OtherVersion(why) => {
-                // The requests that are refused for it are logged one by one.
+                // Each refused request is logged anyway.
                 if self.other_version.fetch_add(1, Ordering::Relaxed) == 0 {
                     tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
                 }
@@ -145,32 +152,31 @@ impl RedisStoreState {
     }
 
     async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
-        for _ in 0..PUTS {
-            // A file that is there need not be sent, and what cannot be read is not replaced.
-            let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) =
-                self.run(PATIENCE, &script::same(&record, self.idle)).await?;
-            let old = if status == status::NOTHING { None } else { self.whole(record.id, &bytes)? };
-            if status == status::HERE
+        for _ in 0..PUT_ATTEMPTS {
+            // A file that is there is not sent, and an unreadable record is not replaced.
+            let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) = self.call(script::same(&record, self.idle)).await?;
+            let old = if status == status::ABSENT { None } else { self.readable(record.id, &bytes)? };
+            if status == status::FOUND
                 && let Some(old) = old
             {
                 return self.same(old, &seq);
             }
-            self.files_peer.relent();
-            // 4 MB a second.
-            let patience = PATIENCE + Duration::from_micros(image.len() as u64 / 4);
-            let replaces = Replaces { revision, is_whole: old.is_some() };
+            self.files_endpoint.resume();
+            // At 4 MB a second.
+            let limit = ANSWER_TIMEOUT + Duration::from_micros(image.len() as u64 / 4);
+            let replaces = Replaces { revision, is_readable: old.is_some() };
             let transaction = script::put(&record, &image, &replaces, self.idle);
             let ask = |mut connection| {
                 let transaction = &transaction;
                 async move { transaction.query_async(&mut connection).await }
             };
-            let ((status, seq),): ((i64, String),) = self.files.ask(patience, |_| image.len(), ask).await?;
+            let ((status, seq),): ((i64, String),) = self.files.ask(limit, |_| image.len(), ask).await?;
             match (status, old) {
                 (status::OTHER, _) => {}
-                // The file alone was missing.
-                (status::HERE, Some(old)) => return self.same(old, &seq),
+                // Only the file was missing.
+                (status::FOUND, Some(old)) => return self.same(old, &seq),
                 (_, old) => {
-                    self.memory.learn(Arc::clone(&record), None);
+                    self.sessions.learn(Arc::clone(&record), None);
                     let session = self.session(record, None, self.idle);
                     return Ok(match old {
                         Some(old) => Put::Replaced(session, old),
@@ -184,158 +190,99 @@ impl RedisStoreState {
 
     fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
         let seq = number(seq)?;
-        self.memory.learn(Arc::clone(&record), seq);
+        self.sessions.learn(Arc::clone(&record), seq);
         Ok(Put::Same(self.session(record, seq, self.idle)))
     }
 
     async fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
-        let command = script::revise(&record::hex(old.as_bytes()), &new, self.idle);
-        let (status, seq): (i64, String) = self.run(PATIENCE, &command).await?;
+        let (status, seq): (i64, String) = self.call(script::revise(old, &new, self.idle)).await?;
         match status {
-            status::HERE => {
+            status::FOUND => {
                 let seq = number(&seq)?;
-                self.memory.learn(Arc::clone(&new), seq);
+                self.sessions.learn(Arc::clone(&new), seq);
                 Ok(Some(self.session(new, seq, self.idle)))
             }
             status::OTHER => {
-                // Who asks again must see what is there now.
-                self.memory.forget(new.id);
+                // The next attempt must see what is there now.
+                self.sessions.forget(new.id);
                 Ok(None)
             }
-            status => Err(self.gone(new.id, status)),
+            status => Err(self.absent(new.id, status)),
         }
     }
 
-    async fn touch(self: &Arc<Self>, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
-        let Some(warm) = self.memory.warm(id) else { return Arc::clone(self).ask_touch(id, seq, None).await };
-        match self.briefly(Arc::clone(self).ask_touch(id, seq, Some(Arc::clone(&warm)))).await {
-            // The server does not answer: what is known here goes on.
+    async fn look_up(self: &Arc<Self>, id: SessionId, lookup: Lookup) -> Result<Session, StoreError> {
+        let Some(cached) = self.sessions.get(id) else { return Arc::clone(self).ask(id, lookup, None).await };
+        match self.ask_briefly(Arc::clone(self).ask(id, lookup, Some(Arc::clone(&cached)))).await {
             Err(StoreError::Away | StoreError::NoRoom) => {
-                let known = {
-                    let mut known = warm.known();
-                    known.seq = known.seq.max(seq);
-                    *known
-                };
-                if seq.is_some() && self.owed.owe(id, Debt { given: warm.given(), until: Instant::now() + self.idle }) {
-                    tokio::spawn(Arc::clone(self).tell_owed());
+                let mut progress = cached.progress();
+                if let Lookup::Touch(seq) = lookup {
+                    progress.seq = progress.seq.max(seq);
                 }
-                Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
+                Ok(self.session(Arc::clone(&cached.record), progress.seq, self.idle.saturating_sub(progress.confirmed.elapsed())))
             }
             answer => answer,
         }
     }
 
-    /// Tells the server what it does not know, until nothing is left of that.
-    async fn tell_owed(self: Arc<Self>) {
-        let mut at_once = 1;
-        loop {
-            let mut telling = JoinSet::new();
-            for (id, debt) in self.owed.take(at_once) {
-                let shared = Arc::clone(&self);
-                telling.spawn(async move { shared.tell(id, debt).await });
-            }
-            if telling.is_empty() {
-                return;
-            }
-            let told = telling.join_all().await;
-            at_once = if told.contains(&false) { 1 } else { TOLD_AT_ONCE };
-            if at_once == 1 {
-                tokio::time::sleep(READINESS).await;
-            }
-        }
-    }
-
-    /// Whether the server has heard it, or nobody has a use for it: a session that is gone, or lives anew.
-    async fn tell(&self, id: SessionId, debt: Debt) -> bool {
-        let command = script::touch(id, None, Some(debt.given), self.idle);
-        if Instant::now() >= debt.until || self.run::<(i64, Vec<u8>, String)>(PATIENCE, &command).await.is_ok() {
-            return true;
-        }
-        // Whoever asks this goes on telling.
-        let _ = self.owed.owe(id, debt);
-        false
-    }
-
-    async fn ask_touch(self: Arc<Self>, id: SessionId, seq: Option<u64>, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
-        let command = script::touch(id, seq, warm.as_deref().map(Warm::given), self.idle);
-        let (status, bytes, seq): (i64, Vec<u8>, String) = self.run(PATIENCE, &command).await?;
-        if status != status::HERE {
-            return Err(self.gone(id, status));
-        }
-        let seq = number(&seq)?;
-        let (record, seq) = match warm {
-            Some(warm) if bytes.is_empty() => {
-                let mut known = warm.known();
-                // Higher ones may have been seen here while the server did not answer: it is told with the next question.
-                *known = Known { seq: seq.max(known.seq), asked: Instant::now() };
-                (Arc::clone(&warm.record), known.seq)
-            }
-            _ => {
-                let record = self.whole(id, &bytes)?.ok_or(StoreError::NoSuchSession)?;
-                self.memory.learn(Arc::clone(&record), seq);
-                (record, seq)
-            }
+    async fn ask(self: Arc<Self>, id: SessionId, lookup: Lookup, cached: Option<Arc<CachedSession>>) -> Result<Session, StoreError> {
+        let known = cached.as_deref().map(|cached| (cached.record.as_ref(), cached.progress().seq));
+        let call = match lookup {
+            Lookup::Peek => script::peek(id, known.map(|(record, _)| record), self.idle),
+            Lookup::Touch(seq) => script::touch(id, seq, known, self.idle),
         };
-        Ok(self.session(record, seq, self.idle))
+        let (status, bytes, seq, left): (i64, Vec<u8>, String, i64) = self.call(call).await?;
+        if status != status::FOUND {
+            return Err(self.absent(id, status));
+        }
+        let (seq, left) = (number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0)));
+        if let Some(cached) = cached.as_ref().filter(|_| bytes.is_empty()) {
+            let mut progress = cached.progress();
+            // This process may know of higher numbers, given while the server did not answer.
+            progress.seq = progress.seq.max(seq);
+            if matches!(lookup, Lookup::Touch(_)) {
+                progress.confirmed = Instant::now();
+            }
+            return Ok(self.session(Arc::clone(&cached.record), progress.seq, left));
+        }
+        let record = self.readable(id, &bytes)?.ok_or(StoreError::NoSuchSession)?;
+        let here = cached.filter(|cached| cached.record.created == record.created).and_then(|cached| cached.progress().seq);
+        let seq = seq.max(here);
+        match lookup {
+            Lookup::Touch(_) => self.sessions.learn(Arc::clone(&record), seq),
+            // What is cached is outdated, and a peek does not prolong the session.
+            Lookup::Peek => self.sessions.forget(id),
+        }
+        Ok(self.session(record, seq, left))
     }
 
-    /// Waits for a server that has not made anybody wait just now, and does not wait long. What it says later is heard all the same: otherwise a
-    /// server that is slow, and not away, would not be believed for as long as it is.
-    async fn briefly<T: Send + 'static>(
+    /// Waits briefly for an answer that the cache can replace. A late answer still updates the cache: otherwise a server that is slow, and not away,
+    /// would never be believed.
+    async fn ask_briefly<T: Send + 'static>(
         &self,
-        asked: impl Future<Output = Result<T, StoreError>> + Send + 'static,
+        answer: impl Future<Output = Result<T, StoreError>> + Send + 'static,
     ) -> Result<T, StoreError> {
-        let spared = || self.spared.lock().unwrap_or_else(PoisonError::into_inner);
-        if spared().is_some_and(|until| Instant::now() < until) {
+        let backed_off_until = || self.backed_off_until.lock().unwrap_or_else(PoisonError::into_inner);
+        if backed_off_until().is_some_and(|until| Instant::now() < until) {
             return Err(StoreError::Away);
         }
-        let mut asked = Box::pin(asked);
-        if let Ok(answer) = tokio::time::timeout(IMPATIENCE, &mut asked).await {
+        let mut answer = Box::pin(answer);
+        if let Ok(answer) = tokio::time::timeout(CACHED_TIMEOUT, &mut answer).await {
             return answer;
         }
-        *spared() = Some(Instant::now() + READINESS);
-        tokio::spawn(Scope::current().answered().wrap(asked));
+        *backed_off_until() = Some(Instant::now() + BACK_OFF);
+        tokio::spawn(Scope::current().answered().wrap(answer));
         Err(StoreError::Away)
     }
 
-    async fn peek(self: &Arc<Self>, id: SessionId) -> Result<Session, StoreError> {
-        let Some(warm) = self.memory.warm(id) else { return Arc::clone(self).ask_peek(id, None).await };
-        match self.briefly(Arc::clone(self).ask_peek(id, Some(Arc::clone(&warm)))).await {
-            Err(StoreError::Away) => {
-                let known = *warm.known();
-                Ok(self.session(Arc::clone(&warm.record), known.seq, self.idle.saturating_sub(known.asked.elapsed())))
-            }
-            answer => answer,
-        }
-    }
-
-    async fn ask_peek(self: Arc<Self>, id: SessionId, warm: Option<Arc<Warm>>) -> Result<Session, StoreError> {
-        let command = script::peek(id, warm.as_deref().map(|warm| warm.record.as_ref()), self.idle);
-        let (status, bytes, seq, left): (i64, Vec<u8>, String, i64) = self.run(PATIENCE, &command).await?;
-        if status != status::HERE {
-            return Err(self.gone(id, status));
-        }
-        let record = match &warm {
-            Some(warm) if bytes.is_empty() => Arc::clone(&warm.record),
-            _ => {
-                // What is remembered is not so any more.
-                self.memory.forget(id);
-                self.whole(id, &bytes)?.ok_or(StoreError::NoSuchSession)?
-            }
-        };
-        // Higher ones may have been seen here while the server did not answer.
-        let here = warm.filter(|warm| warm.record.created == record.created).and_then(|warm| warm.known().seq);
-        Ok(self.session(record, number(&seq)?.max(here), Duration::from_millis(u64::try_from(left).unwrap_or(0))))
-    }
-
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let status: i64 = self.run(PATIENCE, &script::delete(id, self.idle)).await?;
-        let gone = self.gone(id, status);
-        if status == status::HERE { Ok(()) } else { Err(gone) }
+        let status = self.call(script::delete(id, self.idle)).await?;
+        let absent = self.absent(id, status);
+        if status == status::FOUND { Ok(()) } else { Err(absent) }
     }
 
     async fn image_bytes(&self, id: SessionId) -> Result<u64, StoreError> {
-        Ok(COPIES * self.run::<u64>(PATIENCE, &script::file_bytes(id)).await?)
+        Ok(FILE_COPIES * self.run::<u64>(ANSWER_TIMEOUT, &script::file_bytes(id)).await?)
     }
 
     async fn image(&self, id: SessionId, digest: Digest) -> Result<Bytes, StoreError> {
@@ -344,27 +291,26 @@ impl RedisStoreState {
             let command = &command;
             async move { command.query_async(&mut connection).await }
         };
-        let file: Option<Vec<u8>> =
-            self.files.ask(PATIENCE_FOR_FILES, |file: &Option<Vec<u8>>| file.as_ref().map_or(0, Vec::len), ask).await?;
-        let file = Bytes::from(file.ok_or(StoreError::NoSuchSession)?);
-        let theirs = file.clone();
-        let found = tokio::task::spawn_blocking(move || Digest::of(&theirs)).await.map_err(|_| StoreError::Away)?;
-        // Another one is another picture's: the session has been made anew.
+        let len = |file: &Option<Vec<u8>>| file.as_ref().map_or(0, Vec::len);
+        let file = Bytes::from(self.files.ask(FILE_TIMEOUT, len, ask).await?.ok_or(StoreError::NoSuchSession)?);
+        let hashed = file.clone();
+        let found = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(|_| StoreError::Away)?;
+        // A replaced session has another picture's file.
         if found == digest { Ok(file) } else { Err(StoreError::NoSuchSession) }
     }
 
     async fn ready(&self) -> Result<(), StoreError> {
-        let seen = || self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = seen().filter(|(at, _)| at.elapsed() < READINESS);
-        let here = match known {
-            Some((_, here)) => here,
+        let readiness = || self.readiness.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = readiness().filter(|(at, _)| at.elapsed() < READY_TIMEOUT);
+        let is_ready = match known {
+            Some((_, is_ready)) => is_ready,
             None => {
-                let here = self.run::<String>(READINESS, &redis::cmd("PING")).await.is_ok();
-                *seen() = Some((Instant::now(), here));
-                here
+                let is_ready = self.run::<String>(READY_TIMEOUT, &redis::cmd("PING")).await.is_ok();
+                *readiness() = Some((Instant::now(), is_ready));
+                is_ready
             }
         };
-        if here { Ok(()) } else { Err(StoreError::Away) }
+        if is_ready { Ok(()) } else { Err(StoreError::Away) }
     }
 }
 
@@ -378,11 +324,11 @@ impl Store for RedisStore {
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
-        Box::pin(self.0.peek(id))
+        Box::pin(self.0.look_up(id, Lookup::Peek))
     }
 
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
-        Box::pin(self.0.touch(id, seq))
+        Box::pin(self.0.look_up(id, Lookup::Touch(seq)))
     }
 
     fn delete(&self, id: SessionId) -> Answer<'_, ()> {
@@ -398,35 +344,28 @@ impl Store for RedisStore {
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.0.memory.names(owner, digest)
+        self.0.sessions.names(owner, digest)
     }
 
-    /// The server drops what has expired; here it is what is remembered of it.
+    /// Sweeps the cache; the server expires its keys itself.
     fn sweep(&self) -> Answer<'_, usize> {
-        Box::pin(std::future::ready(Ok(self.0.memory.sweep())))
+        super::known(Ok(self.0.sessions.sweep()))
     }
 
     fn ready(&self) -> Answer<'_, ()> {
         Box::pin(self.0.ready())
     }
 
-    fn flush(&self) -> Answer<'_, ()> {
-        Box::pin(async {
-            self.0.owed.nothing().await;
-            Ok(())
-        })
-    }
-
     fn figures(&self) -> Figures {
-        let (sessions, bytes) = self.0.memory.size();
+        let (sessions, bytes) = self.0.sessions.size();
         Figures {
             sessions,
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
             other_version: self.0.other_version.load(Ordering::Relaxed),
-            failures: self.0.peer.failures() + self.0.files_peer.failures(),
-            is_away: self.0.peer.is_away(),
-            is_unknown: !self.0.peer.was_heard(),
+            failures: self.0.endpoint.failures() + self.0.files_endpoint.failures(),
+            is_away: self.0.endpoint.is_away(),
+            is_unknown: !self.0.endpoint.has_answered(),
         }
     }
 }

@@ -1,48 +1,56 @@
-//! What is asked of the server, each as one script that happens as a whole. The keys of a session carry its name as their hash tag, so they lie
-//! together:
+//! The scripts that run on the server: each operation on a session is one of them, and atomic. The keys of a session share a hash tag:
 //!
-//! | key | what | lives |
+//! | key | content | expires after |
 //! |---|---|---|
-//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (digest of what it was made from), `revision`, `life` (when), `seq` | one idle period |
-//! | `mlswarp:{NAME}:file` | its picture's file | one idle period |
-//! | `mlswarp:{NAME}:grave` | nothing: a session of that name was there | two idle periods |
-//! | `mlswarp:{NAME}:deleted` | nothing: a session of that name was deleted | one idle period |
-//! | `mlswarp:{NAME}:upload` | a file, inside of the transaction that puts it | |
+//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (digest of what it was made from), `revision`, `life` (when it was created), `seq` | one idle period |
+//! | `mlswarp:{NAME}:file` | the picture's file | one idle period |
+//! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
+//! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
+//! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
 //!
-//! NAME is owner and session as hexadecimal digits. Numbers (`seq`) have twenty digits, so that they compare as texts. A server that is full
-//! refuses a script's first write when that could take memory; a script that only prolongs a life begins with what takes none.
+//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they compare as strings. A full server refuses the first
+//! write of a script if it may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
+//!
+//! Scripts are called by their digest (`EVALSHA`) and sent once. `PUT` is sent in full each time: inside `MULTI` a missing script would fail after the
+//! file has been stored.
 
+use std::sync::LazyLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use redis::{Cmd, Pipeline};
+use data_encoding::HEXLOWER;
+use redis::{Cmd, Pipeline, Script, ScriptInvocation};
 
 use crate::session::{Revision, SessionId};
-use crate::store::record::{hex, made, write};
+use crate::store::record::{made, write};
 use crate::store::{Record, StoreError};
 
-/// What a script says first.
+/// The first value of each script's reply.
 pub(crate) mod status {
-    pub(crate) const NOTHING: i64 = 0;
+    pub(crate) const ABSENT: i64 = 0;
     pub(crate) const EXPIRED: i64 = 1;
-    pub(crate) const HERE: i64 = 2;
+    pub(crate) const FOUND: i64 = 2;
     pub(crate) const OTHER: i64 = 3;
 }
 
-/// ARGV idle, made. Uses a session that was made from the same and is whole. Says also what is there otherwise.
-const SAME: &str = r"
+/// ARGV: idle, made. Prolongs the session if it was made from the same and its file is there. Returns what is there.
+static SAME: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
 local is = redis.call('HMGET', KEYS[1], 'made', 'record', 'seq', 'revision')
 if not (is[1] or is[2] or is[4]) then return {0, '', '', ''} end
-local said = 3
+local status = 3
 if is[1] == ARGV[2] and redis.call('EXISTS', KEYS[2]) == 1 then
   redis.call('PEXPIRE', KEYS[1], ARGV[1])
   redis.call('PEXPIRE', KEYS[2], ARGV[1])
   redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
-  said = 2
+  status = 2
 end
-return {said, is[2] or '', is[3] or '', is[4] or ''}";
+return {status, is[2] or '', is[3] or '', is[4] or ''}",
+    )
+});
 
-/// KEYS[4]: the file, set in the same transaction. ARGV idle, made, record, revision, life; the revision that may be replaced (none: no session), and
-/// whether its record can be read. Another revision may be one that this program cannot read: it stays, and so does its file.
+/// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no session),
+/// and whether its record is readable. Any other revision, and its file, stay as they are.
 const PUT: &str = r"
 local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision')
 if (is[3] or '') ~= ARGV[6] then
@@ -61,10 +69,12 @@ redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('SET', KEYS[3], '', 'PX', 2 * ARGV[1])
 return {0, ''}";
 
-/// ARGV idle, seq, and what is known already: revision, life, seq. A record that is known is not sent again.
-const TOUCH: &str = r"
+/// ARGV: idle, seq, and of the cached session: revision, life, seq. Returns the record only if its revision is not the cached one.
+static TOUCH: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
 local is = redis.call('HMGET', KEYS[1], 'revision', 'life', 'seq')
-if not is[1] then return {redis.call('EXISTS', KEYS[3]), '', ''} end
+if not is[1] then return {redis.call('EXISTS', KEYS[3]), '', '', 0} end
 redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('PEXPIRE', KEYS[2], ARGV[1])
 redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
@@ -73,19 +83,28 @@ local seq = before
 if ARGV[2] > seq then seq = ARGV[2] end
 if is[2] == ARGV[4] and ARGV[5] > seq then seq = ARGV[5] end
 if seq ~= before then redis.call('HSET', KEYS[1], 'seq', seq) end
-if is[1] == ARGV[3] then return {2, '', seq} end
-return {2, redis.call('HGET', KEYS[1], 'record'), seq}";
+local left = tonumber(ARGV[1])
+if is[1] == ARGV[3] then return {2, '', seq, left} end
+return {2, redis.call('HGET', KEYS[1], 'record'), seq, left}",
+    )
+});
 
-/// ARGV idle, known revision.
-const PEEK: &str = r"
+/// ARGV: idle, cached revision. Replies as `TOUCH` does.
+static PEEK: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
 local is = redis.call('HMGET', KEYS[1], 'revision', 'seq')
 if not is[1] then return {redis.call('EXISTS', KEYS[3]), '', '', 0} end
 local left = redis.call('PTTL', KEYS[1])
 if is[1] == ARGV[2] then return {2, '', is[2] or '', left} end
-return {2, redis.call('HGET', KEYS[1], 'record'), is[2] or '', left}";
+return {2, redis.call('HGET', KEYS[1], 'record'), is[2] or '', left}",
+    )
+});
 
-/// ARGV idle, old revision, made, record, revision.
-const REVISE: &str = r"
+/// ARGV: idle, old revision, made, record, revision.
+static REVISE: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
 local is = redis.call('HMGET', KEYS[1], 'revision', 'seq')
 if not is[1] then return {redis.call('EXISTS', KEYS[3]), ''} end
 if is[1] ~= ARGV[2] then return {3, ''} end
@@ -93,127 +112,123 @@ redis.call('HSET', KEYS[1], 'made', ARGV[3], 'record', ARGV[4], 'revision', ARGV
 redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('PEXPIRE', KEYS[2], ARGV[1])
 redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
-return {2, is[2] or ''}";
+return {2, is[2] or ''}",
+    )
+});
 
-/// KEYS[4]: the session was deleted before. ARGV idle.
-const DELETE: &str = r"
+/// KEYS[4]: says that the session was deleted before. ARGV: idle.
+static DELETE: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
 if redis.call('EXISTS', KEYS[1]) == 0 then
   if redis.call('EXISTS', KEYS[3]) == 1 then return 1 end
   return 2 * redis.call('EXISTS', KEYS[4])
 end
 redis.call('DEL', KEYS[1], KEYS[2], KEYS[3])
 redis.call('SET', KEYS[4], '', 'PX', ARGV[1])
-return 2";
+return 2",
+    )
+});
 
-/// What is known here of a session, and may not be known there.
-#[derive(Clone, Copy)]
-pub(crate) struct Given {
-    /// Of its record: one that is known is not sent again.
-    pub(crate) revision: Revision,
-    /// Its life: numbers of another one do not count.
-    pub(crate) created: SystemTime,
-    /// The highest number.
-    pub(crate) seq: Option<u64>,
-}
+/// A call of one of these scripts.
+pub(crate) type Call = ScriptInvocation<'static>;
 
-/// Numbers as texts that compare like numbers; nothing is below every number.
-pub(crate) fn digits(seq: Option<u64>) -> String {
-    seq.map_or_else(String::new, |seq| format!("{seq:020}"))
-}
-
-/// The number that the text is.
+/// Reads a sequence number. Empty is none.
 pub(crate) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
     if digits.is_empty() { Ok(None) } else { digits.parse().map(Some).map_err(|_| StoreError::Away) }
 }
 
-fn key(id: SessionId, what: &str) -> String {
-    format!("mlswarp:{{{}}}:{what}", hex(&id.to_bytes()))
+/// Writes a sequence number; the empty string sorts before all of them.
+fn digits(seq: Option<u64>) -> String {
+    seq.map_or_else(String::new, |seq| format!("{seq:020}"))
+}
+
+fn revision(revision: Revision) -> String {
+    HEXLOWER.encode(revision.as_bytes())
 }
 
 fn life(created: SystemTime) -> String {
     created.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos().to_string()
 }
 
-fn script(script: &str, id: SessionId, idle: Duration) -> Cmd {
-    script_with(script, id, None, idle)
-}
-
-/// `fourth`: the script has this key too.
-fn script_with(script: &str, id: SessionId, fourth: Option<&str>, idle: Duration) -> Cmd {
-    let mut command = redis::cmd("EVAL");
-    command.arg(script).arg(3 + usize::from(fourth.is_some())).arg(key(id, "session")).arg(key(id, "file")).arg(key(id, "grave"));
-    if let Some(fourth) = fourth {
-        command.arg(key(id, fourth));
-    }
-    command.arg(millis(idle));
-    command
-}
-
 fn millis(idle: Duration) -> u64 {
-    // Twice as much is still a number to the server.
+    // The scripts compute twice as much, in floating point.
     u64::try_from(idle.as_millis()).unwrap_or(u64::MAX).clamp(1, 1 << 50)
 }
 
-pub(crate) fn same(record: &Record, idle: Duration) -> Cmd {
-    let mut command = script(SAME, record.id, idle);
-    command.arg(hex(&made(record).0));
-    command
+pub(crate) fn key(id: SessionId, part: &str) -> String {
+    format!("mlswarp:{{{}}}:{part}", HEXLOWER.encode(&id.to_bytes()))
 }
 
-/// What a record may replace: nothing, or this revision.
+fn keys(id: SessionId) -> [String; 3] {
+    ["session", "file", "grave"].map(|part| key(id, part))
+}
+
+fn call(script: &'static Script, id: SessionId, idle: Duration) -> Call {
+    let mut call = script.key(&keys(id));
+    call.arg(millis(idle));
+    call
+}
+
+pub(crate) fn same(record: &Record, idle: Duration) -> Call {
+    let mut call = call(&SAME, record.id, idle);
+    call.arg(made(record).to_string());
+    call
+}
+
+/// What a `put` may replace.
 pub(crate) struct Replaces {
-    /// As the server has it; empty for nothing.
+    /// The revision, as the server has it; empty: no session.
     pub(crate) revision: String,
-    /// Its record can be read.
-    pub(crate) is_whole: bool,
+    /// This program can read its record.
+    pub(crate) is_readable: bool,
 }
 
-/// The file and the record, both or neither.
+/// Stores the file and the record in one transaction.
 pub(crate) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Duration) -> Pipeline {
-    let mut command = script_with(PUT, record.id, Some("upload"), idle);
-    command.arg(hex(&made(record).0)).arg(write(record)).arg(hex(record.revision.as_bytes())).arg(life(record.created));
-    command.arg(&replaces.revision).arg(u8::from(replaces.is_whole));
+    let upload = key(record.id, "upload");
     let mut transaction = redis::pipe();
-    transaction.atomic().cmd("SET").arg(key(record.id, "upload")).arg(file).arg("PX").arg(millis(idle)).ignore();
-    transaction.add_command(command);
+    transaction.atomic().cmd("SET").arg(&upload).arg(file).arg("PX").arg(millis(idle)).ignore();
+    transaction.cmd("EVAL").arg(PUT).arg(4).arg(&keys(record.id)).arg(upload).arg(millis(idle));
+    transaction.arg(made(record).to_string()).arg(write(record)).arg(revision(record.revision)).arg(life(record.created));
+    transaction.arg(&replaces.revision).arg(u8::from(replaces.is_readable));
     transaction
 }
 
-pub(crate) fn touch(id: SessionId, seq: Option<u64>, known: Option<Given>, idle: Duration) -> Cmd {
-    let mut command = script(TOUCH, id, idle);
-    command.arg(digits(seq));
-    match known {
-        Some(Given { revision, created, seq }) => command.arg(hex(revision.as_bytes())).arg(life(created)).arg(digits(seq)),
-        None => command.arg("").arg("").arg(""),
+/// `cached`: the record in this process, and the highest number that it knows of.
+pub(crate) fn touch(id: SessionId, seq: Option<u64>, cached: Option<(&Record, Option<u64>)>, idle: Duration) -> Call {
+    let mut call = call(&TOUCH, id, idle);
+    call.arg(digits(seq));
+    match cached {
+        Some((record, seq)) => call.arg(revision(record.revision)).arg(life(record.created)).arg(digits(seq)),
+        None => call.arg("").arg("").arg(""),
     };
-    command
+    call
 }
 
-pub(crate) fn peek(id: SessionId, known: Option<&Record>, idle: Duration) -> Cmd {
-    let mut command = script(PEEK, id, idle);
-    command.arg(known.map_or_else(String::new, |known| hex(known.revision.as_bytes())));
-    command
+pub(crate) fn peek(id: SessionId, cached: Option<&Record>, idle: Duration) -> Call {
+    let mut call = call(&PEEK, id, idle);
+    call.arg(cached.map_or_else(String::new, |record| revision(record.revision)));
+    call
 }
 
-pub(crate) fn revise(old: &str, new: &Record, idle: Duration) -> Cmd {
-    let mut command = script(REVISE, new.id, idle);
-    command.arg(old).arg(hex(&made(new).0)).arg(write(new)).arg(hex(new.revision.as_bytes()));
-    command
+pub(crate) fn revise(old: Revision, new: &Record, idle: Duration) -> Call {
+    let mut call = call(&REVISE, new.id, idle);
+    call.arg(revision(old)).arg(made(new).to_string()).arg(write(new)).arg(revision(new.revision));
+    call
 }
 
-pub(crate) fn delete(id: SessionId, idle: Duration) -> Cmd {
-    script_with(DELETE, id, Some("deleted"), idle)
+pub(crate) fn delete(id: SessionId, idle: Duration) -> Call {
+    let mut call = call(&DELETE, id, idle);
+    call.key(key(id, "deleted"));
+    call
 }
 
-/// How long the file is; 0 when it is not there.
+/// Bytes of the file; 0 if it is not there.
 pub(crate) fn file_bytes(id: SessionId) -> Cmd {
-    let mut command = redis::cmd("STRLEN");
-    command.arg(key(id, "file"));
-    command
+    redis::cmd("STRLEN").arg(key(id, "file")).take()
 }
 
 pub(crate) fn file(id: SessionId) -> Cmd {
-    let mut command = redis::cmd("GET");
-    command.arg(key(id, "file"));
-    command
+    redis::cmd("GET").arg(key(id, "file")).take()
 }

@@ -1,8 +1,9 @@
+use data_encoding::HEXLOWER;
+
 use super::*;
 use crate::store::StoreUrl;
-use crate::store::model;
-use crate::store::suite;
-use crate::store::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::{model, suite};
 
 #[path = "../../../../tests/it/support/redis.rs"]
 mod server;
@@ -76,7 +77,7 @@ async fn slow_way(server: &Redis, delay: Duration) -> RedisStore {
 #[tokio::test]
 async fn a_server_that_is_slow_is_heard_all_the_same() {
     let server = Redis::start(&[]);
-    let (slow, other) = (slow_way(&server, 2 * IMPATIENCE).await, store_of(&server, bounds()));
+    let (slow, other) = (slow_way(&server, 2 * CACHED_TIMEOUT).await, store_of(&server, bounds()));
     let a = suite::record(1);
     slow.put(Arc::clone(&a), file(1)).await.unwrap();
     let b = with_weights(&a, 2);
@@ -98,40 +99,42 @@ async fn a_server_that_is_slow_is_heard_all_the_same() {
     other.put(Arc::clone(&d), file(2)).await.unwrap();
     let began = Instant::now();
     while slow.touch(a.id, None).await.unwrap().record != d {
-        assert!(began.elapsed() < 10 * READINESS, "what others did is never seen");
-        tokio::time::sleep(IMPATIENCE).await;
+        assert!(began.elapsed() < 10 * READY_TIMEOUT, "what others did is never seen");
+        tokio::time::sleep(CACHED_TIMEOUT).await;
     }
     other.delete(a.id).await.unwrap();
     while slow.touch(a.id, None).await.is_ok() {
-        assert!(began.elapsed() < 20 * READINESS, "what others did is never seen");
-        tokio::time::sleep(IMPATIENCE).await;
+        assert!(began.elapsed() < 20 * READY_TIMEOUT, "what others did is never seen");
+        tokio::time::sleep(CACHED_TIMEOUT).await;
     }
 }
 
 #[tokio::test]
 async fn numbers_do_not_fall_when_the_server_was_away_for_a_moment() {
     let server = Redis::start(&[]);
-    let (store, other) = (slow_way(&server, IMPATIENCE / 2).await, store_of(&server, bounds()));
+    let (store, other) = (slow_way(&server, CACHED_TIMEOUT / 2).await, store_of(&server, bounds()));
     let a = suite::record(1);
     store.put(Arc::clone(&a), file(1)).await.unwrap();
-    let warm = store.0.memory.warm(a.id).unwrap();
+    // The script is on the server: sending it takes longer than the wait for an answer.
+    other.touch(a.id, None).await.unwrap();
+    let cached = store.0.sessions.get(a.id).unwrap();
     // Given here alone, while an answer with a lower one was on its way.
     let asking = store.clone();
     let id = a.id;
     let asked = tokio::spawn(async move { asking.touch(id, Some(5)).await });
-    tokio::time::sleep(IMPATIENCE / 4).await;
-    warm.known().seq = Some(9);
+    tokio::time::sleep(CACHED_TIMEOUT / 4).await;
+    cached.progress().seq = Some(9);
     asked.await.unwrap().unwrap();
     assert_eq!(store.touch(a.id, Some(6)).await.unwrap().seq, Some(9));
     assert_eq!(other.touch(a.id, None).await.unwrap().seq, Some(9));
-    warm.known().seq = Some(12);
+    cached.progress().seq = Some(12);
     let again = Arc::new(Record { revision: Revision::random(), ..(*a).clone() });
     assert!(matches!(store.put(again, file(1)).await, Ok(Put::Same(_))));
     assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(12));
 }
 
 #[tokio::test]
-async fn numbers_of_a_drag_that_ends_while_the_server_says_nothing_are_told_to_it() {
+async fn numbers_that_were_given_without_the_server_are_known_to_it_with_the_next_pose() {
     let server = Redis::start(&[]);
     let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
@@ -143,23 +146,14 @@ async fn numbers_of_a_drag_that_ends_while_the_server_says_nothing_are_told_to_i
         assert_eq!(store.touch(a.id, Some(seq)).await.unwrap().seq, Some(seq));
     }
     server.signal("-CONT");
+    assert_eq!(store.peek(a.id).await.unwrap().seq, Some(4), "who looks here is told what is known here");
     let told = async {
         while other.peek(a.id).await.unwrap().seq != Some(4) {
-            tokio::time::sleep(IMPATIENCE / 4).await
+            assert_eq!(store.touch(a.id, Some(3)).await.unwrap().seq, Some(4));
+            tokio::time::sleep(CACHED_TIMEOUT / 4).await
         }
     };
-    tokio::time::timeout(20 * READINESS, told).await.expect("the last numbers of a drag are told");
-
-    server.signal("-STOP");
-    for seq in [5, 6] {
-        store.touch(a.id, Some(seq)).await.unwrap();
-    }
-    server.signal("-CONT");
-    tokio::time::timeout(20 * READINESS, store.flush()).await.expect("it is back").unwrap();
-    assert_eq!(other.peek(a.id).await.unwrap().seq, Some(6), "whoever has settled owes nothing");
-    store.0.memory.warm(a.id).unwrap().known().seq = Some(9);
-    *store.0.spared.lock().unwrap() = None;
-    assert_eq!(store.peek(a.id).await.unwrap().seq, Some(9), "who looks here is told what is known here");
+    tokio::time::timeout(20 * READY_TIMEOUT, told).await.expect("the next pose tells the numbers before it");
 }
 
 #[tokio::test]
@@ -168,7 +162,7 @@ async fn a_key_of_somebody_else_is_no_outage() {
     let store = store_of(&server, bounds());
     let (a, b) = (suite::record(1), suite::record(2));
     store_of(&server, bounds()).put(Arc::clone(&b), file(2)).await.unwrap();
-    let key = format!("mlswarp:{{{}}}:session", record::hex(&a.id.to_bytes()));
+    let key = script::key(a.id, "session");
     assert_eq!(server.say(&format!("SET {key} nothing")), "+OK\r\n");
     assert!(store.touch(a.id, None).await.is_err());
     assert!(store.peek(b.id).await.is_ok(), "the others are there");
@@ -272,11 +266,11 @@ async fn a_server_that_says_nothing_is_waited_for_once_and_not_long() {
     for _ in 0..20 {
         store.touch(a.id, None).await.unwrap();
     }
-    assert!(began.elapsed() < 10 * IMPATIENCE, "{:?}", began.elapsed());
+    assert!(began.elapsed() < 10 * CACHED_TIMEOUT, "{:?}", began.elapsed());
     let began = Instant::now();
     assert_eq!(cold.touch(a.id, None).await.unwrap_err(), StoreError::Away);
     assert_eq!(store.ready().await, Err(StoreError::Away));
-    assert!(began.elapsed() < 10 * PATIENCE, "{:?}", began.elapsed());
+    assert!(began.elapsed() < 10 * ANSWER_TIMEOUT, "{:?}", began.elapsed());
     server.signal("-CONT");
     once_it_is_back(async || cold.touch(a.id, None).await).await.unwrap();
     once_it_is_back(async || store.ready().await).await.unwrap();
@@ -315,7 +309,7 @@ async fn damaged_records_are_left_out_and_may_be_made_anew() {
     for (record, picture) in [(&a, 1), (&whole, 2)] {
         store.put(Arc::clone(record), file(picture)).await.unwrap();
     }
-    let key = format!("mlswarp:{{{}}}:session", record::hex(&a.id.to_bytes()));
+    let key = script::key(a.id, "session");
     assert_eq!(server.say(&format!("HSET {key} record nothing")), ":0\r\n");
     for error in [other.peek(a.id).await.unwrap_err(), other.touch(a.id, None).await.unwrap_err()] {
         assert_eq!(error, StoreError::NoSuchSession);
@@ -324,10 +318,6 @@ async fn damaged_records_are_left_out_and_may_be_made_anew() {
     assert!(other.peek(whole.id).await.is_ok());
     assert!(matches!(other.put(Arc::clone(&a), file(1)).await, Ok(Put::Created(_))));
     assert_eq!(other.touch(a.id, None).await.unwrap().record, a);
-}
-
-fn session_key(id: SessionId) -> String {
-    format!("mlswarp:{{{}}}:session", record::hex(&id.to_bytes()))
 }
 
 #[tokio::test]
@@ -342,7 +332,7 @@ async fn what_another_version_has_stored_is_kept() {
                 Err(_) => Revision::random(),
             };
             let mut command = redis::cmd("HSET");
-            command.arg(session_key(*id)).arg("record").arg(bytes).arg("revision").arg(record::hex(revision.as_bytes()));
+            command.arg(script::key(*id, "session")).arg("record").arg(bytes).arg("revision").arg(HEXLOWER.encode(revision.as_bytes()));
             command.exec(&mut **planted.lock().unwrap()).unwrap();
         }
         store
@@ -360,7 +350,7 @@ async fn a_file_that_comes_too_late_changes_nothing() {
     let late = made_anew(&a, 2);
     let mut there = redis::Client::open(server.address()).unwrap().get_connection().unwrap();
     for revision in ["", "0123456789abcdef0123456789abcdef"] {
-        let replaces = Replaces { revision: revision.to_owned(), is_whole: true };
+        let replaces = Replaces { revision: revision.to_owned(), is_readable: true };
         let ((status, _),): ((i64, String),) = script::put(&late, &file(2), &replaces, store.0.idle).query(&mut there).unwrap();
         assert_eq!(status, status::OTHER);
         assert_eq!(store.peek(a.id).await.unwrap().record, a);

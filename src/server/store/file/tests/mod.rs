@@ -1,9 +1,8 @@
 use std::path::PathBuf;
 
 use super::*;
-use crate::store::model;
-use crate::store::suite;
-use crate::store::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::{model, suite};
 
 mod power;
 
@@ -203,7 +202,7 @@ async fn what_another_version_has_stored_counts() {
     let (a, b) = (suite::record(1), suite::record(2));
     store.put(Arc::clone(&a), file(1)).await.unwrap();
     store.put(Arc::clone(&b), file(2)).await.unwrap();
-    let bytes = record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", record::hex(&a.image.0)).as_bytes());
+    let bytes = record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes());
     plant(&store, &[(a.id, bytes.clone())]);
     let one = store.figures().bytes / 2;
     drop(store);
@@ -231,7 +230,7 @@ async fn a_damaged_picture_of_another_versions_session_may_be_sent_again() {
     let (a, b) = (suite::record(1), suite::record(1));
     store.put(Arc::clone(&a), file(1)).await.unwrap();
     store.put(Arc::clone(&b), file(1)).await.unwrap();
-    plant(&store, &[(a.id, record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", record::hex(&a.image.0)).as_bytes()))]);
+    plant(&store, &[(a.id, record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes()))]);
     drop(store);
     let store = place.open();
     store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();

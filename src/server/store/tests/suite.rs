@@ -7,9 +7,9 @@ use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 
-use super::{Bounds, Put, Record, Store, StoreError};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
+use crate::store::{Bounds, Put, Record, Store, StoreError};
 
 const IDLE: Duration = Duration::from_secs(1);
 

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::suite::{file, made_anew, record, with_weights};
-use super::{Bounds, Put, Record, Session, Store, StoreError};
 use crate::session::{Revision, SessionId};
+use crate::store::{Bounds, Put, Record, Session, Store, StoreError};
 
 /// What clocks that count milliseconds may differ by.
 const SLACK: Duration = Duration::from_millis(5);

@@ -9,12 +9,12 @@ use mlswarp::warp::Units;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use super::enum_name::{Canvas, EnumName, Metric};
-use super::tests::{warp_object, written};
-use super::*;
+use super::{warp_object, written};
+use crate::wire::enum_name::{Canvas, EnumName, Metric};
+use crate::wire::*;
 
 fn document() -> Value {
-    serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON")
+    serde_json::from_str(include_str!("../../../../api/openapi.json")).expect("the document is JSON")
 }
 
 /// A validator for a schema that may refer to the document's components.

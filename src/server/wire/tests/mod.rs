@@ -1,5 +1,7 @@
 //! What is refused and how (tables), what is read, and laws: no text panics, what is written reads back.
 
+mod contract;
+
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Method;
 use mlswarp::render::{Filter, Outside};

@@ -1,0 +1,4 @@
+//! Tests that every store runs.
+
+pub(crate) mod model;
+pub(crate) mod suite;
