@@ -343,7 +343,7 @@ mod tests {
     use super::*;
     use crate::client::Client;
     use crate::limits::memory::{Budget, Purpose};
-    use crate::pool::{Cancel, Pool, QueueKey, Shape, Work};
+    use crate::pool::{Cancel, Pool, QueueKey, Shape, WorkClass};
     use crate::problem::Code;
     use futures_util::FutureExt as _;
     use tokio::sync::{Semaphore, mpsc};
@@ -538,11 +538,11 @@ mod tests {
         let (cache, budget) = (Cache::new(1 << 20), budget());
         let long = std::time::Duration::from_secs(600);
         let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
-        let admit = || pool.admit(Work::Upload, QueueKey::client(Client::default()));
+        let admit = || pool.admit(WorkClass::Upload, QueueKey::client(Client::default()));
         let build = || {
             let (pool, built) = (pool.clone(), kept(&budget, 7));
             async move {
-                let ticket = pool.admit(Work::Upload, QueueKey::client(Client::default())).await?;
+                let ticket = pool.admit(WorkClass::Upload, QueueKey::client(Client::default())).await?;
                 let until_cancelled = |cancel: &Cancel| {
                     while !cancel.is_cancelled() {
                         std::thread::yield_now();
@@ -555,11 +555,11 @@ mod tests {
         let ticket = admit().await.unwrap();
         let mut waits = Box::pin(cache.get(KEY, build(), lost));
         assert!((&mut waits).now_or_never().is_none());
-        while pool.load(Work::Upload).waiting == 0 {
+        while pool.load(WorkClass::Upload).waiting == 0 {
             tokio::task::yield_now().await;
         }
         drop(waits);
-        while pool.load(Work::Upload).waiting == 1 {
+        while pool.load(WorkClass::Upload).waiting == 1 {
             tokio::task::yield_now().await;
         }
         drop(ticket);

@@ -12,7 +12,7 @@ use mlswarp_server::app::App;
 use mlswarp_server::client::Client;
 use mlswarp_server::http::router;
 use mlswarp_server::limits::memory::Purpose;
-use mlswarp_server::pool::Work;
+use mlswarp_server::pool::WorkClass;
 use serde_json::json;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -150,7 +150,7 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
         }
         assert_eq!(ended, 3, "{kind}");
         let idle = |work| (app.pool().load(work).running, app.pool().load(work).waiting) == (0, 0);
-        eventually("every turn is given back", || idle(Work::Drag) && idle(Work::Upload) && app.pool().running() == 0).await;
+        eventually("every turn is given back", || idle(WorkClass::Drag) && idle(WorkClass::Upload) && app.pool().running() == 0).await;
         eventually("answers leave nothing", || app.budget().taken_for(Purpose::Frame) == 0).await;
     }
     let kept = || {

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use mlswarp_server::client::{Client as Who, Owner};
 use mlswarp_server::limits::memory::Purpose;
-use mlswarp_server::pool::{QueueKey, Work};
+use mlswarp_server::pool::{QueueKey, WorkClass};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -183,7 +183,7 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
             let output = json!({"compression": "best"});
             move |_, n| huge.post(&format!("/sessions/{large}/warp")).json(&json!({"q": [[20 + n % 9, 22]], "output": output}))
         });
-        eventually("a huge one runs", || server.app.pool().load(Work::Drag).waiting > 1).await;
+        eventually("a huge one runs", || server.app.pool().load(WorkClass::Drag).waiting > 1).await;
         let others = meanwhile(&format!("small drags, {workers} workers"), 40, &flood, async |n| drag(&small, &own, n).await).await;
         flood.end().await;
         // Where each waits for the end of a huge one, there are as many of them.
@@ -196,7 +196,7 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
             warp["output"] = json!({"compression": "best"});
             move |_, _| huge.post("/warp").multipart(form(&file, warp.to_string()))
         });
-        eventually("a huge one runs", || server.app.pool().load(Work::Upload).waiting > 1).await;
+        eventually("a huge one runs", || server.app.pool().load(WorkClass::Upload).waiting > 1).await;
         let tiny = photo(32, 24);
         let upload = async |_| {
             png(small.post("/warp").multipart(form(&tiny, warp.to_string())).send().await.unwrap()).await;
@@ -255,14 +255,14 @@ async fn a_full_queue_makes_room_at_the_cost_of_the_client_that_has_most() {
     }
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     // The turn and the spare one.
-    let turn = |party: &Party| server.app.pool().admit(Work::Drag, QueueKey::client(party.who()));
+    let turn = |party: &Party| server.app.pool().admit(WorkClass::Drag, QueueKey::client(party.who()));
     let held = (turn(&busy).await.unwrap(), turn(&third).await.unwrap());
     let ask = |party: &Party, id: &str| tokio::spawn(party.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[21, 20]]})).send());
     let many: Vec<_> = ids.iter().map(|id| ask(&busy, id)).collect();
-    eventually("two found no place", || server.app.pool().load(Work::Drag).full == 2).await;
+    eventually("two found no place", || server.app.pool().load(WorkClass::Drag).full == 2).await;
     assert_eq!(server.get("/readyz").send().await.unwrap().status(), 200, "others are served");
     let one = ask(&calm, &own);
-    eventually("it has a place", || server.app.pool().load(Work::Drag).full == 3).await;
+    eventually("it has a place", || server.app.pool().load(WorkClass::Drag).full == 3).await;
     drop(held);
     png(one.await.unwrap().unwrap()).await;
     let mut statuses = Vec::new();

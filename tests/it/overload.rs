@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mlswarp_server::client::Client;
 use mlswarp_server::limits::memory::Purpose;
-use mlswarp_server::pool::{QueueKey, Ticket, Work};
+use mlswarp_server::pool::{QueueKey, Ticket, WorkClass};
 use reqwest::Response;
 use serde_json::json;
 
@@ -13,7 +13,7 @@ use crate::support::server::{form, header, png, problem, this_client};
 use crate::support::{Server, eventually, photo};
 
 /// A turn of the gate's only worker, held by the client that also sends the test's requests: it gets no other.
-async fn busy(server: &Server, work: Work) -> Ticket {
+async fn busy(server: &Server, work: WorkClass) -> Ticket {
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     server.app.pool().admit(work, QueueKey::client(this_client())).await.unwrap()
 }
@@ -29,23 +29,23 @@ async fn a_full_queue_refuses_at_once_and_recovers() {
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let other = server.session(&photo(16, 12), &json!({"p": [[3, 3]]})).await;
     let path = format!("/sessions/{id}/warp");
-    let drags = busy(&server, Work::Drag).await;
+    let drags = busy(&server, WorkClass::Drag).await;
     let waiting = tokio::spawn(server.post(&path).json(&json!({"q": [[3, 2]], "seq": 1})).send());
-    eventually("the drags' queue is full", || server.app.pool().load(Work::Drag).waiting == 1).await;
+    eventually("the drags' queue is full", || server.app.pool().load(WorkClass::Drag).waiting == 1).await;
     refused(server.post(&format!("/sessions/{other}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     refused(server.post(&format!("/sessions/{other}/mesh")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     // Drags alone are held up.
     server.session(&photo(8, 8), &json!({"p": [[2, 2]]})).await;
 
-    let uploads = busy(&server, Work::Upload).await;
+    let uploads = busy(&server, WorkClass::Upload).await;
     // Another client would still get the spare turn.
     assert_eq!(server.get("/readyz").send().await.unwrap().status(), 200);
     let spare = QueueKey::client(Client { address: [192, 0, 2, 1].into(), ..Client::default() });
-    let spare = server.app.pool().admit(Work::Drag, spare).await.unwrap();
+    let spare = server.app.pool().admit(WorkClass::Drag, spare).await.unwrap();
     let upload =
         |width: u32| server.post("/warp").multipart(form(&photo(width, 12), json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string())).send();
     let uploading = tokio::spawn(upload(20));
-    eventually("the uploads' queue is full", || server.app.pool().load(Work::Upload).waiting == 1).await;
+    eventually("the uploads' queue is full", || server.app.pool().load(WorkClass::Upload).waiting == 1).await;
     refused(upload(21).await.unwrap()).await;
     for path in ["/sessions", "/points"] {
         refused(server.post(path).json(&json!({})).send().await.unwrap()).await;
@@ -65,7 +65,7 @@ async fn a_request_that_waits_is_superseded_without_its_turn() {
     let server = Server::start(&["--workers", "1", "--queue", "8"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let send = |seq: u64| tokio::spawn(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq})).send());
-    let ticket = busy(&server, Work::Drag).await;
+    let ticket = busy(&server, WorkClass::Drag).await;
     let old = send(1);
     let seen = |seq: u64| {
         let (server, path) = (&server, format!("/sessions/{id}"));
@@ -88,14 +88,14 @@ async fn a_request_that_waits_is_superseded_without_its_turn() {
 async fn whoever_waits_too_long_is_answered() {
     let server = Server::start(&["--workers", "1", "--drag-wait", "50ms", "--upload-wait", "60ms"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
-    let held = (busy(&server, Work::Drag).await, busy(&server, Work::Upload).await);
+    let held = (busy(&server, WorkClass::Drag).await, busy(&server, WorkClass::Upload).await);
     refused(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     refused(server.upload("/sessions", &photo(16, 12), &json!({"p": [[2, 2]]})).await).await;
     // A drag whose picture has been dropped waits with the uploads.
     server.app.forget_caches();
     refused(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     let late = |work| server.app.pool().load(work).late;
-    assert_eq!((late(Work::Drag), late(Work::Upload)), (1, 2));
+    assert_eq!((late(WorkClass::Drag), late(WorkClass::Upload)), (1, 2));
     drop(held);
     server.is_well().await;
 }
@@ -106,11 +106,11 @@ async fn a_session_with_many_requests_does_not_keep_others_out() {
     let greedy = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let modest = server.session(&photo(16, 12), &json!({"p": [[3, 3]]})).await;
     let drag = |id: &str| tokio::spawn(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]]})).send());
-    let held = busy(&server, Work::Drag).await;
+    let held = busy(&server, WorkClass::Drag).await;
     let many: Vec<_> = (0..12).map(|_| drag(&greedy)).collect();
-    eventually("all have come", || server.app.pool().load(Work::Drag).full == 8).await;
+    eventually("all have come", || server.app.pool().load(WorkClass::Drag).full == 8).await;
     let one = drag(&modest);
-    eventually("it is let in", || server.app.pool().load(Work::Drag).full == 9).await;
+    eventually("it is let in", || server.app.pool().load(WorkClass::Drag).full == 9).await;
     drop(held);
     png(one.await.unwrap().unwrap()).await;
     let mut drawn = 0;
@@ -161,7 +161,7 @@ async fn a_stopping_server_is_not_ready() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_computation_that_panics_takes_nothing_with_it() {
     let server = Server::start(&["--workers", "1"]).await;
-    let ticket = busy(&server, Work::Drag).await;
+    let ticket = busy(&server, WorkClass::Drag).await;
     let (sender, receiver) = mpsc::channel::<()>();
     server.app.pool().start(&ticket, move || {
         let _held = sender;

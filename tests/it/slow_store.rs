@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use mlswarp_server::pool::Work;
+use mlswarp_server::pool::WorkClass;
 use reqwest::Response;
 use serde_json::json;
 use tokio::task::JoinHandle;
@@ -52,7 +52,7 @@ async fn cold_drags_that_wait_for_their_files_keep_nobody_else_waiting() {
     // The second file is asked for while the first is on its way.
     eventually("both files are asked for", || relay.held() == 2).await;
     let meanwhile = p99_of(&server, 30).await;
-    eventually("what waits for the store holds no worker", || server.app.pool().load(Work::Upload).running == 0).await;
+    eventually("what waits for the store holds no worker", || server.app.pool().load(WorkClass::Upload).running == 0).await;
     // Records come and go, and so does a drag whose picture is there.
     assert_eq!(server.get(&format!("/sessions/{one}")).send().await.unwrap().status(), 200);
     png(drag(&server, &warm).await.unwrap().unwrap()).await;

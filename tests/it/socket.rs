@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mlswarp_server::pool::{QueueKey, Work};
+use mlswarp_server::pool::{QueueKey, WorkClass};
 use reqwest::Method;
 use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, TRANSFER_ENCODING, UPGRADE};
 use serde_json::{Value, json};
@@ -314,8 +314,8 @@ async fn a_full_queue_delays_frames_and_loses_none() {
     let server = Server::start(&["--workers", "1", "--queue", "0"]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     let mut hand = Hand::open(server.address, &id, "").await;
-    eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full(Work::Drag)).await;
-    let ticket = server.app.pool().admit(Work::Drag, QueueKey::client(this_client())).await.unwrap();
+    eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full(WorkClass::Drag)).await;
+    let ticket = server.app.pool().admit(WorkClass::Drag, QueueKey::client(this_client())).await.unwrap();
     hand.pose(1, &posed(1)).await;
     assert!(hand.next_within(Duration::from_millis(100)).await.is_none());
     hand.pose(2, &posed(2)).await;

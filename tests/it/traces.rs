@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
-use mlswarp_server::pool::{QueueKey, Work};
+use mlswarp_server::pool::{QueueKey, WorkClass};
 use opentelemetry_proto::tonic::trace::v1::Span;
 use reqwest::Client;
 use serde_json::{Value, json};
@@ -131,9 +131,9 @@ async fn who_leaves_before_the_answer_has_a_span_of_its_name() {
     let collector = Collector::start().await;
     let server = Server::start(&["--otlp-endpoint", &collector.url(), "--workers", "1"]).await;
     let pool = server.app.pool();
-    let busy = pool.admit(Work::Upload, QueueKey::client(crate::support::server::this_client())).await.unwrap();
+    let busy = pool.admit(WorkClass::Upload, QueueKey::client(crate::support::server::this_client())).await.unwrap();
     let waits = tokio::spawn(server.post("/points").json(&json!({"extent": [9, 9], "points": []})).send());
-    eventually("it waits", || pool.load(Work::Upload).waiting == 1).await;
+    eventually("it waits", || pool.load(WorkClass::Upload).waiting == 1).await;
     waits.abort();
     eventually("its span comes", || !collector.spans().is_empty()).await;
     let span = collector.named("POST /points").unwrap();

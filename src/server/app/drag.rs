@@ -20,7 +20,7 @@ use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, QueueKey, Ticket, Work};
+use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, Session, StoreError};
@@ -160,7 +160,8 @@ impl App {
         let is_warm = matches!(source, Source::Image(_))
             && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key()))
             && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, QueueKey::session(client, record.id)).await?;
+        let ticket =
+            self.0.pool.admit(if is_warm { WorkClass::Drag } else { WorkClass::Upload }, QueueKey::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let image = self.session_image(&ticket, record, source).await?;
@@ -188,7 +189,8 @@ impl App {
         let setup = self.session_setup(client, record).await?;
         form.bounded(setup.grid())?;
         let is_warm = self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
-        let ticket = self.0.pool.admit(if is_warm { Work::Drag } else { Work::Upload }, QueueKey::session(client, record.id)).await?;
+        let ticket =
+            self.0.pool.admit(if is_warm { WorkClass::Drag } else { WorkClass::Upload }, QueueKey::session(client, record.id)).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, &mut timing).await?;
         Ok((ticket, Walked { setup, plan, timing, plan_built }))

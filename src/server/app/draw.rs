@@ -287,7 +287,7 @@ impl App {
     /// Whatever is wrong with q, folds that are refused, or a computation that failed.
     pub(crate) async fn draw(&self, ticket: Ticket, sitting: DrawJob, timing: Timing, plan_built: bool) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
-        let (drawer, helpers) = self.0.pool.draws();
+        let (drawer, helpers) = self.0.pool.begin_drawing();
         let meeting = HelperHandoff::default();
         let pool = self.0.pool.clone();
         let easel = DrawTask {

@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::cache::CacheStats;
 use crate::limits::memory::Purpose;
 use crate::observe::tracer::Tracer;
-use crate::pool::{Load, Work};
+use crate::pool::{Load, WorkClass};
 
 /// Labels and a value.
 type Sample = (Vec<(&'static str, &'static str)>, u64);
@@ -94,7 +94,7 @@ impl Collector for App {
 
 impl App {
     fn write_work(&self, writer: &mut Writer<'_>) -> fmt::Result {
-        let loads = [(Work::Drag, "drag"), (Work::Upload, "upload"), (Work::Transfer, "transfer")]
+        let loads = [(WorkClass::Drag, "drag"), (WorkClass::Upload, "upload"), (WorkClass::Transfer, "transfer")]
             .map(|(work, name)| (self.0.pool.load(work), name));
         let each = |value: &dyn Fn(&Load) -> usize| loads.each_ref().map(|(load, work)| labelled("work", work, value(load) as u64));
         // Transfers wait for the store and take no worker.

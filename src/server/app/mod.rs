@@ -29,7 +29,7 @@ use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservat
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
 use crate::observe::tracer::{Tracer, TracerError};
-use crate::pool::{Pool, PoolError, QueueKey, Shape, Work};
+use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::store::{NotOpened, Store, StoreError};
 use holdings::Holdings;
@@ -307,7 +307,7 @@ impl App {
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.stays()?;
         // Somebody who has nothing here yet would be sent away.
-        if [Work::Drag, Work::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
+        if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
             return Err(PoolError::Full.into());
         }
         if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
@@ -325,7 +325,7 @@ impl App {
     /// # Errors
     /// [`Code::Overloaded`].
     pub fn admits(&self, client: Client) -> Result<(), Problem> {
-        if self.0.pool.refuses(Work::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
+        if self.0.pool.rejects(WorkClass::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
     }
 
     /// Drops expired sessions now and then, until the application is gone. Needs a runtime.

@@ -14,7 +14,7 @@ use crate::client::Client;
 use crate::limits::client_quota::Share;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
-use crate::pool::{QueueKey, Ticket, Work};
+use crate::pool::{QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::wire::{AsJson, PointsObject};
@@ -40,7 +40,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with the handles, or no room.
     pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // Places are mapped by the exact function: the grid, and its limits, do not matter.
@@ -57,7 +57,7 @@ impl App {
     pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;
-        let ticket = self.0.pool.admit(Work::Upload, QueueKey::session(client, id)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
         self.map(&ticket, self.share(client), setup, object).await
     }

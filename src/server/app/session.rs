@@ -12,7 +12,7 @@ use crate::client::Client;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, QueueKey, Work};
+use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, StoreError};
@@ -24,7 +24,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with either, or no room.
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
@@ -49,7 +49,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with either, or no room.
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
         // Whoever waits for the store computes nothing.
         drop(ticket);
@@ -73,7 +73,7 @@ impl App {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             // For as long as this computes, and not while it waits for the store.
-            let ticket = self.0.pool.admit(Work::Upload, QueueKey::session(client, id)).await?;
+            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
             let (json, limits, extent) = (json.clone(), self.0.config.limits(), old.extent);
             let resolve =
@@ -102,7 +102,7 @@ impl App {
     /// Puts a session into the store and counts it for its client.
     async fn store_counted(&self, client: Client, record: Arc<Record>, file: Bytes) -> Result<Put, Problem> {
         // One client's many files do not hold up another's.
-        let _turn = self.0.pool.admit(Work::Transfer, QueueKey::client(client)).await?;
+        let _turn = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.holdings.claim(client.tenant(), &record, file.len() as u64)?;
         // If this request ends while the store works, the session may come to be: it stays counted.
         let put = in_stage("store", self.0.store.put(record, file)).await;
@@ -239,7 +239,7 @@ mod tests {
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
         // The last computation gives its turn back by itself.
-        while app.pool().load(Work::Upload).running > 0 {
+        while app.pool().load(WorkClass::Upload).running > 0 {
             tokio::task::yield_now().await;
         }
     }

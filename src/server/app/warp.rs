@@ -18,7 +18,7 @@ use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket, Work};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::Record;
@@ -81,7 +81,7 @@ impl App {
     /// # Errors
     /// Whatever is wrong with either, or no room.
     pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
-        let ticket = self.0.pool.admit(Work::Upload, QueueKey::client(client)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (material, plan, timing, plan_built) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
         let q = material.object.q.clone().unwrap_or_default();
         let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
@@ -98,7 +98,7 @@ impl App {
     pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let build = async move {
-            let ticket = app.0.pool.admit(Work::Upload, QueueKey::session(client, theirs.id)).await?;
+            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, theirs.id)).await?;
             let held = app.reserve(Purpose::Plan, weight(&theirs))?;
             let limits = app.0.config.limits();
             let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
@@ -187,7 +187,7 @@ impl App {
         }
         let (app, theirs) = (self.clone(), Arc::clone(record));
         let fetch = async move {
-            let _turn = app.0.pool.admit(Work::Transfer, QueueKey::session(client, theirs.id)).await?;
+            let _turn = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, theirs.id)).await?;
             let bytes = in_stage("store", app.0.store.image_bytes(theirs.id, theirs.image)).await?;
             let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
             let file = in_stage("store", app.0.store.image(theirs.id, theirs.image)).await?;

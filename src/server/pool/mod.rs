@@ -1,18 +1,7 @@
-//! Admission and the compute threads. A request goes through one of two gates: work on a session that is warm (a drag), and everything that
-//! decodes or fills tables first (an upload). Each has as many turns and threads as there are workers, so that milliseconds never wait behind
-//! seconds, and either may use the whole machine while the other is idle; and one turn and thread more, for a client that would otherwise
-//! wait for the long requests of others. A request runs at once, waits for its turn at most for the gate's `max_wait`, or is refused;
-//! which request is next is decided by `queue`, fairly between clients. No async thread ever computes, no compute thread ever waits for a
-//! client.
+//! Admission and compute threads: `README.md` describes both, with a diagram.
 //!
-//! A third gate has no threads: a request passes it while it waits for a session's file, to the store or from it, and holds no worker.
-//!
-//! A closure runs on one thread. What is worth splitting (tables of coefficients, many places) goes on to rayon's threads,
-//! [`Pool::run_parallel`]; the strips of a picture are taken by helpers, as many as no other picture wants (`recent_concurrency`). A helper
-//! leaves after its strip when a request waits for a thread.
-//!
-//! A ticket is shared by everything that computes for the request: it is given back when the last closure has ended, also when the
-//! request's future was dropped before.
+//! Async tasks never compute, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for it holds
+//! a clone, so that the ticket is returned when the last closure has ended, even if the request's future was dropped before.
 
 mod admission;
 mod queue;
@@ -20,7 +9,7 @@ mod recent_concurrency;
 mod worker_threads;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -37,7 +26,7 @@ use worker_threads::WorkerThreads;
 use crate::observe::Scope;
 use crate::observe::scope::stage;
 
-/// The operating system gives no threads.
+/// The operating system refused to start threads.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct NoThreads(String);
@@ -45,10 +34,10 @@ pub struct NoThreads(String);
 /// Why nothing was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PoolError {
-    /// All workers are busy and the queue is full, or became so with requests that come first.
+    /// All workers are busy and the queue is full, or became full with requests that take precedence.
     #[error("all workers are busy and the queue is full")]
     Full,
-    /// The turn did not come in time.
+    /// No worker became free in time.
     #[error("no worker was free within the {} ms that this may wait", .max_wait.as_millis())]
     Late {
         /// The longest wait.
@@ -59,30 +48,30 @@ pub enum PoolError {
     Panicked,
 }
 
-/// Uploads get a third of the time that drags get where both want the same processor, and all of it where no drag does.
-const UPLOADS_NICE: i32 = 5;
+/// Niceness of upload threads: next to a drag on the same processor they get a third of its time, otherwise all of it.
+const UPLOAD_NICENESS: i32 = 5;
 
-/// Files of sessions that are sent to the store or fetched from it at one time, and one more of a client that has none: a slow store holds the
-/// memory of that many files, and no worker. No more than the connections for files to a Redis, so none of them waits for another there.
+/// Simultaneous transfers of files from and to the store, one extra for another client apart. Not more than the Redis connections for files, so that
+/// no transfer waits for a connection.
 const TRANSFERS: usize = 6;
 
-/// Which gate.
+/// The classes of work, each with a queue of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Work {
-    /// On what is warm: milliseconds.
+pub enum WorkClass {
+    /// Uses a cached image and plan: milliseconds.
     Drag,
-    /// Decodes, or fills tables.
+    /// Decodes an image or builds a plan.
     Upload,
-    /// Waits for a session's file, to the store or from it, and computes nothing.
+    /// Transfers a file from or to the store; uses no thread.
     Transfer,
 }
 
-/// What a pool is made of.
+/// The size of a pool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Threads and turns of each gate; each has one of both in reserve, for a client that has no turn.
+    /// Threads and permits of each class; each class has one more of both for a client without a permit.
     pub workers: usize,
-    /// Requests that may wait before each gate.
+    /// Requests that may wait in each queue.
     pub queue: usize,
     /// Longest wait of a drag.
     pub drag_wait: Duration,
@@ -90,33 +79,32 @@ pub struct Shape {
     pub upload_wait: Duration,
 }
 
-/// Compute threads behind bounded queues. Cloning shares them.
+/// Compute threads behind bounded queues. Clones share them.
 #[derive(Clone, Debug)]
 pub struct Pool {
     drags: Arc<AdmissionQueue>,
     uploads: Arc<AdmissionQueue>,
     transfers: Arc<AdmissionQueue>,
-    /// For what is split, while the thread that split it sleeps; one thing at a time.
-    wide: Arc<Mutex<ThreadPool>>,
-    crowd: RecentConcurrency,
+    /// For one parallel computation at a time, while the thread that started it sleeps.
+    parallel: Arc<Mutex<ThreadPool>>,
+    recent: RecentConcurrency,
     workers: usize,
-    running: Arc<AtomicUsize>,
 }
 
 /// The right to compute, for the request that has waited for it.
 #[derive(Clone, Debug)]
 pub struct Ticket {
-    gate: Arc<AdmissionQueue>,
-    _turn: Arc<AdmissionPermit>,
+    queue: Arc<AdmissionQueue>,
+    _permit: Arc<AdmissionPermit>,
     scope: Scope,
     waited: Duration,
 }
 
 impl Ticket {
-    /// A job waits for a thread of the same gate.
+    /// Whether a job waits for a thread of the same class.
     #[must_use]
     pub fn is_thread_wanted(&self) -> bool {
-        self.gate.crew.is_thread_wanted()
+        self.queue.threads.is_thread_wanted()
     }
 
     /// Time spent in the queue.
@@ -126,12 +114,12 @@ impl Ticket {
     }
 }
 
-/// Whether anyone still wants the result; long work asks between its steps.
+/// Whether a result is no longer needed; long computations check it between their steps.
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Nobody waits for the result any more.
+    /// The result is no longer needed.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
@@ -147,99 +135,82 @@ impl Drop for CancelOnDrop {
     }
 }
 
-/// Counts a computation for as long as it lives.
-struct Running(Arc<AtomicUsize>);
-
-impl Running {
-    fn begin(counter: &Arc<AtomicUsize>) -> Self {
-        counter.fetch_add(1, Ordering::Relaxed);
-        Self(Arc::clone(counter))
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 impl Pool {
     /// Starts the threads.
     ///
     /// # Errors
-    /// The operating system gives no threads.
+    /// The operating system refused to start threads.
     pub fn new(shape: Shape) -> Result<Self, NoThreads> {
         let Shape { workers, queue, drag_wait, upload_wait } = shape;
-        let wide = ThreadPoolBuilder::new()
+        let parallel = ThreadPoolBuilder::new()
             .num_threads(workers)
-            .thread_name(|i| format!("split-{i}"))
-            // Without a handler a panic that reaches a rayon thread aborts the process.
+            .thread_name(|i| format!("parallel-{i}"))
+            // Without a handler, a panic that reaches a rayon thread aborts the process.
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let gate = |name: &str, max_wait: Duration, nice: i32| {
-            let crew = WorkerThreads::start(name, workers + queue::SPARE, nice).map_err(|e| NoThreads(e.to_string()))?;
-            Ok(AdmissionQueue::new(crew, workers, queue, max_wait))
+        let class = |name: &str, max_wait: Duration, niceness: i32| {
+            let threads = WorkerThreads::start(name, workers + queue::SPARE, niceness).map_err(|e| NoThreads(e.to_string()))?;
+            Ok(AdmissionQueue::new(threads, workers, queue, max_wait))
         };
         Ok(Self {
-            drags: gate("drag", drag_wait, 0)?,
-            uploads: gate("upload", upload_wait, UPLOADS_NICE)?,
+            drags: class("drag", drag_wait, 0)?,
+            uploads: class("upload", upload_wait, UPLOAD_NICENESS)?,
             transfers: AdmissionQueue::new(WorkerThreads::default(), TRANSFERS, queue, upload_wait),
-            wide: Arc::new(Mutex::new(wide)),
-            crowd: RecentConcurrency::default(),
+            parallel: Arc::new(Mutex::new(parallel)),
+            recent: RecentConcurrency::default(),
             workers,
-            running: Arc::new(AtomicUsize::new(0)),
         })
     }
 
-    const fn gate(&self, work: Work) -> &Arc<AdmissionQueue> {
-        match work {
-            Work::Drag => &self.drags,
-            Work::Upload => &self.uploads,
-            Work::Transfer => &self.transfers,
+    const fn queue(&self, class: WorkClass) -> &Arc<AdmissionQueue> {
+        match class {
+            WorkClass::Drag => &self.drags,
+            WorkClass::Upload => &self.uploads,
+            WorkClass::Transfer => &self.transfers,
         }
     }
 
-    /// A request of somebody who has none here yet would be refused now.
+    /// Whether a request of a client without requests here would be rejected now.
     #[must_use]
-    pub fn is_full(&self, work: Work) -> bool {
-        self.gate(work).is_full()
+    pub fn is_full(&self, class: WorkClass) -> bool {
+        self.queue(class).is_full()
     }
 
-    /// A request of this lane would be refused now.
+    /// Whether a request with this key would be rejected now.
     #[must_use]
-    pub fn refuses(&self, work: Work, lane: QueueKey) -> bool {
-        self.gate(work).refuses(lane)
+    pub fn rejects(&self, class: WorkClass, key: QueueKey) -> bool {
+        self.queue(class).rejects(key)
     }
 
-    /// Who runs and waits at a gate.
+    /// Running and waiting requests of a class.
     #[must_use]
-    pub fn load(&self, work: Work) -> Load {
-        self.gate(work).load()
+    pub fn load(&self, class: WorkClass) -> Load {
+        self.queue(class).load()
     }
 
-    /// Computations that go on now, those of clients that have left included.
+    /// Requests that hold a worker, those of disconnected clients included.
     #[must_use]
     pub fn running(&self) -> usize {
-        self.running.load(Ordering::Relaxed)
+        self.drags.load().running + self.uploads.load().running
     }
 
-    /// Waits for a turn. Dropping the future gives the place in the queue back.
+    /// Waits for a permit. Dropping the future leaves the queue.
     ///
     /// # Errors
     /// [`PoolError::Full`], [`PoolError::Late`].
-    pub async fn admit(&self, work: Work, lane: QueueKey) -> Result<Ticket, PoolError> {
+    pub async fn admit(&self, class: WorkClass, key: QueueKey) -> Result<Ticket, PoolError> {
         let began = Instant::now();
-        let gate = self.gate(work);
-        let turn = gate.enter(lane).await;
-        // The stage of that name is the wait for a worker.
-        if work != Work::Transfer {
+        let queue = self.queue(class);
+        let permit = queue.enter(key).await;
+        // The stage `queue` is the wait for a worker.
+        if class != WorkClass::Transfer {
             stage("queue", began);
         }
-        Ok(Ticket { gate: Arc::clone(gate), _turn: Arc::new(turn?), scope: Scope::current(), waited: began.elapsed() })
+        Ok(Ticket { queue: Arc::clone(queue), _permit: Arc::new(permit?), scope: Scope::current(), waited: began.elapsed() })
     }
 
-    /// Runs `work` on a compute thread. When the future is dropped, `work` finds its [`Cancel`] set.
+    /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is set.
     ///
     /// # Errors
     /// [`PoolError::Panicked`].
@@ -250,20 +221,20 @@ impl Pool {
     {
         let guard = CancelOnDrop(Cancel::default());
         let cancel = guard.0.clone();
-        let (answer, result) = oneshot::channel();
+        let (sender, result) = oneshot::channel();
         self.start(ticket, move || {
-            // Nobody listens when the request was dropped meanwhile.
-            let _ = answer.send(work(&cancel));
+            // The receiver is gone when the request was dropped.
+            let _ = sender.send(work(&cancel));
         });
         result.await.map_err(|_| PoolError::Panicked)
     }
 
-    /// Starts `work` on a compute thread and does not wait. A panic ends `work` alone, and drops what it holds.
+    /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops what it owns.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
-        ticket.gate.crew.submit([self.job(ticket, work)]);
+        ticket.queue.threads.submit([job(ticket, work)]);
     }
 
-    /// The same with `helpers` more threads that are woken at the same time, each of which calls `help`.
+    /// As [`Pool::start`], and wakes `helpers` more threads at the same time, each of which calls `help`.
     pub fn start_with(
         &self,
         ticket: &Ticket,
@@ -271,47 +242,48 @@ impl Pool {
         helpers: usize,
         help: impl Fn() + Clone + Send + 'static,
     ) {
-        let help = (0..helpers).map(|_| self.job(ticket, help.clone()));
-        ticket.gate.crew.submit(std::iter::once(self.job(ticket, work)).chain(help));
+        let help = (0..helpers).map(|_| job(ticket, help.clone()));
+        ticket.queue.threads.submit(std::iter::once(job(ticket, work)).chain(help));
     }
 
-    fn job(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce() + Send> {
-        let ticket = ticket.clone();
-        let running = Running::begin(&self.running);
-        Box::new(move || {
-            // What a panic leaves half-done is owned by `work` and dropped with it.
-            ticket.scope.enter(|| {
-                if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
-                    tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
-                }
-            });
-            // In this order: nothing that has ended still holds a place.
-            drop((ticket, running));
-        })
-    }
-
-    /// Runs `work` on as many threads as it splits into, while this compute thread sleeps; on this thread alone when they are taken (a thread
-    /// that waits for a part of one thing would take up all of another). A panic comes through.
+    /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits for its
+    /// part of one computation would otherwise execute all of another). A panic is propagated.
     pub fn run_parallel<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
-        match self.wide.try_lock() {
-            Ok(wide) => wide.install(work),
-            // Nothing of the pool is broken by a panic that went through it.
-            Err(TryLockError::Poisoned(wide)) => wide.into_inner().install(work),
+        match self.parallel.try_lock() {
+            Ok(threads) => threads.install(work),
+            // A panic that was propagated through the pool breaks nothing in it.
+            Err(TryLockError::Poisoned(threads)) => threads.into_inner().install(work),
             Err(TryLockError::WouldBlock) => work(),
         }
     }
 
-    /// Joins those who draw; the number is how many threads beside its own the picture may take.
+    /// Begins a drawing; the number is how many helper threads it may use.
     #[must_use]
-    pub fn draws(&self) -> (DrawGuard, usize) {
-        let (drawer, most) = self.crowd.join();
-        (drawer, (self.workers / most).saturating_sub(1))
+    pub fn begin_drawing(&self) -> (DrawGuard, usize) {
+        let (guard, drawings) = self.recent.begin();
+        (guard, (self.workers / drawings).saturating_sub(1))
     }
 }
 
-/// The words of a panic.
+fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce() + Send> {
+    let ticket = ticket.clone();
+    Box::new(move || {
+        // What a panic leaves unfinished is owned by `work` and dropped with it.
+        ticket.scope.enter(|| {
+            if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
+                tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
+            }
+        });
+    })
+}
+
+/// The message of a panic.
 pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
-    panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without words")
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("a panic without a message")
 }
 
 #[cfg(test)]
@@ -328,12 +300,12 @@ mod tests {
     const LONG: Duration = Duration::from_secs(600);
 
     /// A session of one client.
-    fn lane(n: u8) -> QueueKey {
+    fn key(n: u8) -> QueueKey {
         QueueKey::session(Client::default(), SessionId::from_bytes(&[n; 32]))
     }
 
     async fn drag(pool: &Pool, n: u8) -> Result<Ticket, PoolError> {
-        pool.admit(Work::Drag, lane(n)).await
+        pool.admit(WorkClass::Drag, key(n)).await
     }
 
     #[tokio::test]
@@ -344,18 +316,18 @@ mod tests {
             let pool = pool.clone();
             async move { drag(&pool, 2).await }
         });
-        while !pool.refuses(Work::Drag, lane(3)) {
+        while !pool.rejects(WorkClass::Drag, key(3)) {
             tokio::task::yield_now().await;
         }
         assert_eq!(drag(&pool, 3).await.unwrap_err(), PoolError::Full);
-        assert_eq!(pool.load(Work::Drag), Load { running: 1, waiting: 1, full: 1, late: 0 });
-        pool.admit(Work::Upload, lane(3)).await.unwrap();
+        assert_eq!(pool.load(WorkClass::Drag), Load { running: 1, waiting: 1, full: 1, late: 0 });
+        pool.admit(WorkClass::Upload, key(3)).await.unwrap();
         waiting.abort();
         let _ = waiting.await;
-        assert!(!pool.refuses(Work::Drag, lane(3)), "a waiter that left gives its place back");
+        assert!(!pool.rejects(WorkClass::Drag, key(3)), "a waiter that left gives its place back");
         drop(first);
         drag(&pool, 4).await.unwrap();
-        assert_eq!(pool.load(Work::Drag), Load { running: 0, waiting: 0, full: 1, late: 0 });
+        assert_eq!(pool.load(WorkClass::Drag), Load { running: 0, waiting: 0, full: 1, late: 0 });
     }
 
     #[tokio::test]
@@ -363,7 +335,7 @@ mod tests {
         let pool = pool(8, Duration::from_millis(20));
         let first = drag(&pool, 1).await.unwrap();
         assert_eq!(drag(&pool, 2).await.unwrap_err(), PoolError::Late { max_wait: Duration::from_millis(20) });
-        assert_eq!(pool.load(Work::Drag), Load { running: 1, waiting: 0, full: 0, late: 1 });
+        assert_eq!(pool.load(WorkClass::Drag), Load { running: 1, waiting: 0, full: 0, late: 1 });
         drop(first);
         drag(&pool, 3).await.unwrap();
     }
@@ -379,7 +351,7 @@ mod tests {
         let mut same = Vec::new();
         for waiting in 1..=2 {
             same.push(wait(2));
-            while pool.load(Work::Drag).waiting < waiting {
+            while pool.load(WorkClass::Drag).waiting < waiting {
                 tokio::task::yield_now().await;
             }
         }
@@ -395,7 +367,7 @@ mod tests {
         let pool = pool(0, LONG);
         let (go, wait) = mpsc::channel::<()>();
         let long = drag(&pool, 1).await.unwrap();
-        let (wait, began) = (Arc::new(Mutex::new(wait)), Arc::new(AtomicUsize::new(0)));
+        let (wait, began) = (Arc::new(Mutex::new(wait)), Arc::new(std::sync::atomic::AtomicUsize::new(0)));
         let hold = {
             let began = Arc::clone(&began);
             move || {
@@ -408,9 +380,9 @@ mod tests {
             tokio::task::yield_now().await;
         }
         let other = Client { address: [192, 0, 2, 1].into(), ..Client::default() };
-        let ticket = pool.admit(Work::Drag, QueueKey::client(other)).await.unwrap();
+        let ticket = pool.admit(WorkClass::Drag, QueueKey::client(other)).await.unwrap();
         assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7), "it has a turn and a thread");
-        assert!(pool.refuses(Work::Drag, lane(2)) && pool.is_full(Work::Drag));
+        assert!(pool.rejects(WorkClass::Drag, key(2)) && pool.is_full(WorkClass::Drag));
         drop((go, long, ticket));
     }
 
@@ -446,11 +418,11 @@ mod tests {
         let sees = sees.await.unwrap();
         task.abort();
         assert!(task.await.unwrap_err().is_cancelled());
-        assert!(pool.refuses(Work::Drag, lane(1)), "the work holds the client's only place");
+        assert!(pool.rejects(WorkClass::Drag, key(1)), "the work holds the client's only place");
         go.send(()).unwrap();
         let seen = tokio::task::spawn_blocking(move || sees.recv().unwrap());
         assert_eq!(seen.await.unwrap(), "cancelled");
-        while pool.refuses(Work::Drag, lane(1)) {
+        while pool.rejects(WorkClass::Drag, key(1)) {
             tokio::task::yield_now().await;
         }
     }

@@ -1,53 +1,53 @@
-//! How many pictures were drawn at once of late. Threads are shared among so many: a lone picture gets them all, pictures side by side get one
-//! each, which is a fifth faster for all of them together than splitting every one.
+//! The recent number of simultaneous drawings. The threads are shared among that number: a lone drawing gets all of them; simultaneous drawings get
+//! one each, which makes all of them together a fifth faster than splitting each (measured; see README.md).
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A picture that was drawn within the last one or two of these still counts: a client that comes again at once is no idle processor.
-const LATE: Duration = Duration::from_millis(5);
+/// A drawing of this or the previous period counts: a client that returns immediately leaves no idle processor.
+const PERIOD: Duration = Duration::from_millis(5);
 
-/// Pictures that are drawn now and were of late. Cloning shares them.
+/// Drawings in progress, and their largest number of the current and the previous period. Clones share them.
 #[derive(Clone, Debug)]
-pub(crate) struct RecentConcurrency(Arc<Mutex<Seen>>);
+pub(crate) struct RecentConcurrency(Arc<Mutex<State>>);
 
 #[derive(Debug)]
-struct Seen {
+struct State {
     now: usize,
     most: usize,
     most_before: usize,
     since: Instant,
 }
 
-/// One of the crowd, until dropped.
+/// A drawing in progress, until dropped.
 #[derive(Debug)]
 pub struct DrawGuard(RecentConcurrency);
 
 impl Default for RecentConcurrency {
     fn default() -> Self {
-        Self(Arc::new(Mutex::new(Seen { now: 0, most: 0, most_before: 0, since: Instant::now() })))
+        Self(Arc::new(Mutex::new(State { now: 0, most: 0, most_before: 0, since: Instant::now() })))
     }
 }
 
 impl RecentConcurrency {
-    /// Joins; the number is the most there were at once of late, the newcomer included.
-    pub(crate) fn join(&self) -> (DrawGuard, usize) {
-        let mut seen = self.lock();
-        seen.now += 1;
-        let age = seen.since.elapsed();
-        if age >= LATE {
-            // Who was here at the end of a period was here through what followed without a newcomer.
-            seen.most_before = if age >= 2 * LATE { seen.now } else { seen.most };
-            seen.most = seen.now;
-            seen.since = Instant::now();
+    /// Begins a drawing; the number is the largest recent number of simultaneous drawings, this one included.
+    pub(crate) fn begin(&self) -> (DrawGuard, usize) {
+        let mut state = self.lock();
+        state.now += 1;
+        let age = state.since.elapsed();
+        if age >= PERIOD {
+            // The drawings at the end of a period lasted through the following periods without a newcomer.
+            state.most_before = if age >= 2 * PERIOD { state.now } else { state.most };
+            state.most = state.now;
+            state.since = Instant::now();
         }
-        seen.most = seen.most.max(seen.now);
-        let most = seen.most.max(seen.most_before);
-        drop(seen);
+        state.most = state.most.max(state.now);
+        let most = state.most.max(state.most_before);
+        drop(state);
         (DrawGuard(self.clone()), most)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Seen> {
+    fn lock(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -64,18 +64,18 @@ mod tests {
 
     #[test]
     fn the_most_of_late_counts_and_is_forgotten() {
-        let crowd = RecentConcurrency::default();
-        let (alone, most) = crowd.join();
+        let recent = RecentConcurrency::default();
+        let (alone, most) = recent.begin();
         assert_eq!(most, 1);
-        let (second, most) = crowd.join();
+        let (second, most) = recent.begin();
         assert_eq!(most, 2);
         drop((alone, second));
         // At once after: still two, unless this machine has slept meanwhile.
         let began = Instant::now();
-        let (third, most) = crowd.join();
-        assert!(most == 2 || began.elapsed() >= LATE);
+        let (third, most) = recent.begin();
+        assert!(most == 2 || began.elapsed() >= PERIOD);
         drop(third);
-        std::thread::sleep(2 * LATE);
-        assert_eq!(crowd.join().1, 1);
+        std::thread::sleep(2 * PERIOD);
+        assert_eq!(recent.begin().1, 1);
     }
 }

@@ -1,6 +1,5 @@
-//! The threads that compute, behind one queue. A job is taken by one thread and never by one that has begun another: a request waits for
-//! nobody else's picture. An idle thread looks for work a little longer before it sleeps, because waking a sleeping one takes a tenth of a
-//! millisecond, a tenth of a small picture.
+//! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it takes the next one, so that no request waits for
+//! a part of another's. An idle thread polls for a short time before it sleeps: waking a sleeping thread takes a tenth of a millisecond.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,60 +8,60 @@ use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// How long an idle thread looks for work before it sleeps: a client on the same machine is back with its next pose in half of this. Sixty
-/// poses a second cost every thread about a hundredth of its processor.
-const AWAKE: Duration = Duration::from_micros(200);
+/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose within half of this. At sixty poses a second it
+/// costs each thread about 1 % of a processor.
+const POLL_TIME: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// Threads that end when this is dropped, each after its job. The default has none.
+/// Compute threads; they end when this is dropped, after the queued jobs. The default has none.
 #[derive(Debug, Default)]
 pub(crate) struct WorkerThreads(Arc<WorkerState>);
 
 #[derive(Default)]
 struct WorkerState {
-    queue: Mutex<Queue>,
+    queue: Mutex<JobQueue>,
     work: Condvar,
-    /// Jobs that wait: what an idle thread looks at without the lock.
+    /// Number of queued jobs, for polling without the lock.
     waiting: AtomicUsize,
 }
 
 impl std::fmt::Debug for WorkerState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Shared").field("waiting", &self.waiting).finish_non_exhaustive()
+        f.debug_struct("WorkerState").field("waiting", &self.waiting).finish_non_exhaustive()
     }
 }
 
 #[derive(Default)]
-struct Queue {
+struct JobQueue {
     jobs: VecDeque<Job>,
     asleep: usize,
-    over: bool,
+    is_closed: bool,
 }
 
 impl WorkerThreads {
-    /// Starts `threads` threads of that name. `nice`: how far they stand back for others of the process (Linux; 0 to 19).
+    /// Starts `threads` threads with this name and niceness (0 to 19; Linux only).
     ///
     /// # Errors
-    /// The operating system gives no more.
-    pub(crate) fn start(name: &str, threads: usize, nice: i32) -> Result<Self, std::io::Error> {
-        let crew = Self(Arc::default());
+    /// The operating system refused to start a thread.
+    pub(crate) fn start(name: &str, threads: usize, niceness: i32) -> Result<Self, std::io::Error> {
+        let started = Self(Arc::default());
         for index in 0..threads {
-            let shared = Arc::clone(&crew.0);
+            let state = Arc::clone(&started.0);
             std::thread::Builder::new().name(format!("{name}-{index}")).spawn(move || {
-                lower_priority(nice);
-                shared.run();
+                lower_priority(niceness);
+                state.run();
             })?;
         }
-        Ok(crew)
+        Ok(started)
     }
 
-    /// A job waits for a thread.
+    /// Whether a job waits for a thread.
     pub(crate) fn is_thread_wanted(&self) -> bool {
         self.0.waiting.load(Ordering::Relaxed) > 0
     }
 
-    /// Hands over jobs at once, to as many threads. A job that panics ends its thread: jobs catch.
+    /// Queues jobs and wakes as many threads. A job that panics ends its thread, so jobs catch panics.
     pub(crate) fn submit(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();
         let before = queue.jobs.len();
@@ -76,38 +75,38 @@ impl WorkerThreads {
     }
 }
 
-/// A thread's own niceness is Linux'; elsewhere it would be the process's. Where it is refused, all is as if it had not been asked.
-fn lower_priority(nice: i32) {
+/// Sets the niceness of this thread. Linux only: elsewhere it would apply to the process. A refusal changes nothing.
+fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
-    if nice > 0 {
-        let _ = rustix::process::nice(nice);
+    if niceness > 0 {
+        let _ = rustix::process::nice(niceness);
     }
     #[cfg(not(target_os = "linux"))]
-    let _ = nice;
+    let _ = niceness;
 }
 
 impl Drop for WorkerThreads {
     fn drop(&mut self) {
-        self.0.lock().over = true;
+        self.0.lock().is_closed = true;
         self.0.work.notify_all();
     }
 }
 
 impl WorkerState {
-    fn lock(&self) -> MutexGuard<'_, Queue> {
-        // Nothing panics under the lock.
+    fn lock(&self) -> MutexGuard<'_, JobQueue> {
+        // No code panics under the lock.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn run(&self) {
-        // A pool of this thread alone: what a small job would split stays here instead of waiting for others.
-        let _alone: Option<ThreadPool> = ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().ok();
+        // A rayon pool of this thread only: parallel iterators of a job run here instead of on the global pool.
+        let _local: Option<ThreadPool> = ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().ok();
         while let Some(job) = self.next() {
             job();
         }
     }
 
-    /// The next job; none when the crew is dismissed.
+    /// The next job; `None` when the threads are dropped.
     fn next(&self) -> Option<Job> {
         let mut idle = None;
         loop {
@@ -117,10 +116,10 @@ impl WorkerState {
                     return Some(job);
                 }
             }
-            if idle.get_or_insert_with(Instant::now).elapsed() >= AWAKE {
+            if idle.get_or_insert_with(Instant::now).elapsed() >= POLL_TIME {
                 return self.sleep();
             }
-            // Whoever else wants this processor gets it.
+            // Other threads may use this processor.
             std::thread::yield_now();
         }
     }
@@ -131,7 +130,7 @@ impl WorkerState {
             if let Some(job) = self.take(&mut queue) {
                 return Some(job);
             }
-            if queue.over {
+            if queue.is_closed {
                 return None;
             }
             queue.asleep += 1;
@@ -140,7 +139,7 @@ impl WorkerState {
         }
     }
 
-    fn take(&self, queue: &mut Queue) -> Option<Job> {
+    fn take(&self, queue: &mut JobQueue) -> Option<Job> {
         let job = queue.jobs.pop_front();
         self.waiting.store(queue.jobs.len(), Ordering::Release);
         job
@@ -155,10 +154,10 @@ mod tests {
 
     #[test]
     fn jobs_handed_over_together_run_together() {
-        let crew = WorkerThreads::start("test", 3, 0).unwrap();
+        let threads = WorkerThreads::start("test", 3, 0).unwrap();
         for _ in 0..50 {
             let meet = Arc::new(Barrier::new(4));
-            crew.submit((0..3).map(|_| {
+            threads.submit((0..3).map(|_| {
                 let meet = Arc::clone(&meet);
                 Box::new(move || {
                     meet.wait();
@@ -170,13 +169,13 @@ mod tests {
 
     #[test]
     fn jobs_of_one_thread_run_in_order_and_sleepers_are_woken() {
-        let crew = WorkerThreads::start("test", 1, 0).unwrap();
+        let threads = WorkerThreads::start("test", 1, 0).unwrap();
         let (done, order) = channel();
         for k in 0..20 {
             let done = done.clone();
-            crew.submit([Box::new(move || done.send(k).unwrap()) as Job]);
+            threads.submit([Box::new(move || done.send(k).unwrap()) as Job]);
             if k % 5 == 0 {
-                std::thread::sleep(2 * AWAKE);
+                std::thread::sleep(2 * POLL_TIME);
             }
         }
         drop(done);
@@ -184,14 +183,14 @@ mod tests {
     }
 
     #[test]
-    fn a_dismissed_crew_does_what_it_was_given_and_ends() {
+    fn a_dismissed_pool_does_what_it_was_given_and_ends() {
         let (done, all) = channel();
-        let crew = WorkerThreads::start("test", 2, 0).unwrap();
-        crew.submit((0..10).map(|_| {
+        let threads = WorkerThreads::start("test", 2, 0).unwrap();
+        threads.submit((0..10).map(|_| {
             let done = done.clone();
             Box::new(move || done.send(()).unwrap()) as Job
         }));
-        drop((crew, done));
+        drop((threads, done));
         assert_eq!(all.iter().count(), 10);
     }
 }
