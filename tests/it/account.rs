@@ -124,7 +124,7 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
                 send(&app, Method::PUT, &path, form, &upload).await;
             }
             if polls % 2 == 0 {
-                app.forget_caches();
+                app.clear_caches();
             }
             let request: std::pin::Pin<Box<dyn Future<Output = ()> + Send>> = match kind {
                 0 => Box::pin(send(&app, Method::POST, "/warp", form, &upload)),
@@ -154,7 +154,7 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
         eventually("answers leave nothing", || app.budget().taken_for(Purpose::Frame) == 0).await;
     }
     let kept = || {
-        app.forget_caches();
+        app.clear_caches();
         Purpose::ALL.iter().map(|purpose| app.budget().taken_for(*purpose)).sum::<u64>() + app.budget().taken()
     };
     eventually("sessions expire, and nothing is left", || kept() == 0).await;
@@ -188,7 +188,7 @@ async fn objects_of_new_sessions_are_in_the_account() {
         eventually("what was read is given back", || held() == 0).await;
     }
     assert_eq!(sessions(), "2");
-    let share = app.share(Client::default());
+    let share = app.response_quota(Client::default());
     let _unread = app.reserve_for(Purpose::Frame, &share, share.limit()).unwrap();
     let other = multipart(&photo(300, 20), r#"{"p": [[1, 2]]}"#);
     for (method, path) in [(Method::POST, "/sessions"), (Method::PUT, named), (Method::PUT, &named.replace("8f", "7f"))] {

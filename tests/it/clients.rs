@@ -20,7 +20,7 @@ async fn thirty_two_clients_get_the_right_picture_each() {
     for client in 0..32 {
         alone.push(png(server.upload("/warp", picture(client), &warp(client)).await).await);
     }
-    server.app.forget_caches();
+    server.app.clear_caches();
     let together = join_all((0..32).map(|client| {
         let server = &server;
         let image = picture(client);
@@ -36,7 +36,7 @@ async fn thirty_two_clients_get_the_right_picture_each() {
 async fn thirty_two_hands_drag_one_session() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(120, 90), &json!({"p": [[20, 20], [100, 70]]})).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     let decoded = server.app.counters();
     let pose = |hand: u32| json!({"session": id, "q": [[20 + hand, 20], [100, 70]]});
     let together = join_all((0..32).map(|hand| {

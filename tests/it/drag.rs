@@ -82,7 +82,7 @@ async fn what_the_caches_dropped_is_rebuilt_from_the_session() {
     let id = server.session(&photo(64, 48), &rest()).await;
     let body = json!({"session": id, "q": posed(1)});
     let warm = png(server.drag(&body).await).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     let cold = server.drag(&body).await;
     assert_eq!(header(&cold, "warp-plan"), "built");
     assert_eq!(png(cold).await, warm);

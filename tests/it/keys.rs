@@ -325,7 +325,7 @@ async fn caches_tell_one_owner_nothing_of_another() {
             server.post(&format!("/sessions/{id}/warp")).bearer_auth(key).json(&json!({"q": [[5, 4], [12, 8]]})).send().await.unwrap();
         header(&answer, "warp-plan").to_owned()
     };
-    server.app.forget_caches();
+    server.app.clear_caches();
     let (anns, bobs) = (open(ANN).await, open(BOB).await);
     assert_eq!(seen(), (4, 4));
     let deleted = server.client.delete(server.url(&format!("/sessions/{bobs}"))).bearer_auth(BOB).send().await.unwrap();

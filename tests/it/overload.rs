@@ -92,7 +92,7 @@ async fn whoever_waits_too_long_is_answered() {
     refused(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     refused(server.upload("/sessions", &photo(16, 12), &json!({"p": [[2, 2]]})).await).await;
     // A drag whose picture has been dropped waits with the uploads.
-    server.app.forget_caches();
+    server.app.clear_caches();
     refused(server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]]})).send().await.unwrap()).await;
     let late = |work| server.app.pool().load(work).late;
     assert_eq!((late(WorkClass::Drag), late(WorkClass::Upload)), (1, 2));
@@ -141,7 +141,7 @@ async fn memory_is_refused_before_it_is_taken_and_what_is_idle_gives_way() {
     // All that is left is taken by others; what is idle still gives way, and then nothing does.
     let all = budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap();
     png(server.upload("/warp", &photo(800, 600), &warp).await).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     let rest = budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap();
     self::refused(server.upload("/warp", &photo(800, 600), &warp).await).await;
     problem(server.get("/readyz").send().await.unwrap(), 503, "overloaded").await;

@@ -45,7 +45,7 @@ async fn cold_drags_that_wait_for_their_files_keep_nobody_else_waiting() {
     let warm = server.session(&photo(28, 22), &json!({"p": [[2, 2]]})).await;
     let before = p99_of(&server, 30).await;
 
-    server.app.forget_caches();
+    server.app.clear_caches();
     png(drag(&server, &warm).await.unwrap().unwrap()).await;
     relay.hold(Some("GET"));
     let cold = [drag(&server, &one), drag(&server, &other)];
@@ -76,7 +76,7 @@ async fn cold_drags_of_one_session_share_its_file() {
     let relay = Relay::start(&redis).await;
     let server = start(&relay, "2").await;
     let id = server.session(&photo(20, 14), &json!({"p": [[2, 2]]})).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     relay.hold(Some("GET"));
     let cold: Vec<_> = (0..6).map(|_| drag(&server, &id)).collect();
     eventually("the file is asked for", || relay.held() > 0).await;
@@ -97,7 +97,7 @@ async fn a_file_is_in_the_account_while_it_is_fetched() {
     let server = start(&relay, "2").await;
     let file = photo(200, 150);
     let id = server.session(&file, &json!({"p": [[2, 2]]})).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     let budget = server.app.budget();
     eventually("no picture is held", || budget.taken_for(Purpose::Image) == 0).await;
     relay.hold(Some("GET"));
@@ -106,7 +106,7 @@ async fn a_file_is_in_the_account_while_it_is_fetched() {
     assert!(budget.taken_for(Purpose::Image) >= file.len() as u64);
     relay.hold(None);
     png(cold.await.unwrap().unwrap()).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     eventually("nothing is left of it", || budget.taken_for(Purpose::Image) == 0).await;
     // Where there is no room for it, it is not asked for.
     let rest = budget.take(Purpose::Frame, budget.total() / 8 * 7 - budget.taken() - file.len() as u64).unwrap();

@@ -157,7 +157,7 @@ async fn newer_drags_do_not_stop_the_plan_that_all_of_them_need() {
     let server = Server::start(&["--workers", "1"]).await;
     let lines = slow_lines(60);
     let id = server.session(&photo(SIDES.0, SIDES.1), &json!({"p": lines, "alpha": 1.3, "grid": {"cell": 8}})).await;
-    server.app.forget_caches();
+    server.app.clear_caches();
     let built = || server.app.counters().plans_built;
     let before = built();
     let drag = |seq: u64| tokio::spawn(server.post(&format!("/sessions/{id}/warp")).json(&json!({"seq": seq, "q": moved(&lines)})).send());

@@ -1,5 +1,5 @@
-//! Steps of a drag: q alone, to a picture or to a posed grid. Where picture, setup and table are at hand a step goes through the drags' gate;
-//! where they must be made again it waits with the uploads.
+//! `POST /sessions/{id}/warp` and `/mesh`: new positions of the handles, drawn or returned as a posed grid. A request whose image, setup and plan are
+//! cached is of the class drag, others of the class upload.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -8,15 +8,15 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, Image, OutputSpec, Plan, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{Folds, Image, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn};
-use super::warp::{ATTEMPTS, Source, json_unless};
-use crate::app::sequence::SequencePosition;
+use super::sequence::SequencePosition;
+use super::warp::{ATTEMPTS, Planned, Source, json_unless};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
-use crate::limits::client_quota::Share;
+use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
@@ -27,50 +27,29 @@ use crate::store::{Record, Session, StoreError};
 use crate::wire::formats::Formats;
 use crate::wire::{AsJson, DragObject, MeshObject, MeshShape};
 
-/// Vertices that are written as JSON, some 40 bytes each.
-const JSON_VERTICES: u64 = 1 << 20;
+/// Maximum number of vertices of a mesh as JSON, which takes some 40 bytes per vertex.
+const MAX_JSON_VERTICES: u64 = 1 << 20;
 
-/// A step of a drag that holds its place while it waits.
+/// A request for a session, with its position among the numbered ones.
 struct SequencedRequest {
     record: Arc<Record>,
-    place: Option<(SequencePosition, u64)>,
+    position: Option<(SequencePosition, u64)>,
 }
 
-/// What a mesh is posed with.
-pub(crate) struct Walked {
-    setup: Arc<Setup>,
-    plan: Arc<CacheEntry<Plan>>,
-    timing: Timing,
-    plan_built: bool,
+/// A plan, and the ticket to use it.
+pub(crate) struct AdmittedPlan {
+    pub(crate) ticket: Ticket,
+    planned: Planned,
 }
 
-/// What a picture is drawn with, and the right to draw it.
-pub(crate) struct Warm {
-    ticket: Ticket,
-    image: Arc<CacheEntry<Image>>,
-    walked: Walked,
-}
-
-impl Walked {
-    /// The grid over its picture.
+impl AdmittedPlan {
+    /// The shape of the grid on an image of this extent.
     pub(crate) fn shape(&self, extent: Extent) -> MeshShape {
-        MeshShape::new(&self.setup, extent)
+        MeshShape::new(&self.planned.setup, extent)
     }
 }
 
-impl Warm {
-    /// The right to compute.
-    pub(crate) const fn ticket(&self) -> &Ticket {
-        &self.ticket
-    }
-
-    /// The grid over its picture.
-    pub(crate) fn shape(&self, extent: Extent) -> MeshShape {
-        self.walked.shape(extent)
-    }
-}
-
-/// How a mesh is written.
+/// The encoding of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeshForm {
     /// A JSON object.
@@ -80,12 +59,12 @@ pub enum MeshForm {
 }
 
 impl MeshForm {
-    /// Refuses before memory is taken.
-    fn bounded(self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
+    /// Rejects a mesh that is too large for its encoding, before memory is reserved.
+    fn check_size(self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
         let vertices = u64::from(columns) * u64::from(rows);
-        if self == Self::Json && vertices > JSON_VERTICES {
+        if self == Self::Json && vertices > MAX_JSON_VERTICES {
             let detail = format!("a mesh of {vertices} vertices is not written as JSON; ask for application/octet-stream");
-            return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", JSON_VERTICES, vertices));
+            return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", MAX_JSON_VERTICES, vertices));
         }
         Ok(())
     }
@@ -98,49 +77,52 @@ impl MeshForm {
     }
 }
 
-/// A posed grid as its client gets it.
+/// An encoded posed grid.
 #[derive(Debug)]
 pub struct PosedMesh {
-    /// What to tell.
+    /// Warnings and measures for the head of the response.
     pub report: Report,
-    /// What it cost.
+    /// Cost.
     pub timing: Timing,
-    /// The coefficients were built for this request, not found.
+    /// Whether the plan was built for this request.
     pub plan_built: bool,
     /// The vertices.
     pub body: Bytes,
 }
 
 impl App {
-    /// One step of a drag: q alone.
+    /// Draws one step of a drag.
     ///
     /// # Errors
-    /// Unknown session, superseded, whatever is wrong with q, or no room.
+    /// Unknown session, superseded, wrong `q`, or too little capacity.
     pub async fn drag(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
-        let turn = self.turn(id, drag.seq).await?;
-        let (record, warm) = self.unless_superseded(&turn, self.warm_newest(client, Arc::clone(&turn.record))).await?;
+        let request = self.sequence(id, drag.seq).await?;
+        let plan = self.admit_newest(client, Arc::clone(&request.record));
+        let (record, image, plan) = self.unless_superseded(&request, plan).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
-        self.draw_warm(warm, drag.q, record.folds, output, self.share(client)).await
+        self.draw_admitted(plan, image, drag.q, record.folds, output, self.response_quota(client)).await
     }
 
-    /// The posed grid of a step of a drag; no picture is decoded or drawn.
+    /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
     ///
     /// # Errors
-    /// Unknown session, superseded, whatever is wrong with q, too many vertices for JSON, or no room.
+    /// Unknown session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
     pub async fn mesh(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
-        let turn = self.turn(id, drag.seq).await?;
-        let record = Arc::clone(&turn.record);
-        let (ticket, walked) = self.unless_superseded(&turn, self.walk(client, &record, form)).await?;
-        self.pose_walked(ticket, walked, drag.q, &record, form, self.share(client)).await
+        let request = self.sequence(id, drag.seq).await?;
+        let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, form)).await?;
+        self.pose_mesh(plan, drag.q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// All that a picture of the session is made of, under a ticket. Where the session was made anew while this waited, its old file is gone: then of
-    /// the session as it is now.
-    pub(crate) async fn warm_newest(&self, client: Client, mut record: Arc<Record>) -> Result<(Arc<Record>, Warm), Problem> {
+    /// The image and plan of a session. If the session was replaced while this waited, its old file is gone: then those of the current session.
+    pub(crate) async fn admit_newest(
+        &self,
+        client: Client,
+        mut record: Arc<Record>,
+    ) -> Result<(Arc<Record>, Arc<CacheEntry<Image>>, AdmittedPlan), Problem> {
         for _ in 0..ATTEMPTS {
-            match self.warm(client, &record).await {
-                Ok(warm) => return Ok((record, warm)),
+            match self.admit_drawing(client, &record).await {
+                Ok((image, plan)) => return Ok((record, image, plan)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
                     let newest = in_stage("store", self.0.store.peek(record.id)).await?.record;
                     if newest.revision == record.revision {
@@ -154,100 +136,99 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    async fn warm(&self, client: Client, record: &Arc<Record>) -> Result<Warm, Problem> {
+    async fn admit_drawing(&self, client: Client, record: &Arc<Record>) -> Result<(Arc<CacheEntry<Image>>, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
         let source = self.session_source(client, record).await?;
-        let is_warm = matches!(source, Source::Image(_))
-            && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key()))
-            && setup.plan_bytes().is_some();
-        let ticket =
-            self.0.pool.admit(if is_warm { WorkClass::Drag } else { WorkClass::Upload }, QueueKey::session(client, record.id)).await?;
+        let ticket = self.admit_step(client, record, &setup, matches!(source, Source::Image(_))).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let image = self.session_image(&ticket, record, source).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, &mut timing).await?;
-        Ok(Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } })
+        let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
+        Ok((image, AdmittedPlan { ticket, planned }))
+    }
+
+    /// The plan of a session for a mesh.
+    pub(crate) async fn admit_mesh(&self, client: Client, record: &Arc<Record>, form: MeshForm) -> Result<AdmittedPlan, Problem> {
+        let setup = self.session_setup(client, record).await?;
+        form.check_size(setup.grid())?;
+        let ticket = self.admit_step(client, record, &setup, true).await?;
+        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
+        Ok(AdmittedPlan { ticket, planned })
+    }
+
+    /// Admits a step of a drag: as a drag if everything that it uses is cached, otherwise as an upload.
+    async fn admit_step(&self, client: Client, record: &Record, setup: &Setup, has_image: bool) -> Result<Ticket, Problem> {
+        let is_cached = has_image && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
+        let class = if is_cached { WorkClass::Drag } else { WorkClass::Upload };
+        Ok(self.0.pool.admit(class, QueueKey::session(client, record.id)).await?)
     }
 
     /// Poses and draws.
-    pub(crate) async fn draw_warm(
+    pub(crate) async fn draw_admitted(
         &self,
-        warm: Warm,
+        plan: AdmittedPlan,
+        image: Arc<CacheEntry<Image>>,
         q: Vec<Handle>,
         folds: Folds,
         output: OutputSpec,
-        share: Share,
+        quota: ClientQuota,
     ) -> Result<Drawn, Problem> {
-        let Warm { ticket, image, walked: Walked { setup, plan, timing, plan_built } } = warm;
-        self.draw(ticket, DrawJob { image, setup, plan, q, folds, output, share }, timing, plan_built).await
+        self.draw(plan.ticket, DrawJob { image, planned: plan.planned, q, folds, output, quota }).await
     }
 
-    /// All that a mesh of the session is made of, under a ticket.
-    pub(crate) async fn walk(&self, client: Client, record: &Arc<Record>, form: MeshForm) -> Result<(Ticket, Walked), Problem> {
-        let setup = self.session_setup(client, record).await?;
-        form.bounded(setup.grid())?;
-        let is_warm = self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
-        let ticket =
-            self.0.pool.admit(if is_warm { WorkClass::Drag } else { WorkClass::Upload }, QueueKey::session(client, record.id)).await?;
-        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let (plan, plan_built) = self.plan(record.id.owner(), &ticket, &setup, &mut timing).await?;
-        Ok((ticket, Walked { setup, plan, timing, plan_built }))
-    }
-
-    /// Poses the grid and writes it.
-    pub(crate) async fn pose_walked(
+    /// Poses the grid and encodes it.
+    pub(crate) async fn pose_mesh(
         &self,
-        ticket: Ticket,
-        walked: Walked,
+        plan: AdmittedPlan,
         q: Vec<Handle>,
         record: &Record,
         form: MeshForm,
-        share: Share,
+        quota: ClientQuota,
     ) -> Result<PosedMesh, Problem> {
-        let app = self.clone();
-        let (folds, extent) = (record.folds, record.extent);
+        let AdmittedPlan { ticket, planned: Planned { setup, plan, mut timing, is_built } } = plan;
+        let (app, folds, extent) = (self.clone(), record.folds, record.extent);
         let pose = move |cancel: &Cancel| {
-            let Walked { setup, plan, mut timing, plan_built } = walked;
             let began = Instant::now();
-            let gone = || cancel.is_cancelled();
-            let mut held = app.reserve_for(Purpose::Frame, &share, setup.posed_bytes())?;
-            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &gone);
+            let is_cancelled = || cancel.is_cancelled();
+            let mut reservation = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
+            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
             let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
             let body = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
-            held.shrink_to(body.len() as u64);
-            let body = held.attach(body);
-            Ok::<_, Problem>(PosedMesh { report: posed.into_report(), timing, plan_built, body })
+            reservation.shrink_to(body.len() as u64);
+            let body = reservation.attach(body);
+            Ok::<_, Problem>(PosedMesh { report: posed.into_report(), timing, plan_built: is_built, body })
         };
         self.0.pool.run(&ticket, pose).await?
     }
 
-    /// Uses the session, and takes the request's place among those that are numbered.
-    async fn turn(&self, id: SessionId, seq: Option<u64>) -> Result<SequencedRequest, Problem> {
+    /// Touches the session, and enters a numbered request into its sequence.
+    async fn sequence(&self, id: SessionId, seq: Option<u64>) -> Result<SequencedRequest, Problem> {
         let Session { record, seq: newest, .. } = self.touch(id, seq).await?;
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
             Some(seq) => {
-                let place = self.0.sequencer.enter((id, record.created), seq);
-                Ok(SequencedRequest { record, place: Some((place, seq)) })
+                let position = self.0.sequencer.enter((id, record.created), seq);
+                Ok(SequencedRequest { record, position: Some((position, seq)) })
             }
-            None => Ok(SequencedRequest { record, place: None }),
+            None => Ok(SequencedRequest { record, position: None }),
         }
     }
 
-    /// Gives up `work` when a newer request of the same session arrives.
-    async fn unless_superseded<T>(&self, turn: &SequencedRequest, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
-        match &turn.place {
+    /// Stops `work` when a newer request of the same session arrives.
+    async fn unless_superseded<T>(&self, request: &SequencedRequest, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+        match &request.position {
             None => work.await,
-            Some((place, seq)) => tokio::select! {
+            Some((position, seq)) => tokio::select! {
                 biased;
-                () = place.superseded() => Err(self.superseded(*seq)),
-                // The newer request needs what was being built for this one.
-                worked = place.builds().during(work) => worked,
+                () = position.superseded() => Err(self.superseded(*seq)),
+                // Builds continue: the newer request needs them.
+                result = position.builds().during(work) => result,
             },
         }
     }

@@ -1,7 +1,6 @@
-//! Drawing: one job poses and draws, on one compute thread and on as many more as no other picture wants, which are woken at the same time. A
-//! small picture is made whole; a larger one leaves strip by strip through an unbounded channel, so that compute never waits for a reader. What an
-//! answer may come to is reserved before it is drawn, and given back strip by strip as they leave. Whoever drops the receiving end
-//! ends the work at the next strip.
+//! Drawing one image: a [`DrawJob`] is posed and drawn on one compute thread and on its helpers, which are woken at the same time. A small image is
+//! drawn as a whole. A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a reader; its memory
+//! is reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is dropped.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,45 +11,43 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{
-    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Warp, WarpError, WriteObserver,
-};
+use mlswarp::warp::{Digest, Folds, Image, Limits, OutputSpec, Posed, Report, Stage, StripScheduler, Warp, WarpError, WriteObserver};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
+use super::warp::Planned;
 use crate::cache::CacheEntry;
-use crate::limits::client_quota::Share;
+use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::Scope;
 use crate::observe::scope::stage;
-use crate::observe::stages::Cost;
-use crate::observe::stages::Timing;
-use crate::pool::{DrawGuard, Pool, PoolError, Ticket};
+use crate::observe::stages::{Cost, Timing};
+use crate::pool::{DrawGuard, PoolError, Ticket};
 use crate::problem::Problem;
 
-/// How long a helper waits for the first strip to begin. Posing takes less, or nobody was asked to help so early.
-const PATIENCE: Duration = Duration::from_millis(1);
-/// Looks at the clock are this many looks at the work apart.
-const LOOKS: u32 = 64;
-/// Pictures of at most this many bytes are made whole: their length and cost stand in the answer's head.
-const WHOLE: u64 = 256 << 10;
+/// How long a helper polls for the first strip. Posing takes less time, unless it is parallel and its helpers start later.
+const HELPER_WAIT: Duration = Duration::from_millis(1);
+/// A helper reads the clock once in this many polls.
+const POLLS: u32 = 64;
+/// Images of at most this many bytes are drawn as a whole: the head of the response then has their length and cost.
+const MAX_WHOLE: u64 = 256 << 10;
 
-/// A picture, or one that is being made.
+/// An image, or one that is being drawn.
 #[derive(Debug)]
 pub enum Picture {
     /// All of it.
     Whole {
         /// The file.
         bytes: Bytes,
-        /// What drawing cost.
+        /// The cost of drawing.
         cost: Cost,
     },
-    /// Strips in order, then one [`Piece::End`]; a channel that closes before is a picture that failed.
+    /// Strips in order, then one [`Piece::End`]. If the channel closes before, drawing failed.
     Strips(UnboundedReceiver<Piece>),
 }
 
-/// What comes out of a picture that is being made.
+/// A part of an image that is being drawn.
 #[derive(Debug)]
 pub enum Piece {
     /// The next bytes of the file.
@@ -59,12 +56,52 @@ pub enum Piece {
     End(Cost),
 }
 
-/// What the stages of drawing cost, and where they are traced, from when to when they went on: both on many threads, and at the same time.
+/// Everything that an image is drawn from.
+#[derive(Debug)]
+pub(crate) struct DrawJob {
+    pub(crate) image: Arc<CacheEntry<Image>>,
+    pub(crate) planned: Planned,
+    pub(crate) q: Vec<Handle>,
+    pub(crate) folds: Folds,
+    pub(crate) output: OutputSpec,
+    /// The client's quota of memory for responses.
+    pub(crate) quota: ClientQuota,
+}
+
+impl DrawJob {
+    fn warp(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
+        let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, .. } = self;
+        output.target(image.extent(), limits)?;
+        let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
+        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report_on(image)))
+    }
+}
+
+/// An image whose first piece has been drawn.
+#[derive(Debug)]
+pub struct Drawn {
+    /// Warnings and measures for the head of the response.
+    pub report: Report,
+    /// Digest of the image, the resolved request and the build.
+    pub etag: Digest,
+    /// Width and height, px.
+    pub extent: Extent,
+    /// File format.
+    pub format: Format,
+    /// Cost before drawing.
+    pub timing: Timing,
+    /// Whether the plan was built for this request.
+    pub plan_built: bool,
+    /// The file.
+    pub picture: Picture,
+}
+
+/// Measures the stages of drawing: their cost on all threads together, and for a traced request when they began and ended.
 #[derive(Debug)]
 struct Clock {
     render: StageTimer,
     encode: StageTimer,
-    /// What `StageTimer`s count from.
+    /// The origin of the stages' times.
     began: Instant,
     scope: Scope,
 }
@@ -84,71 +121,20 @@ impl Default for StageTimer {
 }
 
 impl Default for Clock {
-    /// For the request that is worked on here.
+    /// A clock of the current request.
     fn default() -> Self {
         Self { render: StageTimer::default(), encode: StageTimer::default(), began: Instant::now(), scope: Scope::current() }
     }
 }
 
-impl WriteObserver for Clock {
-    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
-        let began = Instant::now();
-        work();
-        let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-        let spent = nanos(began.elapsed());
-        let lap = match stage {
-            Stage::Render => &self.render,
-            Stage::Encode => &self.encode,
-        };
-        lap.spent.fetch_add(spent, Ordering::Relaxed);
-        if self.scope.is_traced() {
-            let since = nanos(began.saturating_duration_since(self.began));
-            lap.first.fetch_min(since, Ordering::Relaxed);
-            lap.last.fetch_max(since + spent, Ordering::Relaxed);
-        }
-    }
-}
-
-/// A clock beside the one who waits.
-struct Attended<'a> {
-    clock: Clock,
-    answer: &'a oneshot::Sender<Result<Drawn, Problem>>,
-}
-
-impl WriteObserver for Attended<'_> {
-    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
-        self.clock.around(stage, work);
-    }
-
-    fn is_wanted(&self) -> bool {
-        !self.answer.is_closed()
-    }
-}
-
-/// A clock beside a thread that helps, and goes when a request waits for a thread.
-struct Helping<'a> {
-    clock: &'a Clock,
-    ticket: &'a Ticket,
-}
-
-impl WriteObserver for Helping<'_> {
-    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
-        self.clock.around(stage, work);
-    }
-
-    fn goes_on(&self) -> bool {
-        !self.ticket.is_thread_wanted()
-    }
-}
-
 impl Clock {
     fn cost(&self) -> Cost {
-        let read = |lap: &StageTimer| Duration::from_nanos(lap.spent.load(Ordering::Relaxed));
-        Cost { render: read(&self.render), encode: read(&self.encode) }
+        let spent = |timer: &StageTimer| Duration::from_nanos(timer.spent.load(Ordering::Relaxed));
+        Cost { render: spent(&self.render), encode: spent(&self.encode) }
     }
 
-    /// Tells the stages to the trace, from the first thread's beginning to the last one's end.
-    fn tell(&self) {
+    /// Adds the stages to the trace, each from its beginning on the first thread to its end on the last.
+    fn trace(&self) {
         for (name, StageTimer { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
             let (first, last) = (first.load(Ordering::Relaxed), last.load(Ordering::Relaxed));
             if first <= last {
@@ -158,48 +144,58 @@ impl Clock {
     }
 }
 
-/// All that a picture is made of.
-#[derive(Debug)]
-pub(crate) struct DrawJob {
-    pub(crate) image: Arc<CacheEntry<Image>>,
-    pub(crate) setup: Arc<Setup>,
-    pub(crate) plan: Arc<CacheEntry<Plan>>,
-    pub(crate) q: Vec<Handle>,
-    pub(crate) folds: Folds,
-    pub(crate) output: OutputSpec,
-    /// Whose answer it is.
-    pub(crate) share: Share,
-}
-
-impl DrawJob {
-    fn warp(&self, limits: &Limits, gone: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
-        let Self { image, setup, plan, q, folds, output, .. } = self;
-        output.target(image.extent(), limits)?;
-        let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, gone)?;
-        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report_on(image)))
+impl WriteObserver for Clock {
+    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
+        let began = Instant::now();
+        work();
+        let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        let spent = nanos(began.elapsed());
+        let timer = match stage {
+            Stage::Render => &self.render,
+            Stage::Encode => &self.encode,
+        };
+        timer.spent.fetch_add(spent, Ordering::Relaxed);
+        if self.scope.is_traced() {
+            let since = nanos(began.saturating_duration_since(self.began));
+            timer.first.fetch_min(since, Ordering::Relaxed);
+            timer.last.fetch_max(since + spent, Ordering::Relaxed);
+        }
     }
 }
 
-/// A picture of which the first piece is there.
-#[derive(Debug)]
-pub struct Drawn {
-    /// What to tell before the first pixel.
-    pub report: Report,
-    /// Digest of image, resolved request and build.
-    pub etag: Digest,
-    /// Width and height, px.
-    pub extent: Extent,
-    /// File format.
-    pub format: Format,
-    /// Cost before drawing.
-    pub timing: Timing,
-    /// The coefficients were built for this request, not found.
-    pub plan_built: bool,
-    /// The file.
-    pub picture: Picture,
+/// Observes a whole image, which is wanted as long as its request waits.
+struct WholeObserver<'a> {
+    clock: Clock,
+    answer: &'a oneshot::Sender<Result<Drawn, Problem>>,
 }
 
-/// Counts a picture when it is dropped: abandoned unless it was finished.
+impl WriteObserver for WholeObserver<'_> {
+    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
+        self.clock.around(stage, work);
+    }
+
+    fn is_wanted(&self) -> bool {
+        !self.answer.is_closed()
+    }
+}
+
+/// Observes a helper, which returns when a request waits for its thread.
+struct HelperObserver<'a> {
+    clock: &'a Clock,
+    ticket: &'a Ticket,
+}
+
+impl WriteObserver for HelperObserver<'_> {
+    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
+        self.clock.around(stage, work);
+    }
+
+    fn goes_on(&self) -> bool {
+        !self.ticket.is_thread_wanted()
+    }
+}
+
+/// Counts an image when it is dropped: abandoned unless it was finished.
 struct PictureGuard {
     app: App,
     finished: AtomicBool,
@@ -214,7 +210,7 @@ impl PictureGuard {
     fn finish(&self, clock: &Clock) {
         if !self.finished.swap(true, Ordering::Relaxed) {
             self.app.metrics().drawn(clock.cost());
-            clock.tell();
+            clock.trace();
             self.app.metrics().pictures_finished.inc();
         }
     }
@@ -228,108 +224,96 @@ impl Drop for PictureGuard {
     }
 }
 
-/// A picture that several threads draw.
-struct Work {
-    writing: StripScheduler<Box<Warp>, Sink>,
-    /// In the account of memory for as long as it is drawn from.
+type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
+
+/// An image that several threads draw.
+struct SharedDrawing {
+    strips: StripScheduler<Box<Warp>, Sink>,
+    /// Its memory stays reserved while strips are drawn from it.
     _image: Arc<CacheEntry<Image>>,
     clock: Clock,
-    begun: PictureGuard,
+    guard: PictureGuard,
     end: UnboundedSender<Piece>,
 }
 
-type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
-
-impl Work {
-    fn take_part(&self, watch: &dyn WriteObserver) {
-        if self.writing.work(watch) {
-            self.begun.finish(&self.clock);
-            // A client that leaves after the last strip has missed nothing.
+impl SharedDrawing {
+    fn draw(&self, observer: &dyn WriteObserver) {
+        if self.strips.work(observer) {
+            self.guard.finish(&self.clock);
+            // A client that leaves after the last strip has everything.
             let _ = self.end.send(Piece::End(self.clock.cost()));
         }
     }
 }
 
-/// Where helpers wait for the work: the empty meeting is over when nobody will fill it any more.
-type HelperHandoff = Arc<OnceLock<Option<Arc<Work>>>>;
+/// Passes the drawing from the job to its helpers; `None` when there is nothing to help with.
+type HelperHandoff = Arc<OnceLock<Option<Arc<SharedDrawing>>>>;
 
-/// Waits for the work, a short while, and takes part in it.
-fn help(meeting: &HelperHandoff, ticket: &Ticket) {
+/// Polls for the drawing for a short time, and draws strips of it.
+fn help(handoff: &HelperHandoff, ticket: &Ticket) {
     let began = Instant::now();
-    while began.elapsed() < PATIENCE {
-        for _ in 0..LOOKS {
-            if let Some(work) = meeting.get() {
-                return work.as_ref().map_or((), |work| work.take_part(&Helping { clock: &work.clock, ticket }));
+    while began.elapsed() < HELPER_WAIT {
+        for _ in 0..POLLS {
+            match handoff.get() {
+                Some(Some(drawing)) => return drawing.draw(&HelperObserver { clock: &drawing.clock, ticket }),
+                Some(None) => return,
+                None => std::hint::spin_loop(),
             }
-            std::hint::spin_loop();
         }
         std::thread::yield_now();
     }
 }
 
-/// What the job of a request is given beside the sitting.
+/// A draw job on its compute thread.
 struct DrawTask {
     app: App,
-    pool: Pool,
     ticket: Ticket,
     timing: Timing,
     plan_built: bool,
-    drawer: DrawGuard,
+    guard: DrawGuard,
     helpers: usize,
-    meeting: HelperHandoff,
+    handoff: HelperHandoff,
     answer: oneshot::Sender<Result<Drawn, Problem>>,
 }
 
 impl App {
-    /// Poses and draws; returns when the first piece of the picture is there.
+    /// Poses and draws; returns when the first piece of the image has been drawn.
     ///
     /// # Errors
-    /// Whatever is wrong with q, folds that are refused, or a computation that failed.
-    pub(crate) async fn draw(&self, ticket: Ticket, sitting: DrawJob, timing: Timing, plan_built: bool) -> Result<Drawn, Problem> {
+    /// Wrong `q`, rejected folds, too little memory, or a computation that failed.
+    pub(crate) async fn draw(&self, ticket: Ticket, job: DrawJob) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
-        let (drawer, helpers) = self.0.pool.begin_drawing();
-        let meeting = HelperHandoff::default();
-        let pool = self.0.pool.clone();
-        let easel = DrawTask {
-            app: self.clone(),
-            pool,
-            ticket: ticket.clone(),
-            timing,
-            plan_built,
-            drawer,
-            helpers,
-            meeting: Arc::clone(&meeting),
-            answer,
+        let (guard, helpers) = self.0.pool.begin_drawing();
+        let handoff = HelperHandoff::default();
+        // A parallel pose wakes its helpers later; only PNG is drawn by several threads.
+        let early = if job.planned.setup.is_wide() || job.output.format != Format::Png { 0 } else { helpers };
+        let (app, helped, helpers_ticket) = (self.clone(), Arc::clone(&handoff), ticket.clone());
+        let (timing, plan_built) = (job.planned.timing, job.planned.is_built);
+        let task = DrawTask { app, ticket: ticket.clone(), timing, plan_built, guard, helpers, handoff: Arc::clone(&handoff), answer };
+        let draw = move || {
+            task.draw(&job);
+            // Releases helpers that still wait.
+            let _ = handoff.set(None);
         };
-        // Threads that pose together come to help by themselves; only PNG is drawn by several.
-        let early = if sitting.setup.is_wide() || sitting.output.format != Format::Png { 0 } else { helpers };
-        let theirs = ticket.clone();
-        self.0.pool.start_with(&ticket, move || easel.draw(&sitting), early, move || help(&meeting, &theirs));
-        // Every way out of the job answers, but a panic.
+        self.0.pool.start_with(&ticket, draw, early, move || help(&helped, &helpers_ticket));
+        // The task always answers, unless it panics.
         result.await.map_err(|_| PoolError::Panicked)?
     }
 }
 
 impl DrawTask {
-    fn draw(self, sitting: &DrawJob) {
-        let meeting = Arc::clone(&self.meeting);
-        self.draw_at(sitting);
-        // Where nobody was needed, or nothing came about.
-        let _ = meeting.set(None);
-    }
-
-    fn draw_at(mut self, sitting: &DrawJob) {
+    fn draw(mut self, job: &DrawJob) {
         let began = Instant::now();
-        let limits = self.app.config().limits();
-        let gone = || self.answer.is_closed();
+        let (setup, limits) = (&job.planned.setup, self.app.config().limits());
+        let is_cancelled = || self.answer.is_closed();
         let prepare = || {
-            let mut held = self.app.reserve_for(Purpose::Frame, &sitting.share, sitting.setup.posed_bytes())?;
-            let pose = || sitting.warp(&limits, &gone);
-            let (warp, report) = if sitting.setup.is_wide() { self.pool.run_parallel(pose) } else { pose() }?;
-            self.app.reserve_more(&mut held, warp.work_bytes())?;
-            Ok((warp, report, held))
+            let mut reservation = self.app.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
+            let pose = || job.warp(&limits, &is_cancelled);
+            let (warp, report) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
+            self.app.reserve_more(&mut reservation, warp.work_bytes())?;
+            Ok((warp, report, reservation))
         };
-        let (warp, report, held) = match prepare() {
+        let (warp, report, reservation) = match prepare() {
             Ok(prepared) => prepared,
             Err(problem) => {
                 let _ = self.answer.send(Err(problem));
@@ -339,63 +323,62 @@ impl DrawTask {
         self.timing.deform = began.elapsed();
         stage("deform", began);
         self.app.metrics().prepared(&self.timing);
-        if warp.is_one_piece() || warp.max_bytes() <= WHOLE {
-            self.whole(&warp, report, held);
+        if warp.is_one_piece() || warp.max_bytes() <= MAX_WHOLE {
+            self.draw_whole(&warp, report, reservation);
         } else {
-            self.strips(warp, report, held, Arc::clone(&sitting.image), began);
+            self.draw_strips(warp, report, reservation, Arc::clone(&job.image), began);
         }
     }
 
-    fn whole(self, warp: &Warp, report: Report, mut held: Reservation) {
-        let (begun, mut file) = (PictureGuard::new(&self.app), Vec::new());
-        let watch = Attended { clock: Clock::default(), answer: &self.answer };
-        let flow = warp.write(0, &watch, &mut |bytes| {
+    fn draw_whole(self, warp: &Warp, report: Report, mut reservation: Reservation) {
+        let (picture, mut file) = (PictureGuard::new(&self.app), Vec::new());
+        let observer = WholeObserver { clock: Clock::default(), answer: &self.answer };
+        let flow = warp.write(0, &observer, &mut |bytes| {
             if file.is_empty() {
-                file = bytes
+                file = bytes;
             } else {
-                file.extend_from_slice(&bytes)
+                file.extend_from_slice(&bytes);
             }
             if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if flow.is_continue() {
-            begun.finish(&watch.clock);
+            picture.finish(&observer.clock);
         }
-        held.shrink_to(file.len() as u64);
-        let picture = Picture::Whole { bytes: held.attach(file), cost: watch.clock.cost() };
-        drop(self.drawer);
+        reservation.shrink_to(file.len() as u64);
+        let picture = Picture::Whole { bytes: reservation.attach(file), cost: observer.clock.cost() };
+        drop(self.guard);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
-    fn strips(self, warp: Warp, report: Report, mut held: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {
-        let Self { app, pool, ticket, timing, plan_built, drawer, helpers, meeting, answer } = self;
+    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {
+        let Self { app, ticket, timing, plan_built, guard, helpers, handoff, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let drawn = Drawn { report, etag, extent, format, timing, plan_built, picture: Picture::Strips(strips) };
-        let (end, mut first, mut drawer) = (pieces.clone(), Some((answer, drawn)), Some(drawer));
-        let sink: Sink = Box::new(move |bytes, last| {
-            if last {
-                // The client may come again before this thread has gone on.
-                drop(drawer.take());
+        let (end, mut first, mut guard) = (pieces.clone(), Some((answer, drawn)), Some(guard));
+        let sink: Sink = Box::new(move |bytes, is_last| {
+            if is_last {
+                // The client may send its next pose before this thread returns.
+                drop(guard.take());
             }
-            let heard = pieces.send(Piece::Bytes(held.split(bytes.len() as u64).attach(bytes))).is_ok();
-            // The head of the answer leaves with the first strip: one thing to wake for, not two.
-            let heard = heard && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
-            if heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            let is_sent = pieces.send(Piece::Bytes(reservation.split(bytes.len() as u64).attach(bytes))).is_ok();
+            // The head of the response is sent with the first strip: one wake-up instead of two.
+            let is_sent = is_sent && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
+            if is_sent { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         });
-        let (clock, begun) = (Clock::default(), PictureGuard::new(&app));
-        let work = Work { writing: StripScheduler::new(Box::new(warp), sink), _image: image, clock, begun, end };
-        let helpers = helpers.min(work.writing.strips() - 1);
-        let work = Arc::new(work);
-        let _ = meeting.set(Some(Arc::clone(&work)));
-        if helpers > 0 && began.elapsed() >= PATIENCE {
-            // Those who came early may have gone.
+        let strips = StripScheduler::new(Box::new(warp), sink);
+        let helpers = helpers.min(strips.strips() - 1);
+        let drawing = Arc::new(SharedDrawing { strips, _image: image, clock: Clock::default(), guard: PictureGuard::new(&app), end });
+        let _ = handoff.set(Some(Arc::clone(&drawing)));
+        if began.elapsed() >= HELPER_WAIT {
+            // The helpers that were woken early may have returned.
             for _ in 0..helpers {
-                let (meeting, theirs) = (Arc::clone(&meeting), ticket.clone());
-                pool.start(&ticket, move || help(&meeting, &theirs));
+                let (handoff, helpers_ticket) = (Arc::clone(&handoff), ticket.clone());
+                app.0.pool.start(&ticket, move || help(&handoff, &helpers_ticket));
             }
         }
-        work.take_part(&work.clock);
+        drawing.draw(&drawing.clock);
     }
 }

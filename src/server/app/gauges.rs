@@ -85,7 +85,7 @@ impl Collector for App {
             "Connections that were closed at once because there were too many",
             &one(connections.refused()),
         )?;
-        writer.gauge("sockets", "Drag sockets that are open", &one(self.0.seats.taken() as u64))?;
+        writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.taken() as u64))?;
         let (exported, dropped) = self.tracer().map(Tracer::stats).map_or((0, 0), |stats| (stats.exported(), stats.dropped()));
         writer.counter("spans_exported", "Spans that the collector has accepted", &one(exported))?;
         writer.counter("spans_dropped", "Spans that were lost because the collector did not accept them", &one(dropped))

@@ -1,33 +1,31 @@
-//! From its start to its end a service serves, leaves and stops; never back.
+//! The phases of a service: serving, leaving, stopping, hurrying. A service never returns to an earlier phase.
 
 use tokio::sync::watch;
 
 use super::App;
 use crate::problem::{Code, Problem};
 
-/// Seconds after which a client may try again: by then a proxy knows another replica.
+/// Seconds after which a client may retry: by then a proxy uses another replica.
 const RETRY: u32 = 1;
 
-/// Where a service is on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 enum Phase {
-    /// It takes work.
     #[default]
     Serving,
-    /// It says that it is not ready, and serves whoever comes all the same: proxies have not noticed yet.
+    /// Not ready any more; new requests are still served, because proxies have not noticed yet.
     Leaving,
-    /// Nobody comes any more; what has begun is finished.
+    /// New connections are refused; running requests may finish.
     Stopping,
-    /// What has begun has a moment left.
+    /// Delays and grace periods end now.
     Hurrying,
 }
 
-/// The phase, and who waits for it to change.
+/// The current phase, and the tasks that wait for a later one.
 #[derive(Debug, Default)]
-pub(crate) struct Phases(watch::Sender<Phase>);
+pub(crate) struct Lifecycle(watch::Sender<Phase>);
 
-impl Phases {
-    fn move_on_to(&self, phase: Phase) {
+impl Lifecycle {
+    fn advance_to(&self, phase: Phase) {
         self.0.send_modify(|now| *now = phase.max(*now));
     }
 
@@ -42,48 +40,53 @@ impl Phases {
 }
 
 impl App {
-    /// The service will stop soon: it is not ready for newcomers any more, and serves them.
+    /// Announces the stop: the service is not ready any more, but still serves new requests.
     pub fn leave(&self) {
-        self.0.phases.move_on_to(Phase::Leaving);
+        self.0.lifecycle.advance_to(Phase::Leaving);
     }
 
-    /// The service stops: drag sockets close.
+    /// Stops: drag sockets close.
     pub fn stop(&self) {
-        self.0.phases.move_on_to(Phase::Stopping);
+        self.0.lifecycle.advance_to(Phase::Stopping);
     }
 
-    /// The service stops, and soon: no delay and no grace are waited for any more.
+    /// Stops immediately, without delay and grace period.
     pub fn hurry(&self) {
-        self.0.phases.move_on_to(Phase::Hurrying);
+        self.0.lifecycle.advance_to(Phase::Hurrying);
     }
 
-    /// Whether the service will stop soon: connections are better not kept for another request.
+    /// Whether the service will stop soon, so that connections should not be kept for another request.
     #[must_use]
     pub fn is_leaving(&self) -> bool {
-        self.0.phases.is_at_least(Phase::Leaving)
+        self.0.lifecycle.is_at_least(Phase::Leaving)
     }
 
-    /// Waits until the service is stopping.
+    /// Waits for [`App::stop`].
     pub async fn stopping(&self) {
-        self.0.phases.reached(Phase::Stopping).await;
+        self.0.lifecycle.reached(Phase::Stopping).await;
     }
 
-    /// Waits until the service stops in a hurry.
+    /// Waits for [`App::hurry`].
     pub async fn hurrying(&self) {
-        self.0.phases.reached(Phase::Hurrying).await;
+        self.0.lifecycle.reached(Phase::Hurrying).await;
     }
 
-    /// Whether newcomers are asked for.
-    pub(crate) fn stays(&self) -> Result<(), Problem> {
-        if self.is_leaving() { Err(leaving()) } else { Ok(()) }
+    /// Waits until no drag socket is open.
+    pub async fn sockets_closed(&self) {
+        self.0.sockets.empty().await;
     }
 
-    /// Whether a drag socket may be opened. While the service only leaves it may: to be refused is worse than to be closed in a moment.
-    pub(crate) fn opens_sockets(&self) -> Result<(), Problem> {
-        if self.0.phases.is_at_least(Phase::Stopping) { Err(leaving()) } else { Ok(()) }
+    /// Fails once the service is leaving.
+    pub(crate) fn require_serving(&self) -> Result<(), Problem> {
+        if self.is_leaving() { Err(stopping()) } else { Ok(()) }
+    }
+
+    /// Fails once the service is stopping. A leaving service still opens drag sockets: closing one soon is better than refusing it.
+    pub(crate) fn require_running(&self) -> Result<(), Problem> {
+        if self.0.lifecycle.is_at_least(Phase::Stopping) { Err(stopping()) } else { Ok(()) }
     }
 }
 
-fn leaving() -> Problem {
+fn stopping() -> Problem {
     Problem::new(Code::Overloaded, "the service is stopping").retry_after(RETRY)
 }

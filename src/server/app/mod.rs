@@ -1,9 +1,9 @@
-//! The use cases, and the state that they share: pool, caches, sessions, limits. No HTTP and no JSON here; every error is a [`Problem`].
+//! The use cases, one file each, and the state that they share. There is no HTTP and no JSON here; every error is a [`Problem`].
 
+pub mod client_sessions;
 pub mod drag;
 pub mod draw;
 mod gauges;
-pub mod holdings;
 pub(crate) mod lifecycle;
 pub mod live_drag;
 pub(crate) mod points;
@@ -23,7 +23,7 @@ use crate::auth::AccessControl;
 use crate::cache::Cache;
 use crate::client::Client;
 use crate::config::{Config, WorkConfig};
-use crate::limits::client_quota::{Quota, Share, Shares};
+use crate::limits::client_quota::{ClientQuota, ClientQuotas, QuotaKind};
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
@@ -31,28 +31,20 @@ use crate::observe::metrics::Metrics;
 use crate::observe::tracer::{Tracer, TracerError};
 use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass};
 use crate::problem::{Code, Problem};
-use crate::store::{NotOpened, Store, StoreError};
-use holdings::Holdings;
-use lifecycle::Phases;
+use crate::store::{NotOpened, Store};
+use client_sessions::ClientSessions;
+use lifecycle::Lifecycle;
 
-/// Setups of sessions are small beside plans; they take this share of the plans' memory.
-const SETUP_SHARE: u64 = 8;
-/// Memory that a small picture takes: where there is less, a server is not ready for newcomers.
-const LEAST_LEFT: u64 = 1 << 20;
-/// One client may hold this part of the memory by answers that it does not read.
-const UNREAD_PART: u64 = 4;
-/// Seconds after which a request that found the queue full may come again.
-const RETRY_QUEUE: u32 = 1;
-/// Seconds after which a request that found no memory may come again.
-const RETRY_MEMORY: u32 = 2;
-/// Seconds after which a request that found the store full may come again.
-const RETRY_STORE: u32 = 30;
-/// Seconds after which a request that the store did not answer may come again.
-const RETRY_AWAY: u32 = 2;
-/// Seconds after which a request for a session of another version may come again: a rolling update takes minutes.
-const RETRY_OTHER_VERSION: u32 = 30;
+/// The cache of setups has the memory of the cache of plans divided by this.
+const SETUP_DIVISOR: u64 = 8;
+/// Memory for a small image, bytes; a server with less free memory is not ready.
+const MIN_FREE: u64 = 1 << 20;
+/// The unread responses of one client may use the memory divided by this.
+const UNREAD_DIVISOR: u64 = 4;
+/// Seconds after which a rejected request may be repeated.
+const RETRY: u32 = 1;
 
-/// Everything that requests share. Cloning shares it.
+/// The application. Clones share its state.
 #[derive(Clone, Debug)]
 pub struct App(pub(crate) Arc<AppState>);
 
@@ -61,61 +53,59 @@ pub(crate) struct AppState {
     pub(crate) config: Config,
     pub(crate) access: AccessControl,
     pub(crate) budget: Budget,
-    /// Of memory for answers.
-    pub(crate) answers: Shares,
-    /// Of memory for requests.
-    pub(crate) requests: Shares,
-    pub(crate) holdings: Holdings,
+    pub(crate) response_quotas: ClientQuotas,
+    pub(crate) request_quotas: ClientQuotas,
+    pub(crate) client_sessions: ClientSessions,
     pub(crate) pool: Pool,
     pub(crate) images: Cache<Image>,
     pub(crate) plans: Cache<Plan>,
     pub(crate) setups: Cache<Arc<Setup>>,
-    /// Keeps nothing: those who wait for one session's file share one look at the store.
+    /// Caches nothing; simultaneous requests for one session's file share one read of the store.
     pub(crate) files: Cache<Bytes>,
     pub(crate) store: Arc<dyn Store>,
     pub(crate) sequencer: Sequencer,
-    pub(crate) phases: Phases,
-    pub(crate) seats: SocketSlots,
+    pub(crate) lifecycle: Lifecycle,
+    pub(crate) sockets: SocketSlots,
     pub(crate) metrics: Metrics,
     pub(crate) tracer: Option<Tracer>,
 }
 
-/// What has happened so far.
+/// Counters since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Tables of coefficients filled.
+    /// Plans built.
     pub plans_built: u64,
     /// Files decoded.
     pub images_decoded: u64,
-    /// Pictures whose drawing began.
+    /// Images whose drawing began.
     pub pictures_begun: u64,
-    /// Pictures drawn to the end.
+    /// Images drawn completely.
     pub pictures_finished: u64,
-    /// Pictures that were given up because the client had left.
+    /// Images abandoned because the client had left.
     pub pictures_abandoned: u64,
-    /// Requests answered 409 because a newer pose had been seen.
+    /// Requests answered 409 because of a newer pose.
     pub superseded: u64,
-    /// Drag sockets that are open now.
+    /// Open drag sockets.
     pub sockets_open: u64,
-    /// Frames that were handed to drag sockets.
+    /// Frames sent to drag sockets.
     pub frames_sent: u64,
-    /// Poses of drag sockets of which no frame was sent, because a newer one was there.
+    /// Poses of drag sockets that were replaced by newer ones before their frame was sent.
     pub poses_superseded: u64,
 }
 
-/// What a service that takes work can do.
+/// What a ready service can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ready {
     /// Everything.
     Whole,
-    /// Sessions that it knows and pictures that need none: the store is away.
+    /// Known sessions, and images without a session: the store is unavailable.
     WithoutStore,
 }
 
-/// Why the application was not started.
+/// Why the application did not start.
 #[derive(Debug, Error)]
 pub enum NotStarted {
-    /// The operating system gives no threads.
+    /// The operating system refused to start threads.
     #[error("cannot start compute threads: {0}")]
     Threads(#[from] crate::pool::NoThreads),
     /// The store cannot be opened.
@@ -147,19 +137,19 @@ impl App {
                 ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
             ),
             budget: Budget::new(work.memory_bytes),
-            answers: Shares::new(Quota::Answers, work.memory_bytes / UNREAD_PART),
-            requests: Shares::new(Quota::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
-            holdings: Holdings::new(config.store.bounds(), of_client),
+            response_quotas: ClientQuotas::new(QuotaKind::Responses, work.memory_bytes / UNREAD_DIVISOR),
+            request_quotas: ClientQuotas::new(QuotaKind::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
+            client_sessions: ClientSessions::new(config.store.bounds(), of_client),
             pool: Pool::new(shape)?,
             images: Cache::new(work.image_cache_bytes),
             plans: Cache::new(work.plan_cache_bytes),
-            setups: Cache::new(work.plan_cache_bytes / SETUP_SHARE),
+            setups: Cache::new(work.plan_cache_bytes / SETUP_DIVISOR),
             files: Cache::new(0),
             store,
             sequencer: Sequencer::default(),
-            phases: Phases::default(),
-            // Half of the places for the frames of one client: the others are left to requests.
-            seats: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
+            lifecycle: Lifecycle::default(),
+            // The frames of one client may use half of the queue, its requests the other half.
+            sockets: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
             metrics: Metrics::default(),
             tracer,
             config,
@@ -172,7 +162,7 @@ impl App {
         &self.0.config
     }
 
-    /// Who is let in.
+    /// Keys, rates and connections.
     #[must_use]
     pub fn access(&self) -> &AccessControl {
         &self.0.access
@@ -184,80 +174,80 @@ impl App {
         &self.0.pool
     }
 
-    /// The account of memory.
+    /// The memory budget.
     #[must_use]
     pub fn budget(&self) -> &Budget {
         &self.0.budget
     }
 
-    /// Takes memory before it is allocated; what is cached and not in use gives way.
+    /// Reserves memory before it is allocated; idle cache entries are evicted for it.
     ///
     /// # Errors
-    /// [`Code::TooLarge`] for what never fits, [`Code::Overloaded`] for what does not fit now.
+    /// [`Code::TooLarge`] if it can never fit, [`Code::Overloaded`] if it does not fit now.
     pub fn reserve(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
-    /// Takes memory that counts for a client, and makes room for it as [`App::reserve`].
+    /// As [`App::reserve`], for memory that counts in the quota of a client.
     ///
     /// # Errors
-    /// As [`App::reserve`]; [`Code::Overloaded`] for a client that does not read its answers, [`Code::RateLimited`] for one whose
-    /// requests take too much.
-    pub fn reserve_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, Problem> {
-        self.evicting_idle(|| self.0.budget.take_for(purpose, share, bytes))
+    /// As [`App::reserve`]; [`Code::Overloaded`] for a client with too many unread responses, [`Code::RateLimited`] for one whose requests use
+    /// too much.
+    pub fn reserve_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, Problem> {
+        self.evicting_idle(|| self.0.budget.take_for(purpose, quota, bytes))
     }
 
-    /// What the client holds by answers that it has not read.
+    /// The client's quota of memory for responses that it has not read.
     #[must_use]
-    pub fn share(&self, client: Client) -> Share {
-        self.0.answers.of(client)
+    pub fn response_quota(&self, client: Client) -> ClientQuota {
+        self.0.response_quotas.of(client)
     }
 
-    /// What the client holds by requests that it is sending.
+    /// The client's quota of memory for requests that it is sending.
     #[must_use]
-    pub fn request_share(&self, client: Client) -> Share {
-        self.0.requests.of(client)
+    pub fn request_quota(&self, client: Client) -> ClientQuota {
+        self.0.request_quotas.of(client)
     }
 
-    /// Takes so much more.
+    /// Reserves more.
     ///
     /// # Errors
     /// As [`App::reserve`].
-    pub fn reserve_more(&self, held: &mut Reservation, more: u64) -> Result<(), Problem> {
-        self.evicting_idle(|| held.grow(more))
+    pub fn reserve_more(&self, reservation: &mut Reservation, more: u64) -> Result<(), Problem> {
+        self.evicting_idle(|| reservation.grow(more))
     }
 
     fn evicting_idle<T>(&self, mut take: impl FnMut() -> Result<T, BudgetExceeded>) -> Result<T, Problem> {
         loop {
-            let refused = match take() {
+            match take() {
                 Ok(taken) => return Ok(taken),
-                Err(refused) => refused,
-            };
-            if refused.is_forever() || refused.short != Exhausted::Memory || !self.evict_idle() {
-                self.0.budget.count_refusal();
-                return Err(refused.into());
+                Err(error) if !error.is_forever() && error.short == Exhausted::Memory && self.evict_idle() => {}
+                Err(error) => {
+                    self.0.budget.count_refusal();
+                    return Err(error.into());
+                }
             }
         }
     }
 
-    /// Something is cached and not in use: it would give way.
-    fn is_idle_cached(&self) -> bool {
+    /// Whether there is an idle cache entry.
+    fn has_idle_entry(&self) -> bool {
         self.0.images.is_any_idle() || self.0.plans.is_any_idle() || self.0.setups.is_any_idle()
     }
 
-    /// Drops something that is cached and not in use. False when there is nothing.
+    /// Evicts an idle entry of the largest cache that has one. False if there is none.
     fn evict_idle(&self) -> bool {
         let AppState { images, plans, setups, .. } = &*self.0;
-        let mut shelves: [(u64, &dyn Fn() -> bool); 3] = [
+        let mut caches: [(u64, &dyn Fn() -> bool); 3] = [
             (images.usage().bytes, &|| images.evict_idle()),
             (plans.usage().bytes, &|| plans.evict_idle()),
             (setups.usage().bytes, &|| setups.evict_idle()),
         ];
-        shelves.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
-        shelves.iter().any(|(_, give_way)| give_way())
+        caches.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
+        caches.iter().any(|(_, evict)| evict())
     }
 
-    /// What has happened so far.
+    /// Counters since the start.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let metrics = &self.0.metrics;
@@ -268,7 +258,7 @@ impl App {
             pictures_finished: metrics.pictures_finished.get(),
             pictures_abandoned: metrics.pictures_abandoned.get(),
             superseded: metrics.requests_superseded.get(),
-            sockets_open: self.0.seats.taken() as u64,
+            sockets_open: self.0.sockets.taken() as u64,
             frames_sent: metrics.frames_sent.get(),
             poses_superseded: metrics.poses_superseded.get(),
         }
@@ -286,57 +276,50 @@ impl App {
         self.0.tracer.as_ref()
     }
 
-    /// Drops every cached picture, plan and setup, as if all had been evicted. Sessions stay.
-    pub fn forget_caches(&self) {
+    /// Evicts all images, plans and setups. Sessions stay.
+    pub fn clear_caches(&self) {
         self.0.images.clear();
         self.0.plans.clear();
         self.0.setups.clear();
     }
 
-    /// Waits until no drag socket is open.
-    pub async fn drags_ended(&self) {
-        self.0.seats.empty().await;
-    }
-
-    /// Whether work that arrives now would be admitted, and with what. A store that is away after it was there leaves a service that does what it can:
-    /// a file is used by this process alone and Redis is away for all replicas, and a proxy that took every one of them away would end also the sessions that go on without it. Answers within about
-    /// a second.
+    /// Whether a new client would be served, and with what; answers within about a second. A service that loses its store stays ready: a store is
+    /// unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue without it.
     ///
     /// # Errors
     /// [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
-        self.stays()?;
-        // Somebody who has nothing here yet would be sent away.
-        if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|work| self.0.pool.is_full(work)) {
+        self.require_serving()?;
+        if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|class| self.0.pool.is_full(class)) {
             return Err(PoolError::Full.into());
         }
-        if self.0.budget.has(Purpose::Upload, LEAST_LEFT) || self.is_idle_cached() {
+        if self.0.budget.has(Purpose::Upload, MIN_FREE) || self.has_idle_entry() {
             return match self.0.store.ready().await {
                 Ok(()) => Ok(Ready::Whole),
                 Err(_) if !self.0.store.figures().is_unknown => Ok(Ready::WithoutStore),
-                Err(away) => Err(away.into()),
+                Err(error) => Err(error.into()),
             };
         }
-        Err(Problem::new(Code::Overloaded, "there is no memory for another picture").retry_after(RETRY_MEMORY))
+        Err(Problem::new(Code::Overloaded, "there is no memory for another image").retry_after(RETRY))
     }
 
-    /// Whether an upload of this client would be let in now: asked before its body is read.
+    /// Rejects an upload before its body is read, if the queue would reject it.
     ///
     /// # Errors
     /// [`Code::Overloaded`].
-    pub fn admits(&self, client: Client) -> Result<(), Problem> {
+    pub fn require_queue_place(&self, client: Client) -> Result<(), Problem> {
         if self.0.pool.rejects(WorkClass::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
     }
 
-    /// Drops expired sessions now and then, until the application is gone. Needs a runtime.
+    /// Deletes expired sessions periodically until the application is dropped. Needs a runtime.
     pub fn spawn_sweeper(&self) {
-        let (store, holdings) = (Arc::downgrade(&self.0.store), self.0.holdings.clone());
+        let (store, client_sessions) = (Arc::downgrade(&self.0.store), self.0.client_sessions.clone());
         let pause = (self.0.config.store.bounds().idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;
                 let Some(store) = store.upgrade() else { return };
-                holdings.sweep();
+                client_sessions.sweep();
                 match store.sweep().await {
                     Ok(0) => {}
                     Ok(sessions) => tracing::debug!(sessions, "sessions expired"),
@@ -350,41 +333,8 @@ impl App {
 impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
-            PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_QUEUE),
-            PoolError::Panicked => Self::new(Code::Internal, "the server made a mistake; its log has more"),
-        }
-    }
-}
-
-impl From<BudgetExceeded> for Problem {
-    fn from(error: BudgetExceeded) -> Self {
-        let problem = if error.is_forever() {
-            Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
-        } else {
-            let code = if error.short == Exhausted::Share(Quota::Requests) { Code::RateLimited } else { Code::Overloaded };
-            Self::new(code, error.to_string()).retry_after(RETRY_MEMORY)
-        };
-        match error.short {
-            Exhausted::Memory => problem.limit("memory_bytes", error.limit, error.asked),
-            Exhausted::Share(Quota::Answers) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
-            Exhausted::Share(Quota::Requests) => problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked)),
-        }
-    }
-}
-
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Self {
-        let detail = error.to_string();
-        match error {
-            StoreError::NoSuchSession => Self::new(Code::NoSuchSession, detail),
-            StoreError::Expired => Self::new(Code::SessionExpired, detail),
-            StoreError::Full { what, limit, actual } => {
-                Self::new(Code::Overloaded, detail).limit(what, limit, actual).retry_after(RETRY_STORE)
-            }
-            StoreError::NoRoom => Self::new(Code::Overloaded, detail).retry_after(RETRY_STORE),
-            StoreError::OtherVersion => Self::new(Code::StoredByAnotherVersion, detail).retry_after(RETRY_OTHER_VERSION),
-            StoreError::Contended => Self::new(Code::Overloaded, detail).retry_after(RETRY_QUEUE),
-            StoreError::Away => Self::new(Code::Overloaded, detail).retry_after(RETRY_AWAY),
+            PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY),
+            PoolError::Panicked => Self::new(Code::Internal, "internal error; the server's log has the details"),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! The newest pose wins: a request whose `seq` is lower than one already seen costs no rendering, also while it waits. The rule across processes
-//! is the store's; this wakes those that wait in this process.
+//! The newest pose wins: a request with a lower `seq` than another one of its session is not drawn. The store enforces this across processes; this
+//! module cancels requests that wait in this process.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,7 +13,7 @@ use crate::session::SessionId;
 /// One incarnation of a session; `seq` restarts with each.
 pub type Incarnation = (SessionId, SystemTime);
 
-/// The sessions for which numbered requests are under way.
+/// The sessions with numbered requests in progress.
 #[derive(Clone, Debug, Default)]
 pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<SessionSequence>>>>);
 
@@ -21,11 +21,11 @@ pub struct Sequencer(Arc<Mutex<HashMap<Incarnation, Arc<SessionSequence>>>>);
 #[derive(Debug)]
 struct SessionSequence {
     newest: watch::Sender<u64>,
-    /// What a superseded request was building, the newer one needs.
+    /// Builds of superseded requests, which the newer request needs.
     builds: Retained,
 }
 
-/// A numbered request under way.
+/// A numbered request in progress.
 #[derive(Debug)]
 pub struct SequencePosition {
     sequencer: Sequencer,
@@ -35,7 +35,7 @@ pub struct SequencePosition {
 }
 
 impl Sequencer {
-    /// Enters a request; those with a lower number are superseded from now on.
+    /// Enters a request, which supersedes those with lower numbers.
     #[must_use]
     pub fn enter(&self, incarnation: Incarnation, seq: u64) -> SequencePosition {
         let new = || Arc::new(SessionSequence { newest: watch::Sender::new(seq), builds: Retained::default() });
@@ -54,20 +54,20 @@ impl Sequencer {
 }
 
 impl SequencePosition {
-    /// A higher number has been seen.
+    /// Whether a higher number has been entered.
     #[must_use]
     pub fn is_superseded(&self) -> bool {
         *self.sequence.newest.borrow() > self.seq
     }
 
-    /// Waits until a higher number is seen.
+    /// Waits until a higher number is entered.
     pub async fn superseded(&self) {
         let mut newest = self.sequence.newest.subscribe();
         // The sender lives as long as `self`, so waiting cannot fail.
         let _ = newest.wait_for(|newest| *newest > self.seq).await;
     }
 
-    /// Builds that go on for as long as a numbered request of the session is under way.
+    /// Builds that continue as long as a numbered request of the session is in progress.
     #[must_use]
     pub fn builds(&self) -> &Retained {
         &self.sequence.builds
@@ -77,7 +77,7 @@ impl SequencePosition {
 impl Drop for SequencePosition {
     fn drop(&mut self) {
         let mut sequencer = self.sequencer.lock();
-        // The map's and this one: arcs are cloned under the lock alone.
+        // One reference is the map's, one is this. References are only cloned under the lock.
         if Arc::strong_count(&self.sequence) <= 2 {
             sequencer.remove(&self.incarnation);
         }
@@ -92,31 +92,31 @@ mod tests {
 
     #[tokio::test]
     async fn a_waiting_request_is_told_when_a_newer_one_arrives() {
-        let lanes = Sequencer::default();
+        let sequencer = Sequencer::default();
         let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
-        let old = lanes.enter(id, 4);
-        let retry = lanes.enter(id, 4);
-        let other = lanes.enter((SessionId::random(Owner::ANYBODY), id.1), 1);
-        let replaced = lanes.enter((id.0, id.1 + Duration::from_nanos(1)), 1);
+        let old = sequencer.enter(id, 4);
+        let retry = sequencer.enter(id, 4);
+        let other = sequencer.enter((SessionId::random(Owner::ANYBODY), id.1), 1);
+        let replaced = sequencer.enter((id.0, id.1 + Duration::from_nanos(1)), 1);
         assert!(!old.is_superseded() && !retry.is_superseded());
         let waiting = tokio::spawn(async move {
             old.superseded().await;
             old.seq
         });
-        let new = lanes.enter(id, 5);
+        let new = sequencer.enter(id, 5);
         assert_eq!(waiting.await.unwrap(), 4);
         assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded() && !replaced.is_superseded());
-        assert!(lanes.enter(id, 3).is_superseded());
+        assert!(sequencer.enter(id, 3).is_superseded());
     }
 
     #[test]
-    fn a_lane_goes_with_its_last_request() {
-        let lanes = Sequencer::default();
+    fn a_sequence_ends_with_its_last_request() {
+        let sequencer = Sequencer::default();
         let id = (SessionId::random(Owner::ANYBODY), SystemTime::now());
-        let (a, b) = (lanes.enter(id, 1), lanes.enter(id, 2));
+        let (a, b) = (sequencer.enter(id, 1), sequencer.enter(id, 2));
         drop(a);
-        assert_eq!(lanes.lock().len(), 1);
+        assert_eq!(sequencer.lock().len(), 1);
         drop(b);
-        assert_eq!(lanes.lock().len(), 0);
+        assert_eq!(sequencer.lock().len(), 0);
     }
 }

@@ -1,4 +1,4 @@
-//! Sessions: made, made anew, given other handles, ended.
+//! Sessions: opened, replaced, given other handles, closed.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, setup_key, weight};
+use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, setup_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -19,77 +19,88 @@ use crate::store::{Put, Record, Session, StoreError};
 use crate::wire::{WarpObject, WarpPatch};
 
 impl App {
-    /// A session from a file and a warp object; `q` is checked when it is there. Picture and plan are made before the answer.
+    /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     ///
     /// # Errors
-    /// Whatever is wrong with either, or no room.
+    /// A wrong file or object, or too little capacity.
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
-        // Whoever waits for the store computes nothing.
-        drop(ticket);
-        self.keep(client, material).await
+        let prepared = self.prepare_session(client, file, json).await?;
+        self.open_prepared(client, prepared).await
     }
 
-    /// Makes a session of what was warped.
+    /// Opens a session from what has been warped.
     ///
     /// # Errors
-    /// No room.
-    pub async fn keep(&self, client: Client, material: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
-        // Its picture was bent once so far; now it will be again.
-        let _ = self.0.images.touch(Key::new(client.owner, material.digest));
-        let (record, file, setup) = material.recorded(SessionId::random(client.owner));
-        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = self.store_counted(client, record, file).await?;
-        self.cache_setup(&session.record, &setup).await;
+    /// Too little capacity.
+    pub async fn open_prepared(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
+        // Undoes the demotion of an image that is warped once.
+        let _ = self.0.images.touch(Key::new(client.owner, prepared.digest));
+        let (put, setup) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
+        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = put;
         Ok((session, setup))
     }
 
-    /// A session of a name that the client has chosen, from a file and a warp object, or that session made anew.
+    /// Opens or replaces a session with an id that the client has chosen.
     ///
     /// # Errors
-    /// Whatever is wrong with either, or no room.
+    /// A wrong file or object, or too little capacity.
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
+        let prepared = self.prepare_session(client, file, json).await?;
+        self.put_prepared(client, id, prepared).await
+    }
+
+    /// Builds image and plan; the ticket is returned before the store is used.
+    async fn prepare_session(&self, client: Client, file: Bytes, json: Bytes) -> Result<PreparedWarp, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (material, ..) = self.prepare(client.owner, &ticket, file, json, None).await?;
-        // Whoever waits for the store computes nothing.
-        drop(ticket);
-        let (record, file, setup) = material.recorded(id);
-        let put = self.store_counted(client, record, file).await?;
+        Ok(self.prepare(client.owner, &ticket, file, json, None).await?.0)
+    }
+
+    /// Stores a session, counted for its client.
+    async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<(Put, Arc<Setup>), Problem> {
+        let (record, file, setup) = prepared.into_session(id);
+        // Limits the simultaneous transfers, fairly between clients.
+        let _ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
+        let claim = self.0.client_sessions.claim(client.tenant(), &record, file.len() as u64)?;
+        // If this future is dropped while the store works, the session may have been stored: it stays counted.
+        let put = in_stage("store", self.0.store.put(record, file)).await;
         match &put {
-            Put::Created(session) | Put::Same(session) => self.cache_setup(&session.record, &setup).await,
-            Put::Replaced(session, old) => {
-                self.cache_setup(&session.record, &setup).await;
-                self.evict_session(old).await;
-            }
+            Ok(_) => self.0.client_sessions.confirm(&claim),
+            Err(_) => self.0.client_sessions.undo(claim),
+        }
+        let put = put?;
+        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = &put;
+        self.cache_setup(&session.record, &setup).await;
+        if let Put::Replaced(_, old) = &put {
+            self.evict_session(old);
         }
         Ok((put, setup))
     }
 
-    /// Other handles at rest on the same picture: the fields that `json` gives replace the session's. The plan is made before the answer.
+    /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
     ///
     /// # Errors
-    /// Unknown session, whatever is wrong with the handles, or no room.
+    /// Unknown session, wrong handles, or too little capacity.
     pub async fn revise(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
-            // For as long as this computes, and not while it waits for the store.
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
             let (json, limits, extent) = (json.clone(), self.0.config.limits(), old.extent);
             let resolve =
                 move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
             let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
-            self.plan(id.owner(), &ticket, &setup, &mut Timing::default()).await?;
+            self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
+            // The ticket is not held while the store works.
             drop(ticket);
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
-            let claim = self.0.holdings.claim_revision(&new)?;
+            let claim = self.0.client_sessions.claim_revision(&new)?;
             let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new))).await;
             match revised {
-                Ok(Some(_)) => self.0.holdings.settle(&claim),
-                _ => self.0.holdings.undo(claim),
+                Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
+                _ => self.0.client_sessions.undo(claim),
             }
-            // Whoever was faster has changed fields that this request may not have named: they are kept.
+            // Without a session, another request has changed fields that this one may not have named: the next attempt keeps them.
             if let Some(session) = revised? {
                 self.cache_setup(&session.record, &setup).await;
                 self.0.setups.remove(setup_key(&old));
@@ -99,47 +110,33 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    /// Puts a session into the store and counts it for its client.
-    async fn store_counted(&self, client: Client, record: Arc<Record>, file: Bytes) -> Result<Put, Problem> {
-        // One client's many files do not hold up another's.
-        let _turn = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
-        let claim = self.0.holdings.claim(client.tenant(), &record, file.len() as u64)?;
-        // If this request ends while the store works, the session may come to be: it stays counted.
-        let put = in_stage("store", self.0.store.put(record, file)).await;
-        match put {
-            Ok(_) => self.0.holdings.settle(&claim),
-            Err(_) => self.0.holdings.undo(claim),
-        }
-        Ok(put?)
-    }
-
-    /// Uses the session; see [`Store::touch`].
+    /// Reads the session and extends its life; see [`Store::touch`].
     ///
     /// [`Store::touch`]: crate::store::Store::touch
     pub(crate) async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
-        let claim = self.0.holdings.claim_of(id);
+        let claim = self.0.client_sessions.claim_of(id);
         let touched = in_stage("store", self.0.store.touch(id, seq)).await;
         match &touched {
-            Ok(_) => self.0.holdings.used(id),
-            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.holdings.ended(id, claim),
+            Ok(_) => self.0.client_sessions.used(id),
+            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.client_sessions.ended(id, claim),
             Err(_) => {}
         }
         touched
     }
 
-    /// The setup of a record is at hand, where there is room for it: the session has been made whether there is or not.
+    /// Caches the setup of a record, if there is memory for it.
     async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
-        if let Ok(held) = self.reserve(Purpose::Plan, weight(record)) {
-            let known = CacheEntry::new(Arc::clone(setup), held);
-            let _ = self.0.setups.get(setup_key(record), async { Ok(known) }, build_aborted).await;
+        if let Ok(reservation) = self.reserve(Purpose::Plan, setup_weight(record)) {
+            let entry = CacheEntry::new(Arc::clone(setup), reservation);
+            let _ = self.0.setups.get(setup_key(record), async { Ok(entry) }, build_aborted).await;
         }
     }
 
-    /// Drops what was made for a record that is no session's any more.
-    async fn evict_session(&self, record: &Record) {
+    /// Evicts what was cached for a record that no session has any more.
+    fn evict_session(&self, record: &Record) {
         let setup = self.0.setups.remove(setup_key(record));
-        // The picture goes with its owner's last session that names it, and the coefficients with it; another picture's session of the
-        // same size and handles, if there is one, builds them again.
+        // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same extent and
+        // handles builds the plan again.
         let owner = record.id.owner();
         if !self.0.store.names(owner, record.image) {
             self.0.images.remove(image_key(record));
@@ -149,7 +146,7 @@ impl App {
         }
     }
 
-    /// The session, without using it.
+    /// Reads the session without extending its life.
     ///
     /// # Errors
     /// Unknown or expired.
@@ -157,16 +154,16 @@ impl App {
         Ok(in_stage("store", self.0.store.peek(id)).await?)
     }
 
-    /// Ends the session. One that was deleted a short time ago, or that another version of the program has stored, has nothing here to forget.
+    /// Closes the session. If it was deleted recently, or another version of the program stored it, nothing is cached for it here.
     ///
     /// # Errors
     /// Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
-        let (known, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.holdings.claim_of(id));
+        let (session, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.client_sessions.claim_of(id));
         in_stage("store", self.0.store.delete(id)).await?;
-        self.0.holdings.ended(id, claim);
-        if let Ok(session) = known {
-            self.evict_session(&session.record).await;
+        self.0.client_sessions.ended(id, claim);
+        if let Ok(session) = session {
+            self.evict_session(&session.record);
         }
         Ok(())
     }

@@ -1,5 +1,5 @@
-//! The walk of one request through the warp: file and handles to all that a picture is made of. CPU work runs on the pool, under one ticket a
-//! request; a warm drag is handed over once, to be posed and drawn (`picture`).
+//! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All computation
+//! runs on the pool with one ticket per request.
 
 use std::io;
 use std::sync::Arc;
@@ -25,26 +25,26 @@ use crate::store::Record;
 use crate::wire::formats::Formats;
 use crate::wire::{WarpObject, WarpPatch};
 
-/// Attempts of a request to work on a session that others change at the same time.
+/// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
-/// What stands for a value that takes next to nothing: nothing is kept for nothing.
-const LEAST_KEPT: u64 = 1024;
+/// The smallest weight of a cached value, bytes.
+const MIN_WEIGHT: u64 = 1024;
 
-/// What a warp is made of, and what a session keeps.
+/// A resolved upload: what a warp is drawn from, and what a session keeps.
 #[derive(Debug)]
 pub struct PreparedWarp {
     file: Bytes,
     pub(crate) digest: Digest,
     object: WarpObject,
-    /// Of this picture; a session keeps what was asked for.
+    /// The format of this response; a session keeps the requested one.
     format: Format,
     image: Arc<CacheEntry<Image>>,
     setup: Arc<Setup>,
 }
 
 impl PreparedWarp {
-    /// As a session keeps it: the record, the file, and what they resolve to.
-    pub(crate) fn recorded(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
+    /// The record, file and setup of a session.
+    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
         let Self { file, digest, object, image, setup, .. } = self;
         let record = Record {
             id,
@@ -60,14 +60,24 @@ impl PreparedWarp {
     }
 }
 
-/// What a session's picture comes from.
-pub(crate) enum Source {
-    Image(Arc<CacheEntry<Image>>),
-    File(File),
+/// A plan, and its cost so far.
+#[derive(Debug)]
+pub(crate) struct Planned {
+    pub(crate) setup: Arc<Setup>,
+    pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) timing: Timing,
+    /// Whether the plan was built for this request.
+    pub(crate) is_built: bool,
 }
 
-/// A file that was fetched from the store, with the memory that it takes.
-pub(crate) struct File(Arc<CacheEntry<Bytes>>);
+/// The source of a session: the decoded image, or the file where the cache has evicted the image.
+pub(crate) enum Source {
+    Image(Arc<CacheEntry<Image>>),
+    File(Arc<CacheEntry<Bytes>>),
+}
+
+/// A cached file as bytes.
+struct File(Arc<CacheEntry<Bytes>>);
 
 impl AsRef<[u8]> for File {
     fn as_ref(&self) -> &[u8] {
@@ -76,76 +86,73 @@ impl AsRef<[u8]> for File {
 }
 
 impl App {
-    /// A picture from a file and a warp object with `q`.
+    /// Draws an image from a file and a warp object with `q`.
     ///
     /// # Errors
-    /// Whatever is wrong with either, or no room.
+    /// A wrong file or object, or too little capacity.
     pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (material, plan, timing, plan_built) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
-        let q = material.object.q.clone().unwrap_or_default();
-        let (folds, output) = (material.object.folds, OutputSpec { format: material.format, ..material.object.output });
-        let (image, setup) = (Arc::clone(&material.image), Arc::clone(&material.setup));
-        let drawn =
-            self.draw(ticket, DrawJob { image, setup, plan, q, folds, output, share: self.share(client) }, timing, plan_built).await?;
-        Ok((drawn, material))
+        let (prepared, planned) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
+        let q = prepared.object.posed()?.to_vec();
+        let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
+        let job = DrawJob { image: Arc::clone(&prepared.image), planned, q, folds, output, quota: self.response_quota(client) };
+        Ok((self.draw(ticket, job).await?, prepared))
     }
 
-    /// The session's resolved setup.
+    /// The resolved setup of a session.
     ///
     /// # Errors
-    /// No room.
+    /// Too little capacity.
     pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
-        let (app, theirs) = (self.clone(), Arc::clone(record));
+        let (app, build_record) = (self.clone(), Arc::clone(record));
         let build = async move {
-            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, theirs.id)).await?;
-            let held = app.reserve(Purpose::Plan, weight(&theirs))?;
+            let record = build_record;
+            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
+            let reservation = app.reserve(Purpose::Plan, setup_weight(&record))?;
             let limits = app.0.config.limits();
-            let new = move |cancel: &Cancel| Setup::new_unless(&theirs.rest, theirs.extent, &limits, &|| cancel.is_cancelled());
+            let new = move |cancel: &Cancel| Setup::new_unless(&record.rest, record.extent, &limits, &|| cancel.is_cancelled());
             let setup = app.0.pool.run(&ticket, new).await??;
-            Ok(CacheEntry::new(Arc::new(setup), held))
+            Ok(CacheEntry::new(Arc::new(setup), reservation))
         };
-        let known = self.0.setups.get(setup_key(record), build, build_aborted).await?;
-        Ok(Arc::clone(&known.value))
+        let setup = self.0.setups.get(setup_key(record), build, build_aborted).await?;
+        Ok(Arc::clone(&setup.value))
     }
 
-    /// Reads the object, decodes the file, resolves the handles, checks q, fills the table. `draws`: what a picture may be written as, and that q is
-    /// needed for it.
+    /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan. `formats`: the formats that the client accepts, if an
+    /// image is drawn, for which `q` is required.
     pub(crate) async fn prepare(
         &self,
         owner: Owner,
         ticket: &Ticket,
         file: Bytes,
         json: Bytes,
-        draws: Option<Formats>,
-    ) -> Result<(PreparedWarp, Arc<CacheEntry<Plan>>, Timing, bool), Problem> {
+        formats: Option<Formats>,
+    ) -> Result<(PreparedWarp, Planned), Problem> {
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let read = {
-            let file = file.clone();
-            move |_: &_| {
-                let patch = WarpPatch::parse(&json).map_err(of_the_part)?;
-                let asked = patch.output.format;
-                let object = patch.merge_onto(WarpObject::default());
-                let format = draws.unwrap_or(Formats::ANY).choose(asked, object.output.format)?;
-                Ok::<_, Problem>((object, format, Image::digest_of(&file)))
-            }
+        let hashed_file = file.clone();
+        let parse = move |_: &_| {
+            let patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
+            let requested = patch.output.format;
+            let object = patch.merge_onto(WarpObject::default());
+            let format = formats.unwrap_or(Formats::ANY).choose(requested, object.output.format)?;
+            Ok::<_, Problem>((object, format, Image::digest_of(&hashed_file)))
         };
-        let (object, format, digest) = self.0.pool.run(ticket, read).await??;
-        if draws.is_some() && object.q.is_none() && !object.rest.p.is_empty() {
-            return Err(q_is_missing());
+        let (object, format, digest) = self.0.pool.run(ticket, parse).await??;
+        if formats.is_some() {
+            object.posed()?;
         }
         let Fetched { value: image, built } = self.image(owner, ticket, digest, file.clone()).await?;
-        if draws.is_some() && built {
-            // Pictures that are bent once must not drive those of sessions out.
+        if formats.is_some() && built {
+            // An image that is warped once is evicted before those of sessions.
             self.0.images.demote(Key::new(owner, digest));
         }
         timing.decode = began.elapsed();
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits(), image.extent());
         let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
-        let (plan, plan_built) = self.plan(owner, ticket, &setup, &mut timing).await?;
-        Ok((PreparedWarp { file, digest, object, format, image, setup }, plan, timing, plan_built))
+        let planned = self.plan(owner, ticket, &setup, timing).await?;
+        Ok((PreparedWarp { file, digest, object, format, image, setup }, planned))
     }
 
     async fn image(
@@ -157,18 +164,18 @@ impl App {
     ) -> Result<Fetched<Image>, Problem> {
         let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits().image);
         let decode = async move {
-            let theirs = app.clone();
+            let pool = app.0.pool.clone();
             let decode = move |cancel: &Cancel| {
-                let gone = || cancel.is_cancelled();
-                let work = codec::Work::new(&gone);
+                let is_cancelled = || cancel.is_cancelled();
+                let work = codec::Work::new(&is_cancelled);
                 let opened = codec::open(file.as_ref(), &limits, &work).map_err(WarpError::from)?;
-                let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
+                let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;
-                held.shrink_to(image.bytes());
-                Ok(CacheEntry::new(image, held))
+                reservation.shrink_to(image.bytes());
+                Ok(CacheEntry::new(image, reservation))
             };
-            match app.0.pool.run(&ticket, decode).await {
-                // Decoders are known to panic on hostile files: the file is at fault, not the request's other parts.
+            match pool.run(&ticket, decode).await {
+                // Decoders may panic on a malicious file: then the file is at fault.
                 Err(PoolError::Panicked) => {
                     Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "its decoder gave up".to_owned() }).into())
                 }
@@ -179,82 +186,70 @@ impl App {
         self.0.images.get(Key::new(owner, digest), decode, build_aborted).await
     }
 
-    /// The session's picture, or the file that it is decoded from when the cache has dropped it. The store is asked here and under no ticket: a store
-    /// that is slow keeps no worker from others.
+    /// The source of a session. The store is read here, without a ticket, so that a slow store blocks no worker.
     pub(crate) async fn session_source(&self, client: Client, record: &Arc<Record>) -> Result<Source, Problem> {
         if let Some(image) = self.0.images.peek(image_key(record)) {
             return Ok(Source::Image(image));
         }
-        let (app, theirs) = (self.clone(), Arc::clone(record));
+        let (app, fetched) = (self.clone(), Arc::clone(record));
         let fetch = async move {
-            let _turn = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, theirs.id)).await?;
-            let bytes = in_stage("store", app.0.store.image_bytes(theirs.id, theirs.image)).await?;
-            let mut held = app.reserve(Purpose::Image, bytes.max(LEAST_KEPT))?;
-            let file = in_stage("store", app.0.store.image(theirs.id, theirs.image)).await?;
-            held.shrink_to((file.len() as u64).max(LEAST_KEPT));
-            Ok(CacheEntry::new(file, held))
+            let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, fetched.id)).await?;
+            let bytes = in_stage("store", app.0.store.image_bytes(fetched.id, fetched.image)).await?;
+            let mut reservation = app.reserve(Purpose::Image, bytes.max(MIN_WEIGHT))?;
+            let file = in_stage("store", app.0.store.image(fetched.id, fetched.image)).await?;
+            reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
+            Ok(CacheEntry::new(file, reservation))
         };
-        Ok(Source::File(File(self.0.files.get(setup_key(record), fetch, build_aborted).await?.value)))
+        Ok(Source::File(self.0.files.get(setup_key(record), fetch, build_aborted).await?.value))
     }
 
-    /// The picture of its source.
+    /// The decoded image of a session's source.
     pub(crate) async fn session_image(&self, ticket: &Ticket, record: &Record, source: Source) -> Result<Arc<CacheEntry<Image>>, Problem> {
         match source {
             Source::Image(image) => Ok(image),
-            Source::File(file) => Ok(self.image(record.id.owner(), ticket, record.image, file).await?.value),
+            Source::File(file) => Ok(self.image(record.id.owner(), ticket, record.image, File(file)).await?.value),
         }
     }
 
-    pub(crate) async fn plan(
-        &self,
-        owner: Owner,
-        ticket: &Ticket,
-        setup: &Arc<Setup>,
-        timing: &mut Timing,
-    ) -> Result<(Arc<CacheEntry<Plan>>, bool), Problem> {
+    /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
+    pub(crate) async fn plan(&self, owner: Owner, ticket: &Ticket, setup: &Arc<Setup>, mut timing: Timing) -> Result<Planned, Problem> {
         let began = Instant::now();
-        let (app, ticket, theirs) = (self.clone(), ticket.clone(), Arc::clone(setup));
-        let key = Key::new(owner, setup.plan_key());
+        let (app, ticket, build_setup) = (self.clone(), ticket.clone(), Arc::clone(setup));
         let build = async move {
-            let held = app.reserve(Purpose::Plan, theirs.plan_bytes().unwrap_or_default().max(LEAST_KEPT))?;
+            let reservation = app.reserve(Purpose::Plan, build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT))?;
             let threads = app.0.pool.clone();
-            let fill = move |cancel: &Cancel| threads.run_parallel(|| theirs.plan_unless(&|| cancel.is_cancelled()));
+            let fill = move |cancel: &Cancel| threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()));
             let plan = app.0.pool.run(&ticket, fill).await??;
-            Ok(CacheEntry::new(plan, held))
+            Ok(CacheEntry::new(plan, reservation))
         };
-        let fetched = self.0.plans.get(key, build, build_aborted).await?;
+        let Fetched { value: plan, built } = self.0.plans.get(Key::new(owner, setup.plan_key()), build, build_aborted).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
-        Ok((fetched.value, fetched.built))
+        Ok(Planned { setup: Arc::clone(setup), plan, timing, is_built: built })
     }
 }
 
-/// Of two parts only one is JSON: which one cannot be read is said where the text has no place to point to.
-fn of_the_part(mut problem: Problem) -> Problem {
+/// Names the part of the multipart body whose text has no place to point to.
+fn in_part_warp(mut problem: Problem) -> Problem {
     if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
         problem.detail.insert_str(0, "the part `warp`: ");
     }
     problem
 }
 
-/// A warp of handles needs to know where they go.
-pub(crate) fn q_is_missing() -> Problem {
-    Problem::new(Code::BadValue, "q is missing: where do the handles go?").pointer("/q")
-}
-
-/// The task that built a cached value was torn down: the runtime is stopping.
+/// The task that built a cached value was aborted: the runtime is stopping.
 pub(crate) fn build_aborted() -> Problem {
     PoolError::Panicked.into()
 }
 
-/// The setup of the handles on a picture of that size; q is checked when it is there.
+/// Resolves the handles on an image of this extent, and checks `q` if it was sent.
 pub(crate) fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cancel: &Cancel) -> Result<(WarpObject, Arc<Setup>), WarpError> {
     let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
 }
 
-/// A value as JSON, in a buffer of that capacity at first; given up when it is cancelled.
+/// Serialises a value to JSON in a buffer of this initial capacity, unless it is cancelled.
 pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
     struct Text<'a>(Vec<u8>, &'a Cancel);
     impl io::Write for Text<'_> {
@@ -274,23 +269,23 @@ pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usi
     Ok(text.0)
 }
 
-/// Records never change, so name and revision stand for the setup.
+/// The cache key of a session's setup. Records never change, so that id and revision identify it.
 pub(crate) fn setup_key(record: &Record) -> Key {
     Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
 }
 
-/// The session's picture.
+/// The cache key of a session's image.
 pub(crate) fn image_key(record: &Record) -> Key {
     Key::new(record.id.owner(), record.image)
 }
 
-/// Columns of a session's plan: what its drags may send follows from it.
+/// The number of columns of a session's plan, which limits the size of its drags.
 #[must_use]
 pub fn columns(record: &Record) -> u64 {
     record.rest.p.iter().map(|h| h.columns() as u64).sum()
 }
 
-/// About what a setup holds: a few copies of each column's place and weight.
-pub(crate) fn weight(record: &Record) -> u64 {
+/// The approximate size of a setup: a few copies of each column's position and weight.
+pub(crate) fn setup_weight(record: &Record) -> u64 {
     1024 + 256 * columns(record)
 }

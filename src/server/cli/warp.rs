@@ -11,7 +11,6 @@ use mlswarp::codec::Format;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Image, Posed, Report, Setup, Warp};
 
-use crate::app::warp::q_is_missing;
 use crate::config::Config;
 use crate::problem::{Code, Problem};
 use crate::wire::{WarpObject, WarpPatch};
@@ -38,12 +37,7 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
 fn bend(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<Summary, Problem> {
     let image = Arc::new(Image::decode(file, &config.limits().image)?);
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
-    let q = match &object.q {
-        Some(q) => q.as_slice(),
-        None if object.rest.p.is_empty() => &[],
-        None => return Err(q_is_missing()),
-    };
-    let pose = setup.pose(q)?;
+    let pose = setup.pose(object.posed()?)?;
     object.output.target(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;

@@ -1,11 +1,10 @@
-//! What is to be done next for one hand: which pose is made into a frame, when, how wide, and when a frame leaves. It owns the rules of the
-//! drag and nothing else: no clock (times are handed in), no picture (frames are a type of their owner's), no socket.
+//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is sent. Times are arguments and frames are of any type.
 //!
-//! - Of the poses that wait, only the newest is kept.
-//! - At most one frame is under way: the next leaves when the client has shown it. At most one more is made or being made.
-//! - The next frame is begun so that it is ready just when the last one should be shown: sooner, its pose would be old; later, the way would
-//!   be idle. When the client took longer than expected and a newer pose is there, a frame that has grown old is made anew, once.
-//! - A frame that is begun is finished, but for the full one of a hand that rests: that is given up when the hand moves on.
+//! - Of the waiting poses, only the newest is kept.
+//! - At most one frame is unacknowledged. At most one more is in progress or ready.
+//! - The next frame is started so that it is ready when the acknowledgement is expected: earlier, its pose would be old; later, the connection would be
+//!   idle. If the client takes longer than expected and a newer pose waits, an outdated frame is drawn again, once.
+//! - A frame is always completed, except the full-quality frame of a resting pointer, which is cancelled when the pointer moves.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,47 +12,47 @@ use std::time::{Duration, Instant};
 use super::preview_controller::PreviewController;
 use crate::wire::UnreadHandles;
 
-/// A hand that has sent nothing for so long rests.
+/// Without a pose for this time, the pointer rests.
 pub const REST: Duration = Duration::from_millis(150);
-/// A frame is begun so much earlier than its average says.
+/// A frame is started this factor of its average drawing time before it is needed.
 const EARLY: f64 = 1.25;
-/// A frame that has waited for as long as so many makings take has grown old.
-const OLD: u32 = 2;
-/// A pose that found no room is tried again after this.
-const AGAIN: Duration = Duration::from_millis(10);
+/// A ready frame is outdated after this many drawing times.
+const OUTDATED: u32 = 2;
+/// A rejected pose is retried after this time.
+const RETRY: Duration = Duration::from_millis(10);
 
-/// Where the hand was at a moment.
+/// The positions of the handles at a time.
 #[derive(Clone, Debug)]
 pub struct Pose {
-    /// The client's number.
+    /// The client's sequence number.
     pub seq: u64,
-    /// Posed handles, as they came.
+    /// Posed handles, not yet parsed.
     pub q: Arc<UnreadHandles>,
-    /// When it arrived.
+    /// Time of arrival.
     pub at: Instant,
 }
 
-/// A frame to be made.
+/// A frame to draw.
 #[derive(Clone, Debug)]
 pub struct FrameRequest {
-    /// Of this pose.
+    /// The pose.
     pub pose: Pose,
-    /// So wide; `None`: as the session has it.
+    /// The width, px; `None`: the session's width.
     pub width: Option<u32>,
-    /// It follows a preview of the same pose, because the hand rests.
+    /// Whether it follows a preview of the same pose, because the pointer rests.
     pub is_full_quality: bool,
 }
 
-/// What is to be done now.
+/// The next step.
 #[derive(Debug)]
 pub enum Step<F> {
-    /// Begin this frame.
-    Make(FrameRequest),
-    /// Give up what is being made.
-    GiveUp,
+    /// Draw this frame.
+    Draw(FrameRequest),
+    /// Cancel the frame in progress.
+    Cancel,
     /// Send this frame.
     Send(F),
-    /// Nothing before this time, unless something happens.
+    /// Wait for an event, or until this time.
     Wait(Option<Instant>),
 }
 
@@ -64,15 +63,15 @@ pub struct NotSent;
 /// The state of one drag.
 #[derive(Debug)]
 pub struct FrameScheduler<F> {
-    pace: PreviewController,
-    /// The width at which nothing is missing.
+    previews: PreviewController,
+    /// The full width.
     full: u32,
     waiting: Option<Pose>,
     not_before: Option<Instant>,
-    making: Option<Making>,
+    drawing: Option<Drawing>,
     ready: Option<Ready<F>>,
     sent: Option<Sent>,
-    /// The last frame that was shown, while it is a preview.
+    /// The pose of the last acknowledged frame, if that is a preview.
     preview: Option<Pose>,
     last_pose: Option<Instant>,
     newest_sent: Option<u64>,
@@ -80,38 +79,38 @@ pub struct FrameScheduler<F> {
 }
 
 #[derive(Debug)]
-struct Making {
-    order: FrameRequest,
+struct Drawing {
+    request: FrameRequest,
     began: Instant,
 }
 
-/// Made, and waits for the client.
+/// A frame that waits for an acknowledgement of the previous one.
 #[derive(Debug)]
 struct Ready<F> {
     frame: F,
-    order: FrameRequest,
-    made: Duration,
+    request: FrameRequest,
+    draw_time: Duration,
     since: Instant,
 }
 
-/// Under way to the client.
+/// A frame that the client has not acknowledged.
 #[derive(Debug)]
 struct Sent {
-    order: FrameRequest,
-    made: Duration,
+    request: FrameRequest,
+    draw_time: Duration,
     since: Instant,
 }
 
 impl<F> FrameScheduler<F> {
-    /// `full`: the width at which nothing is missing; narrower previews are followed by a full frame when the hand rests.
+    /// `full`: the full width; narrower previews are followed by a full frame when the pointer rests.
     #[must_use]
-    pub const fn new(pace: PreviewController, full: u32) -> Self {
+    pub const fn new(previews: PreviewController, full: u32) -> Self {
         Self {
-            pace,
+            previews,
             full,
             waiting: None,
             not_before: None,
-            making: None,
+            drawing: None,
             ready: None,
             sent: None,
             preview: None,
@@ -121,26 +120,26 @@ impl<F> FrameScheduler<F> {
         }
     }
 
-    /// The picture is another one from now on.
-    pub fn resize(&mut self, pace: PreviewController, full: u32) {
-        self.pace = pace;
+    /// The session's images have another size from now on.
+    pub fn resize(&mut self, previews: PreviewController, full: u32) {
+        self.previews = previews;
         self.full = full;
         self.preview = None;
     }
 
-    /// Poses that were overtaken before anything was made of them, and frames that were before they could be sent, since the last call.
+    /// Number of poses and frames that newer ones replaced before they were sent, since the last call.
     #[must_use]
     pub fn take_superseded(&mut self) -> u64 {
         std::mem::take(&mut self.superseded)
     }
 
-    /// Since when the client has owed an acknowledgement.
+    /// When the frame was sent that the client has not acknowledged.
     #[must_use]
     pub fn owed_since(&self) -> Option<Instant> {
         self.sent.as_ref().map(|sent| sent.since)
     }
 
-    /// The hand has moved.
+    /// A pose arrived.
     pub fn pose(&mut self, pose: Pose) {
         self.last_pose = Some(pose.at);
         if self.waiting.replace(pose).is_some() {
@@ -148,22 +147,22 @@ impl<F> FrameScheduler<F> {
         }
     }
 
-    /// The client has shown a frame.
+    /// The client acknowledged a frame.
     ///
     /// # Errors
-    /// No frame of this number, or a higher one, has been sent.
+    /// No frame with this or a higher number was sent.
     pub fn ack(&mut self, seq: u64, now: Instant) -> Result<(), NotSent> {
         if self.newest_sent.is_none_or(|newest| seq > newest) {
             return Err(NotSent);
         }
-        if let Some(sent) = self.sent.take_if(|sent| sent.order.pose.seq == seq) {
-            if let Some(width) = sent.order.width {
-                self.pace.shown(now, width, sent.made, now.saturating_duration_since(sent.since));
+        if let Some(sent) = self.sent.take_if(|sent| sent.request.pose.seq == seq) {
+            if let Some(width) = sent.request.width {
+                self.previews.acknowledged(now, width, sent.draw_time, now.saturating_duration_since(sent.since));
                 if width < self.full && self.ready.is_none() {
-                    self.preview = Some(sent.order.pose);
+                    self.preview = Some(sent.request.pose);
                 }
             }
-            if self.waiting.is_some() && self.ready.as_ref().is_some_and(|ready| self.has_grown_old(ready, now)) {
+            if self.waiting.is_some() && self.ready.as_ref().is_some_and(|ready| self.is_outdated(ready, now)) {
                 self.ready = None;
                 self.superseded += 1;
             }
@@ -171,57 +170,57 @@ impl<F> FrameScheduler<F> {
         Ok(())
     }
 
-    fn has_grown_old(&self, ready: &Ready<F>, now: Instant) -> bool {
-        now.saturating_duration_since(ready.since) > OLD * self.pace.make_time().max(ready.made)
+    fn is_outdated(&self, ready: &Ready<F>, now: Instant) -> bool {
+        now.saturating_duration_since(ready.since) > OUTDATED * self.previews.draw_time().max(ready.draw_time)
     }
 
-    /// What was being made is there.
-    pub fn made(&mut self, frame: F, now: Instant) {
-        if let Some(Making { order, began }) = self.making.take() {
+    /// The frame in progress is ready.
+    pub fn drawn(&mut self, frame: F, now: Instant) {
+        if let Some(Drawing { request, began }) = self.drawing.take() {
             self.preview = None;
-            self.ready = Some(Ready { frame, order, made: now.saturating_duration_since(began), since: now });
+            self.ready = Some(Ready { frame, request, draw_time: now.saturating_duration_since(began), since: now });
         }
     }
 
-    /// What was being made cannot be.
+    /// The frame in progress failed.
     pub fn failed(&mut self) -> Option<FrameRequest> {
-        self.making.take().map(|making| making.order)
+        self.drawing.take().map(|drawing| drawing.request)
     }
 
-    /// There was no room for what was to be made: its pose waits again, unless there is a newer one.
-    pub fn refused(&mut self, now: Instant) {
-        if let Some(Making { order, .. }) = self.making.take() {
-            self.not_before = Some(now + AGAIN);
-            if order.is_full_quality {
-                self.preview = Some(order.pose);
+    /// The service rejected the frame in progress: its pose waits again, unless there is a newer one.
+    pub fn rejected(&mut self, now: Instant) {
+        if let Some(Drawing { request, .. }) = self.drawing.take() {
+            self.not_before = Some(now + RETRY);
+            if request.is_full_quality {
+                self.preview = Some(request.pose);
             } else if self.waiting.is_none() {
-                self.waiting = Some(order.pose);
+                self.waiting = Some(request.pose);
             } else {
                 self.superseded += 1;
             }
         }
     }
 
-    /// What to do now.
+    /// The next step.
     pub fn next(&mut self, now: Instant) -> Step<F> {
         if self.waiting.is_some() {
-            // The pose that waits may come to nothing: then the preview is still to be followed by a full frame.
-            if let Some(making) = self.making.take_if(|making| making.order.is_full_quality) {
-                self.preview = Some(making.order.pose);
-                return Step::GiveUp;
+            // The waiting pose may fail; then a full frame still has to follow the preview.
+            if let Some(drawing) = self.drawing.take_if(|drawing| drawing.request.is_full_quality) {
+                self.preview = Some(drawing.request.pose);
+                return Step::Cancel;
             }
-            if let Some(ready) = self.ready.take_if(|ready| ready.order.is_full_quality) {
-                self.preview = Some(ready.order.pose);
+            if let Some(ready) = self.ready.take_if(|ready| ready.request.is_full_quality) {
+                self.preview = Some(ready.request.pose);
             }
         }
         if self.sent.is_none()
-            && let Some(Ready { frame, order, made, .. }) = self.ready.take()
+            && let Some(Ready { frame, request, draw_time, .. }) = self.ready.take()
         {
-            self.newest_sent = self.newest_sent.max(Some(order.pose.seq));
-            self.sent = Some(Sent { order, made, since: now });
+            self.newest_sent = self.newest_sent.max(Some(request.pose.seq));
+            self.sent = Some(Sent { request, draw_time, since: now });
             return Step::Send(frame);
         }
-        if self.making.is_some() || self.ready.is_some() {
+        if self.drawing.is_some() || self.ready.is_some() {
             return Step::Wait(None);
         }
         let (begin, is_full_quality) = match (&self.waiting, &self.preview) {
@@ -236,17 +235,17 @@ impl<F> FrameScheduler<F> {
         self.not_before = None;
         let pose = if is_full_quality { self.preview.take() } else { self.waiting.take() };
         let Some(pose) = pose else { return Step::Wait(None) };
-        let width = (!is_full_quality).then(|| self.pace.width());
-        let order = FrameRequest { pose, width, is_full_quality };
-        self.making = Some(Making { order: order.clone(), began: now });
-        Step::Make(order)
+        let width = (!is_full_quality).then(|| self.previews.width());
+        let request = FrameRequest { pose, width, is_full_quality };
+        self.drawing = Some(Drawing { request: request.clone(), began: now });
+        Step::Draw(request)
     }
 
-    /// When the frame that waits should be begun.
+    /// When to start the frame of the waiting pose.
     fn begin(&self, now: Instant) -> Instant {
         self.sent.as_ref().map_or(now, |sent| {
-            let lead = self.pace.make_time().mul_f64(EARLY);
-            sent.since + self.pace.ack_time().saturating_sub(lead)
+            let lead = self.previews.draw_time().mul_f64(EARLY);
+            sent.since + self.previews.ack_time().saturating_sub(lead)
         })
     }
 }
@@ -301,7 +300,7 @@ mod tests {
         fn tick(&mut self) {
             let now = self.start + self.now * MS;
             if let Some((seq, _)) = self.being_made.take_if(|(_, at)| *at <= self.now) {
-                self.desk.made(seq, now);
+                self.desk.drawn(seq, now);
                 self.made += 1;
             }
             if !self.deaf
@@ -312,12 +311,12 @@ mod tests {
             }
             loop {
                 match self.desk.next(now) {
-                    Step::Make(order) => {
+                    Step::Draw(order) => {
                         assert!(self.being_made.is_none(), "one frame is made at a time");
                         self.is_full_quality = order.is_full_quality;
                         self.being_made = Some((order.pose.seq, self.now + self.make));
                     }
-                    Step::GiveUp => {
+                    Step::Cancel => {
                         assert!(self.being_made.take().is_some());
                         self.given_up += 1;
                     }
@@ -452,20 +451,20 @@ mod tests {
             let start = Instant::now();
             let pose = |seq| Pose { seq, q: Arc::default(), at: start };
             desk.pose(pose(1));
-            assert!(matches!(desk.next(start), Step::Make(_)));
-            desk.made((), start);
+            assert!(matches!(desk.next(start), Step::Draw(_)));
+            desk.drawn((), start);
             assert!(matches!(desk.next(start), Step::Send(())));
             if !acknowledged_while_making {
                 desk.ack(1, start).unwrap();
             }
             desk.pose(pose(2));
-            assert!(matches!(desk.next(start + MS), Step::Make(FrameRequest { is_full_quality: false, .. })));
+            assert!(matches!(desk.next(start + MS), Step::Draw(FrameRequest { is_full_quality: false, .. })));
             if acknowledged_while_making {
                 desk.ack(1, start + MS).unwrap();
             }
             assert!(desk.failed().is_some());
             assert!(matches!(desk.next(start + MS), Step::Wait(Some(until)) if until == start + REST));
-            assert!(matches!(desk.next(start + REST), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, is_full_quality: true, .. })));
+            assert!(matches!(desk.next(start + REST), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, is_full_quality: true, .. })));
         }
     }
 
@@ -486,13 +485,13 @@ mod tests {
         let now = Instant::now();
         let pose = |seq| Pose { seq, q: Arc::default(), at: now };
         desk.pose(pose(1));
-        assert!(matches!(desk.next(now), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
-        desk.refused(now);
-        assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + AGAIN));
-        assert!(matches!(desk.next(now + AGAIN), Step::Make(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
+        assert!(matches!(desk.next(now), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
+        desk.rejected(now);
+        assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + RETRY));
+        assert!(matches!(desk.next(now + RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
         desk.pose(pose(2));
-        desk.refused(now);
-        assert!(matches!(desk.next(now + AGAIN), Step::Make(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
+        desk.rejected(now);
+        assert!(matches!(desk.next(now + RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
         assert_eq!(desk.take_superseded(), 1);
     }
 }

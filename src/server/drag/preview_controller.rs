@@ -1,43 +1,42 @@
-//! How wide a preview may be: as wide as about sixty frames a second allow. What is measured is the time that a frame takes to be made and
-//! the time until its client has it on the screen; the longer of the two is the period, because the next frame is made while one is under way.
-//! A controller without a clock: times are handed in. O(1) a frame.
+//! The width of previews: as wide as about sixty frames per second allow. The controller measures the drawing time of a frame and the time until its
+//! acknowledgement; the longer of the two is the period, because the next frame is drawn while one is being sent. Times are arguments. O(1) per frame.
 //!
-//! A model of what a step would cost (all of the period grows with the pixels) is right where pixels are the cost and wrong where a long way
-//! or a slow screen is. So every step is a trial: a narrower picture that is hardly faster is taken back, a wider one that is hardly slower
-//! is kept, and a trial that failed is not repeated soon.
+//! A model predicts the period of another width: it is proportional to the pixels. That is wrong where the latency of the connection or a slow screen
+//! dominates, so each step is a trial: a narrower width that is hardly faster is taken back, a wider one that is hardly slower is kept, and a failed
+//! trial is not repeated soon.
 
 use std::time::{Duration, Instant};
 
 /// Widths in eighths of the full one, widest first.
 const EIGHTHS: [u32; 6] = [8, 6, 4, 3, 2, 1];
-/// Narrower previews show nothing.
-const LEAST_WIDTH: u32 = 256;
-/// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits on the way.
+/// Minimum width, px: narrower previews show too little.
+const MIN_WIDTH: u32 = 256;
+/// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits to send.
 const FIRST_PIXELS: f64 = 1.2e6;
-/// A longer period is too long: sixty frames a second.
-const LONGEST: f64 = 1.0 / 60.0;
-/// A step is taken when the period after it should be at most this share of the longest.
+/// Maximum period, seconds: sixty frames per second.
+const MAX_PERIOD: f64 = 1.0 / 60.0;
+/// A step is taken if the predicted period is at most this ratio of the maximum.
 const AIM: f64 = 0.75;
-/// A step that changes the period by less than this changes nothing.
+/// A smaller ratio of two periods does not count as a difference.
 const HARDLY: f64 = 1.15;
-/// Share of the newest frame in the averages, once there are a few.
+/// Weight of the newest frame in the averages, after the first few.
 const NEWEST: f64 = 0.2;
-/// So many frames of a width are judged, or fewer when they have taken so long.
+/// A width is judged after this number of frames, or after this time.
 const JUDGED: u32 = 8;
 const JUDGED_SLOW: Duration = Duration::from_millis(250);
-/// A width is kept for so long before a wider one is tried although the model is against it.
+/// Time after which a wider width is tried although the model predicts a longer period.
 const PROBE: Duration = Duration::from_secs(2);
-/// The pause after a trial that failed doubles up to this.
-const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+/// The pause after a failed trial doubles up to this time.
+const MAX_PAUSE: Duration = Duration::from_secs(60);
 
-/// The width of the previews, and what they take.
+/// The width of previews, and the measured times.
 #[derive(Clone, Debug)]
 pub struct PreviewController {
-    /// Widest first; the first is the full picture.
+    /// Widest first; the first is the full width.
     widths: Vec<u32>,
     at: usize,
     /// Averages at this width, seconds.
-    make: f64,
+    draw: f64,
     ack: f64,
     frames: u32,
     since: Option<Instant>,
@@ -53,7 +52,7 @@ struct Trial {
     period: f64,
 }
 
-/// When a trial may be repeated.
+/// The time until a trial may be repeated.
 #[derive(Clone, Copy, Debug)]
 struct Pause {
     until: Option<Instant>,
@@ -69,17 +68,17 @@ impl Pause {
 
     fn begin(&mut self, now: Instant) {
         self.until = Some(now + self.next);
-        self.next = (2 * self.next).min(LONGEST_PAUSE);
+        self.next = (2 * self.next).min(MAX_PAUSE);
     }
 }
 
 impl PreviewController {
-    /// A pace that finds its width for a picture of this size.
+    /// A controller that adapts the width, for images of this size.
     #[must_use]
     pub fn adaptive((width, height): (u32, u32)) -> Self {
         let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
         widths[0] = width;
-        widths.retain(|w| *w >= LEAST_WIDTH.min(width));
+        widths.retain(|w| *w >= MIN_WIDTH.min(width));
         widths.dedup();
         let pixels = |w: u32| f64::from(w) * f64::from(w) * f64::from(height) / f64::from(width);
         let first = widths.iter().position(|w| pixels(*w) <= FIRST_PIXELS).unwrap_or(widths.len() - 1);
@@ -93,7 +92,7 @@ impl PreviewController {
     }
 
     fn of(widths: Vec<u32>) -> Self {
-        Self { widths, at: 0, make: 0.0, ack: 0.0, frames: 0, since: None, trial: None, narrower: Pause::NONE, wider: Pause::NONE }
+        Self { widths, at: 0, draw: 0.0, ack: 0.0, frames: 0, since: None, trial: None, narrower: Pause::NONE, wider: Pause::NONE }
     }
 
     /// The width of the next preview.
@@ -102,27 +101,27 @@ impl PreviewController {
         self.widths[self.at]
     }
 
-    /// How long a frame takes to be made; zero when nothing is known yet.
+    /// Average drawing time; zero before the first frame.
     #[must_use]
-    pub fn make_time(&self) -> Duration {
-        Duration::from_secs_f64(self.make)
+    pub fn draw_time(&self) -> Duration {
+        Duration::from_secs_f64(self.draw)
     }
 
-    /// How long a frame takes to be shown once it is sent; zero when nothing is known yet.
+    /// Average time from sending a frame to its acknowledgement; zero before the first.
     #[must_use]
     pub fn ack_time(&self) -> Duration {
         Duration::from_secs_f64(self.ack)
     }
 
-    /// A preview of this width was shown: how long it was made, and how long it was under way.
-    pub fn shown(&mut self, now: Instant, width: u32, make: Duration, ack: Duration) {
+    /// A preview of this width was acknowledged, with its drawing time and the time until the acknowledgement.
+    pub fn acknowledged(&mut self, now: Instant, width: u32, draw: Duration, ack: Duration) {
         if width != self.width() {
             return;
         }
         self.frames += 1;
-        let since = *self.since.get_or_insert_with(|| now.checked_sub(make.max(ack)).unwrap_or(now));
+        let since = *self.since.get_or_insert_with(|| now.checked_sub(draw.max(ack)).unwrap_or(now));
         let share = NEWEST.max(1.0 / f64::from(self.frames));
-        self.make += share * (make.as_secs_f64() - self.make);
+        self.draw += share * (draw.as_secs_f64() - self.draw);
         self.ack += share * (ack.as_secs_f64() - self.ack);
         let passed = now.saturating_duration_since(since);
         if self.frames >= JUDGED || passed >= JUDGED_SLOW {
@@ -131,13 +130,13 @@ impl PreviewController {
     }
 
     fn judge(&mut self, now: Instant, passed: Duration) {
-        let period = self.make.max(self.ack);
+        let period = self.draw.max(self.ack);
         match self.trial.take() {
             Some(Trial { from, period: before }) if from < self.at && period * HARDLY > before => {
                 self.narrower.begin(now);
                 return self.step(from, None);
             }
-            Some(Trial { from, period: before }) if from > self.at && period > LONGEST && period > before * HARDLY => {
+            Some(Trial { from, period: before }) if from > self.at && period > MAX_PERIOD && period > before * HARDLY => {
                 self.wider.begin(now);
                 return self.step(from, None);
             }
@@ -147,18 +146,18 @@ impl PreviewController {
         }
         let after = |to: usize| period * (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
         let trial = Some(Trial { from: self.at, period });
-        if period > LONGEST && self.narrower.is_over(now) && self.at + 1 < self.widths.len() {
-            let fits = (self.at + 1..self.widths.len()).find(|to| after(*to) <= AIM * LONGEST);
+        if period > MAX_PERIOD && self.narrower.is_over(now) && self.at + 1 < self.widths.len() {
+            let fits = (self.at + 1..self.widths.len()).find(|to| after(*to) <= AIM * MAX_PERIOD);
             self.step(fits.unwrap_or(self.widths.len() - 1), trial);
-        } else if self.at > 0 && self.wider.is_over(now) && (after(self.at - 1) <= AIM * LONGEST || passed >= PROBE) {
+        } else if self.at > 0 && self.wider.is_over(now) && (after(self.at - 1) <= AIM * MAX_PERIOD || passed >= PROBE) {
             self.step(self.at - 1, trial);
         }
     }
 
-    /// The averages go along, as the model has them, until there are measured ones.
+    /// Until frames of the new width are measured, the averages are scaled by the model.
     fn step(&mut self, to: usize, trial: Option<Trial>) {
         let scale = (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
-        self.make *= scale;
+        self.draw *= scale;
         self.ack *= scale;
         self.at = to;
         self.frames = 0;
@@ -188,7 +187,7 @@ mod tests {
             let pixels = f64::from(width) * f64::from(width) * 9.0 / 16.0;
             let (make, ack) = ((world.make)(pixels), (world.ack)(pixels));
             time += make.max(ack).max(0.008);
-            pace.shown(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack));
+            pace.acknowledged(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack));
             widths.push(width);
         }
         widths

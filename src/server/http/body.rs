@@ -215,7 +215,7 @@ pub(crate) struct BodyBuffer<'a> {
 
 impl<'a> BodyBuffer<'a> {
     pub(crate) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
-        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_share(client), BESIDE)? })
+        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_quota(client), BESIDE)? })
     }
 
     pub(crate) fn len(&self) -> u64 {

@@ -88,7 +88,7 @@ fn watched(app: App) -> Router {
 
 /// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
 async fn shed(State(app): State<App>, Extension(client): Extension<Client>, request: Request, next: Next) -> Result<Response, Problem> {
-    app.admits(client)?;
+    app.require_queue_place(client)?;
     Ok(next.run(request).await)
 }
 

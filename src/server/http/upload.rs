@@ -44,7 +44,7 @@ pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Res
     }
     // The guard around every body has the limit; axum's own default is below it.
     DefaultBodyLimit::disable().apply(&mut request);
-    let _parser = app.reserve_for(Purpose::Upload, &app.request_share(client), PARSER)?;
+    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(client), PARSER)?;
     let unread = Unread::default();
     let request = request.map(|body| Body::new(FrameGate { body, unread: unread.clone(), fed: false }));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|e| malformed(e.body_text()))?;

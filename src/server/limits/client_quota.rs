@@ -12,52 +12,52 @@ const MANY: usize = 1024;
 
 /// What memory is held by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quota {
+pub enum QuotaKind {
     /// Answers, until they have left.
-    Answers,
+    Responses,
     /// Requests while they are received and read, and the files that sessions in memory keep of them.
     Requests,
 }
 
 /// What each client holds.
 #[derive(Debug)]
-pub struct Shares {
-    quota: Quota,
+pub struct ClientQuotas {
+    quota: QuotaKind,
     limit: u64,
     held: Mutex<HashMap<Tenant, Arc<AtomicU64>>>,
 }
 
 /// What one client holds. Cloning shares it.
 #[derive(Clone, Debug)]
-pub struct Share {
-    quota: Quota,
+pub struct ClientQuota {
+    quota: QuotaKind,
     limit: u64,
     held: Arc<AtomicU64>,
 }
 
-impl Shares {
+impl ClientQuotas {
     /// `limit`: bytes that one client may hold.
     #[must_use]
-    pub fn new(quota: Quota, limit: u64) -> Self {
+    pub fn new(quota: QuotaKind, limit: u64) -> Self {
         Self { quota, limit, held: Mutex::default() }
     }
 
     /// This client's.
     #[must_use]
-    pub fn of(&self, client: Client) -> Share {
+    pub fn of(&self, client: Client) -> ClientQuota {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         if held.len() >= MANY && held.len().is_power_of_two() {
             // Whoever holds something, or is about to, has another reference.
             held.retain(|_, held| Arc::strong_count(held) > 1);
         }
-        Share { quota: self.quota, limit: self.limit, held: Arc::clone(held.entry(client.tenant()).or_default()) }
+        ClientQuota { quota: self.quota, limit: self.limit, held: Arc::clone(held.entry(client.tenant()).or_default()) }
     }
 }
 
-impl Share {
+impl ClientQuota {
     /// What it is held by.
     #[must_use]
-    pub const fn quota(&self) -> Quota {
+    pub const fn quota(&self) -> QuotaKind {
         self.quota
     }
 
@@ -78,7 +78,7 @@ impl Share {
     /// # Errors
     /// What the client holds: there is no room for more.
     pub(crate) fn take(&self, own: u64, more: u64) -> Result<(), u64> {
-        let is_alone = |held: u64| self.quota == Quota::Answers && held <= own;
+        let is_alone = |held: u64| self.quota == QuotaKind::Responses && held <= own;
         let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || is_alone(held));
         self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)
     }
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn one_request_alone_may_not_exceed_the_share() {
-        let share = Shares::new(Quota::Requests, 100).of(client(0, 1));
+        let share = ClientQuotas::new(QuotaKind::Requests, 100).of(client(0, 1));
         assert_eq!(share.take(0, 101), Err(0));
         share.take(0, 100).unwrap();
         assert_eq!(share.take(100, 1), Err(100));
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_name_has_one_share_and_so_has_an_address_without_one() {
-        let shares = Shares::new(Quota::Answers, 100);
+        let shares = ClientQuotas::new(QuotaKind::Responses, 100);
         shares.of(client(1, 1)).take(0, 70).unwrap();
         assert_eq!([client(1, 9), client(2, 1), client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [70, 0, 0, 0]);
         shares.of(client(0, 1)).take(0, 60).unwrap();
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn an_answer_alone_may_be_larger_and_every_other_waits_for_room() {
-        let share = Shares::new(Quota::Answers, 100).of(client(0, 1));
+        let share = ClientQuotas::new(QuotaKind::Responses, 100).of(client(0, 1));
         share.take(0, 300).unwrap();
         share.take(300, 50).unwrap();
         assert_eq!(share.take(0, 1), Err(350));
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn who_holds_nothing_is_forgotten() {
-        let shares = Shares::new(Quota::Answers, 100);
+        let shares = ClientQuotas::new(QuotaKind::Responses, 100);
         let holds = shares.of(client(0, 1));
         holds.take(0, 5).unwrap();
         for n in 0..=u8::MAX {

@@ -12,7 +12,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytes::Bytes;
 use thiserror::Error;
 
-use super::client_quota::{Quota, Share};
+use super::client_quota::{ClientQuota, QuotaKind};
+use crate::problem::{Code, Problem};
+
+/// Seconds after which a client may retry.
+const RETRY_MEMORY: u32 = 2;
 
 /// What memory is taken for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -62,15 +66,15 @@ pub enum Exhausted {
     /// All of the memory that the purpose may use.
     Memory,
     /// What one client may hold.
-    Share(Quota),
+    Quota(QuotaKind),
 }
 
 impl Exhausted {
     const fn by(self) -> &'static str {
         match self {
             Self::Memory => "",
-            Self::Share(Quota::Answers) => " by answers that this client has not read",
-            Self::Share(Quota::Requests) => " by requests of this client, and by files that its sessions keep in memory",
+            Self::Quota(QuotaKind::Responses) => " by answers that this client has not read",
+            Self::Quota(QuotaKind::Requests) => " by requests of this client, and by files that its sessions keep in memory",
         }
     }
 }
@@ -95,7 +99,25 @@ impl BudgetExceeded {
     /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
     #[must_use]
     pub fn is_forever(&self) -> bool {
-        self.short != Exhausted::Share(Quota::Answers) && self.asked > self.limit
+        self.short != Exhausted::Quota(QuotaKind::Responses) && self.asked > self.limit
+    }
+}
+
+impl From<BudgetExceeded> for Problem {
+    fn from(error: BudgetExceeded) -> Self {
+        let problem = if error.is_forever() {
+            Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
+        } else {
+            let code = if error.short == Exhausted::Quota(QuotaKind::Requests) { Code::RateLimited } else { Code::Overloaded };
+            Self::new(code, error.to_string()).retry_after(RETRY_MEMORY)
+        };
+        match error.short {
+            Exhausted::Memory => problem.limit("memory_bytes", error.limit, error.asked),
+            Exhausted::Quota(QuotaKind::Responses) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
+            Exhausted::Quota(QuotaKind::Requests) => {
+                problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked))
+            }
+        }
     }
 }
 
@@ -122,7 +144,7 @@ pub struct Reservation {
     budget: Budget,
     purpose: Purpose,
     bytes: u64,
-    share: Option<Share>,
+    share: Option<ClientQuota>,
 }
 
 impl Budget {
@@ -183,7 +205,7 @@ impl Budget {
     ///
     /// # Errors
     /// [`BudgetExceeded`].
-    pub fn take_for(&self, purpose: Purpose, share: &Share, bytes: u64) -> Result<Reservation, BudgetExceeded> {
+    pub fn take_for(&self, purpose: Purpose, share: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
         reservation.grow(bytes)?;
         Ok(reservation)
@@ -205,7 +227,7 @@ impl Reservation {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
         if let Some(share) = &self.share {
             share.take(self.bytes, more).map_err(|taken| BudgetExceeded {
-                short: Exhausted::Share(share.quota()),
+                short: Exhausted::Quota(share.quota()),
                 purpose,
                 asked,
                 limit: share.limit(),
@@ -320,15 +342,15 @@ mod tests {
     #[test]
     fn a_client_holds_its_share_until_its_answers_have_left() {
         use crate::client::Client;
-        use crate::limits::client_quota::Shares;
-        let (budget, shares) = (Budget::new(800), Shares::new(Quota::Answers, 200));
+        use crate::limits::client_quota::ClientQuotas;
+        let (budget, shares) = (Budget::new(800), ClientQuotas::new(QuotaKind::Responses, 200));
         let (share, other) = (shares.of(Client::default()), shares.of(Client { address: [10, 0, 0, 1].into(), ..Client::default() }));
         let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
         answer.grow(50).unwrap();
         let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
         assert_eq!(
             refused,
-            BudgetExceeded { short: Exhausted::Share(Quota::Answers), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
+            BudgetExceeded { short: Exhausted::Quota(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
         );
         assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
         let strip = answer.split(120).attach(vec![0; 120]);

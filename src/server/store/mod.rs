@@ -37,6 +37,7 @@ pub use index::record_bytes;
 pub use url::{Address, StoreUrl};
 
 use crate::client::Owner;
+use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 
 /// What a store answers, later.
@@ -141,6 +142,22 @@ pub enum StoreError {
     /// The store does not do its work now; it may later. What it said is in the log: it may hold paths and addresses.
     #[error("the session store does not answer")]
     Away,
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        let new = |code, seconds| Self::new(code, error.to_string()).retry_after(seconds);
+        match error {
+            StoreError::NoSuchSession => Self::new(Code::NoSuchSession, error.to_string()),
+            StoreError::Expired => Self::new(Code::SessionExpired, error.to_string()),
+            StoreError::Full { what, limit, actual } => new(Code::Overloaded, 30).limit(what, limit, actual),
+            StoreError::NoRoom => new(Code::Overloaded, 30),
+            // A rolling update takes minutes.
+            StoreError::OtherVersion => new(Code::StoredByAnotherVersion, 30),
+            StoreError::Contended => new(Code::Overloaded, 1),
+            StoreError::Away => new(Code::Overloaded, 2),
+        }
+    }
 }
 
 /// What is in a store, for those who watch it.

@@ -142,26 +142,8 @@ impl PointsObject {
     /// A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [
-            p,
-            q,
-            weights,
-            method,
-            alpha,
-            point_mass,
-            units,
-            grid,
-            folds,
-            metric,
-            output,
-            extent,
-            points,
-            polygons,
-            boxes,
-            inverse,
-            refine,
-        ] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
-        let warp = WarpPatch::read([p, q, weights, method, alpha, point_mass, units, grid, folds, metric, output])?;
+        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
+        let warp = WarpPatch::read(warp)?;
         let warp = warp.merge_onto(WarpObject::default());
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = asked([points, polygons, boxes, inverse, refine])?;

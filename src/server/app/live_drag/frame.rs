@@ -1,4 +1,4 @@
-//! One frame of a drag: the session is used, and its picture or mesh is made by the same walk as that of a request.
+//! One frame of a drag: the session is touched, and its image or mesh is drawn as for a request.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,6 +6,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
 use mlswarp::warp::{OutputSpec, Report};
 use tokio::sync::Semaphore;
 
@@ -15,44 +16,43 @@ use crate::app::draw::{Drawn, Picture, Piece};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::observe::Scope;
-use crate::observe::stages::Cost;
-use crate::observe::stages::Timing;
+use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{FrameReport, FrameTiming, MeshShape, UnreadHandles};
 
-/// What frames are.
+/// The content of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// Files of this format, or of the session's.
+    /// Files of this format, or of the session's format.
     Picture(Option<Format>),
     /// Little-endian f32.
     Mesh,
 }
 
-/// A frame and what goes with it.
+/// A frame with its report.
 #[derive(Debug)]
 pub(crate) struct Frame {
-    /// Of the pose.
+    /// The number of the pose.
     pub(crate) seq: u64,
-    /// The session as it was.
+    /// The record that it was drawn from.
     pub(crate) record: Arc<Record>,
-    /// The grid that belongs to it.
+    /// The shape of its grid.
     pub(crate) shape: MeshShape,
-    /// The file, or the numbers, in order.
+    /// The file or the mesh, in order.
     pub(crate) pieces: Vec<Bytes>,
-    /// JSON.
+    /// The report as JSON.
     pub(crate) report: String,
 }
 
-/// The width at which nothing of the session's pictures is missing.
+/// The full width of the session's images.
 pub(crate) fn full_width(record: &Record) -> u32 {
     record.output.width.unwrap_or_else(|| record.extent.width())
 }
 
-/// How a frame of this width is made. What is soon replaced is not compressed with care.
+/// The output of a frame of this width. Previews are compressed fast.
 fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> OutputSpec {
     let full = full_width(record);
     let output = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
@@ -63,63 +63,69 @@ fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> Output
     }
 }
 
-/// Makes a frame. Dropping the future ends the work at the next strip.
-pub(crate) async fn make(
+/// Draws a frame. Dropping the future stops the work at the next strip.
+pub(crate) async fn draw_frame(
     app: App,
     client: Client,
     id: SessionId,
     frames: Arc<Semaphore>,
     form: Form,
-    order: FrameRequest,
+    request: FrameRequest,
 ) -> Result<Frame, Problem> {
-    let made = walk(app, client, id, frames, form, order).await;
-    if let Err(problem) = &made {
+    let frame = try_draw_frame(app, client, id, frames, form, request).await;
+    if let Err(problem) = &frame {
         Scope::current().set_error(problem.code);
     }
-    made
+    frame
 }
 
-async fn walk(app: App, client: Client, id: SessionId, frames: Arc<Semaphore>, form: Form, order: FrameRequest) -> Result<Frame, Problem> {
-    let turn = frames.acquire_owned().await.expect("the semaphore is never closed");
-    let share = app.share(client);
-    // Once a frame, not once a pose: the store says whether the session is still there and still the same.
+async fn try_draw_frame(
+    app: App,
+    client: Client,
+    id: SessionId,
+    frames: Arc<Semaphore>,
+    form: Form,
+    request: FrameRequest,
+) -> Result<Frame, Problem> {
+    let permit = frames.acquire_owned().await.expect("the semaphore is never closed");
+    let quota = app.response_quota(client);
+    // Once per frame, not once per pose: the store knows whether the session still exists and has changed.
     let record = app.touch(id, None).await?.record;
-    let seq = order.pose.seq;
-    let frame = match form {
+    let seq = request.pose.seq;
+    match form {
         Form::Picture(format) => {
-            let (record, warm) = app.warm_newest(client, record).await?;
-            drop(turn);
-            let q = read(&app, warm.ticket(), order.pose.q).await?;
-            let shape = warm.shape(record.extent);
-            let output = output(&record, format, order.width);
-            let Drawn { report, extent, timing, picture, .. } = app.draw_warm(warm, q, record.folds, output, share).await?;
+            let (record, image, plan) = app.admit_newest(client, record).await?;
+            drop(permit);
+            let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
+            let shape = plan.shape(record.extent);
+            let output = output(&record, format, request.width);
+            let Drawn { report, extent, timing, picture, .. } = app.draw_admitted(plan, image, q, record.folds, output, quota).await?;
             let (pieces, cost) = collect(picture).await?;
-            let full = order.width.is_none_or(|width| width >= full_width(&record));
-            let report = told(seq, (extent.width(), extent.height()), full, &report, timing, cost);
-            Frame { seq, record, shape, pieces, report }
+            let is_full = request.width.is_none_or(|width| width >= full_width(&record));
+            let report = report_json(seq, extent, is_full, &report, timing, cost);
+            Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh => {
-            let (ticket, walked) = app.walk(client, &record, MeshForm::Numbers).await?;
-            drop(turn);
-            let q = read(&app, &ticket, order.pose.q).await?;
-            let shape = walked.shape(record.extent);
-            let PosedMesh { report, timing, body, .. } = app.pose_walked(ticket, walked, q, &record, MeshForm::Numbers, share).await?;
-            let report = told(seq, (record.extent.width(), record.extent.height()), true, &report, timing, Cost::default());
-            Frame { seq, record, shape, pieces: vec![body], report }
+            let plan = app.admit_mesh(client, &record, MeshForm::Numbers).await?;
+            drop(permit);
+            let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
+            let shape = plan.shape(record.extent);
+            let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
+            let report = report_json(seq, record.extent, true, &report, timing, Cost::default());
+            Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }
-    };
-    Ok(frame)
+    }
 }
 
-/// Handles in so many bytes of text are read sooner than a compute thread wakes.
-const READ_HERE: usize = 16 << 10;
+/// Size of text up to which parsing is faster than waking a compute thread, bytes.
+const MAX_PARSED_HERE: usize = 16 << 10;
 
-/// Reads the handles of a pose.
-async fn read(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>) -> Result<Vec<Handle>, Problem> {
-    if q.len() <= READ_HERE { q.read() } else { app.0.pool.run(ticket, move |_| q.read()).await? }
+/// Parses the handles of a pose.
+async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>) -> Result<Vec<Handle>, Problem> {
+    if q.len() <= MAX_PARSED_HERE { q.read() } else { app.0.pool.run(ticket, move |_| q.read()).await? }
 }
 
-/// All of a picture.
+/// All pieces of an image.
 async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     let mut strips = match picture {
         Picture::Whole { bytes, cost } => return Ok((vec![bytes], cost)),
@@ -135,10 +141,11 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     }
 }
 
-fn told(seq: u64, (width, height): (u32, u32), full: bool, report: &Report, timing: Timing, cost: Cost) -> String {
+fn report_json(seq: u64, extent: Extent, full: bool, report: &Report, timing: Timing, cost: Cost) -> String {
     let ms = |time: Duration| (time.as_secs_f64() * 1e6).round() / 1e3;
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
+    let (width, height) = (extent.width(), extent.height());
     let report = FrameReport { seq, width, height, full, folds: report.folds, residual: report.residual, warnings, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

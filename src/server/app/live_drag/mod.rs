@@ -1,6 +1,6 @@
-//! The drag: poses in, frames out, as long as a hand moves. Messages come in by [`Drag::on_message`], what is to be sent waits in
-//! [`Drag::next_outgoing`]; in between stand the rules and the width of previews ([`crate::drag`]) and the making of one frame (`frame`). No
-//! socket is known here. A drag holds the newest pose, at most one frame that is made or being made, and what its socket has not taken yet.
+//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_message`]; [`Drag::next_outgoing`] returns what is to be sent. The order and
+//! width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest pose, at most one frame in progress or ready, and what the
+//! socket has not sent yet.
 
 mod frame;
 
@@ -25,246 +25,247 @@ use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{BadMessage, DragMessage, MeshShape};
 pub use frame::Form;
-use frame::{Frame, full_width};
+use frame::{Frame, draw_frame, full_width};
 
-/// How wide previews are.
+/// The width of previews.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PreviewWidth {
-    /// As wide as machine and connection can hold.
+    /// Adapted to the speed of the machine and the connection.
     Auto,
-    /// So many px.
+    /// This width, px.
     Fixed(u32),
 }
 
-/// What a client asks for when it opens the socket.
+/// The options of a drag socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DragOptions {
-    /// What frames are.
+    /// The content of frames.
     pub form: Form,
-    /// How wide they are while the hand moves; pictures only.
+    /// The width of frames while the pose changes; images only.
     pub width: PreviewWidth,
-    /// A report goes before each frame.
+    /// Whether a report precedes each frame.
     pub report: bool,
 }
 
-/// What the socket is to send.
+/// A message to send.
 #[derive(Debug)]
 pub enum Outgoing {
     /// A text message.
     Text(String),
-    /// A binary message: the number, then the pieces.
+    /// A binary message: the sequence number, then the pieces.
     Frame(u64, Vec<Bytes>),
 }
 
-/// What a socket takes beside its frames: buffers of both directions, and, for each column of its session, a pose that is being received (twice), one
-/// that waits and one that a frame is made of.
+/// Memory of a socket besides its frames, bytes: buffers of both directions, and per column of its session a pose that is being received (twice), one
+/// that waits and one that is being drawn.
 const SOCKET_BYTES: (u64, u64) = (512 << 10, 256);
 
-type Making = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
+type Drawing = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
 
-/// One hand on one session.
+/// One drag of one session.
 pub struct Drag {
     app: App,
     id: SessionId,
     client: Client,
-    wishes: DragOptions,
-    desk: FrameScheduler<Frame>,
-    making: Option<Making>,
+    options: DragOptions,
+    scheduler: FrameScheduler<Frame>,
+    drawing: Option<Drawing>,
     newest: Option<u64>,
-    /// The session as the newest frame knows it, and as the client was told.
-    known: Arc<Record>,
-    told: Arc<Record>,
-    says: VecDeque<Outgoing>,
+    /// The record of the newest frame.
+    record: Arc<Record>,
+    /// The record whose shape the client knows.
+    announced: Arc<Record>,
+    outgoing: VecDeque<Outgoing>,
     is_over: bool,
-    seat: SocketSlot,
-    _held: Reservation,
+    slot: SocketSlot,
+    _reservation: Reservation,
 }
 
 impl std::fmt::Debug for Drag {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Drag").field("id", &self.id).field("wishes", &self.wishes).finish_non_exhaustive()
+        f.debug_struct("Drag").field("id", &self.id).field("options", &self.options).finish_non_exhaustive()
     }
 }
 
 impl App {
-    /// Takes a seat at a session.
+    /// Opens a drag of a session.
     ///
     /// # Errors
-    /// Unknown session, or no room.
-    pub async fn open_drag(&self, client: Client, id: SessionId, wishes: DragOptions) -> Result<Drag, Problem> {
+    /// Unknown session, or too little capacity.
+    pub async fn open_drag(&self, client: Client, id: SessionId, options: DragOptions) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
-        self.opens_sockets()?;
-        let seat = self.0.seats.take(client.tenant(), id)?;
-        let held = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
+        self.require_running()?;
+        let slot = self.0.sockets.take(client.tenant(), id)?;
+        let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
         let setup = self.session_setup(client, &record).await?;
-        let hello = hello(&MeshShape::new(&setup, record.extent));
+        let shape = shape_message(&MeshShape::new(&setup, record.extent));
         Ok(Drag {
             app: self.clone(),
             id,
             client,
-            desk: FrameScheduler::new(pace(wishes, &record), full(wishes, &record)),
-            wishes,
-            making: None,
+            scheduler: FrameScheduler::new(previews(options, &record), full(options, &record)),
+            options,
+            drawing: None,
             newest: None,
-            known: Arc::clone(&record),
-            told: record,
-            says: VecDeque::from([hello]),
+            record: Arc::clone(&record),
+            announced: record,
+            outgoing: VecDeque::from([shape]),
             is_over: false,
-            seat,
-            _held: held,
+            slot,
+            _reservation: reservation,
         })
     }
 }
 
-fn hello(shape: &MeshShape) -> Outgoing {
+fn shape_message(shape: &MeshShape) -> Outgoing {
     Outgoing::Text(serde_json::to_string(shape).expect("an object of numbers"))
 }
 
-/// A mesh has no width: one pixel stands for all of it.
+/// The width that stands for a mesh.
 const MESH: u32 = 1;
 
-fn pace(wishes: DragOptions, record: &Record) -> PreviewController {
+fn previews(options: DragOptions, record: &Record) -> PreviewController {
     let width = full_width(record);
     let (w, h) = (u64::from(record.extent.width()), u64::from(record.extent.height()));
     let height = u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1);
-    match (wishes.form, wishes.width) {
+    match (options.form, options.width) {
         (Form::Mesh, _) => PreviewController::fixed(MESH),
         (_, PreviewWidth::Auto) => PreviewController::adaptive((width, height)),
         (_, PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
     }
 }
 
-fn full(wishes: DragOptions, record: &Record) -> u32 {
-    if wishes.form == Form::Mesh { MESH } else { full_width(record) }
+fn full(options: DragOptions, record: &Record) -> u32 {
+    if options.form == Form::Mesh { MESH } else { full_width(record) }
 }
 
 impl Drag {
-    /// A message of the client's.
+    /// A message arrived.
     pub fn on_message(&mut self, text: &[u8], now: Instant) {
         match DragMessage::parse(text) {
             Ok(DragMessage::Ack(seq)) => {
-                if self.desk.ack(seq, now).is_err() {
-                    self.complain(None, &Problem::new(Code::BadValue, format!("no frame of seq {seq} was sent")).pointer("/ack"));
+                if self.scheduler.ack(seq, now).is_err() {
+                    self.send_problem(None, &Problem::new(Code::BadValue, format!("no frame with seq {seq} was sent")).pointer("/ack"));
                 }
             }
             Ok(DragMessage::Pose { seq, .. }) if self.newest.is_some_and(|newest| seq <= newest) => {
                 let problem = Problem::new(Code::BadValue, "`seq` must grow from pose to pose").pointer("/seq");
-                self.complain(Some(seq), &problem);
+                self.send_problem(Some(seq), &problem);
             }
             Ok(DragMessage::Pose { seq, q }) => {
                 self.newest = Some(seq);
-                self.desk.pose(Pose { seq, q: Arc::new(q), at: now });
+                self.scheduler.pose(Pose { seq, q: Arc::new(q), at: now });
             }
-            Err(BadMessage { seq, problem }) => self.complain(seq, &problem),
+            Err(BadMessage { seq, problem }) => self.send_problem(seq, &problem),
         }
     }
 
-    /// Tells the client what is wrong.
-    pub fn complain(&mut self, seq: Option<u64>, problem: &Problem) {
-        // The id of the request that has opened the socket.
+    /// Sends a problem document.
+    pub fn send_problem(&mut self, seq: Option<u64>, problem: &Problem) {
+        // The id of the request that opened the socket.
         let mut document = problem.to_json(Scope::current().id());
         if let (Some(seq), Some(members)) = (seq, document.as_object_mut()) {
             members.insert("seq".to_owned(), seq.into());
         }
-        self.says.push_back(Outgoing::Text(document.to_string()));
+        self.outgoing.push_back(Outgoing::Text(document.to_string()));
     }
 
-    /// Begins, gives up and lays out what is due; nothing is to be done before the time that comes back, unless something happens.
+    /// Starts, cancels and sends the frames that are due; returns the time of the next step, if nothing happens before.
     pub fn act(&mut self, now: Instant) -> Option<Instant> {
         let until = loop {
-            match self.desk.next(now) {
-                Step::Make(order) => {
+            match self.scheduler.next(now) {
+                Step::Draw(request) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let making = frame::make(self.app.clone(), self.client, self.id, self.seat.frames(), self.wishes.form, order);
-                    self.making = Some(Box::pin(scope.wrap(making)));
+                    let drawing = draw_frame(self.app.clone(), self.client, self.id, self.slot.frames(), self.options.form, request);
+                    self.drawing = Some(Box::pin(scope.wrap(drawing)));
                 }
-                Step::GiveUp => self.making = None,
-                Step::Send(frame) => self.lay_out(frame),
+                Step::Cancel => self.drawing = None,
+                Step::Send(frame) => self.send(frame),
                 Step::Wait(until) => break until,
             }
         };
-        self.app.metrics().poses_superseded.inc_by(self.desk.take_superseded());
+        self.app.metrics().poses_superseded.inc_by(self.scheduler.take_superseded());
         until
     }
 
-    fn lay_out(&mut self, frame: Frame) {
-        if !same(&self.told, &frame.record) {
-            self.says.push_back(hello(&frame.shape));
-            self.told = frame.record;
+    fn send(&mut self, frame: Frame) {
+        if !same(&self.announced, &frame.record) {
+            self.outgoing.push_back(shape_message(&frame.shape));
+            self.announced = frame.record;
         }
-        if self.wishes.report {
-            self.says.push_back(Outgoing::Text(frame.report));
+        if self.options.report {
+            self.outgoing.push_back(Outgoing::Text(frame.report));
         }
-        self.says.push_back(Outgoing::Frame(frame.seq, frame.pieces));
+        self.outgoing.push_back(Outgoing::Frame(frame.seq, frame.pieces));
         self.app.metrics().frames_sent.inc();
     }
 
-    /// Goes on with what is being made; never ends when that is nothing. May be dropped and called again.
+    /// Waits for the frame in progress, or forever if there is none. May be dropped and called again.
     pub async fn work(&mut self) {
-        let Some(making) = &mut self.making else { return pending().await };
-        let made = making.await;
-        self.making = None;
+        let Some(drawing) = &mut self.drawing else { return pending().await };
+        let drawn = drawing.await;
+        self.drawing = None;
         let now = Instant::now();
-        match made {
+        match drawn {
             Ok(frame) => {
-                if !same(&self.known, &frame.record) {
-                    self.known = Arc::clone(&frame.record);
-                    self.desk.resize(pace(self.wishes, &self.known), full(self.wishes, &self.known));
+                if !same(&self.record, &frame.record) {
+                    self.record = Arc::clone(&frame.record);
+                    self.scheduler.resize(previews(self.options, &self.record), full(self.options, &self.record));
                 }
-                self.desk.made(frame, now);
+                self.scheduler.drawn(frame, now);
             }
-            Err(problem) if problem.code == Code::Overloaded => self.desk.refused(now),
+            Err(problem) if problem.code == Code::Overloaded => self.scheduler.rejected(now),
             Err(problem) => {
-                let order = self.desk.failed();
+                let request = self.scheduler.failed();
                 self.is_over = matches!(problem.code, Code::NoSuchSession | Code::SessionExpired);
-                // The pose of a frame that is made again was good; what has changed since is told when the hand moves.
-                if let Some(order) = order.filter(|order| self.is_over || !order.is_full_quality) {
-                    self.complain(Some(order.pose.seq), &problem);
+                // The preview of a full frame was sent already; a problem that arose since is sent with the next pose.
+                if let Some(request) = request.filter(|request| self.is_over || !request.is_full_quality) {
+                    self.send_problem(Some(request.pose.seq), &problem);
                 }
             }
         }
     }
 
-    /// Looks whether the session is still there. A store that does not answer, or not this version of the program, has not said that it is not.
+    /// Ends the drag if the session has ended. A 503 does not tell that: the store is unavailable, or another version stored the session.
     pub async fn check_session(&mut self) {
         if let Err(problem) = self.app.session(self.id).await
             && problem.code.status() != 503
         {
             self.is_over = true;
-            self.complain(None, &problem);
+            self.send_problem(None, &problem);
         }
     }
 
-    /// The next thing to send.
+    /// The next message to send.
     pub fn next_outgoing(&mut self) -> Option<Outgoing> {
-        self.says.pop_front()
+        self.outgoing.pop_front()
     }
 
-    /// The session has ended; nothing will come but what is to be said.
+    /// Whether the session has ended; only the remaining messages are sent.
     #[must_use]
     pub const fn is_over(&self) -> bool {
         self.is_over
     }
 
-    /// Ends what is being made.
+    /// Cancels the frame in progress.
     pub fn stop(&mut self) {
-        self.making = None;
+        self.drawing = None;
     }
 
-    /// The session as the newest frame knows it.
+    /// The record of the newest frame.
     #[must_use]
     pub fn record(&self) -> &Record {
-        &self.known
+        &self.record
     }
 
-    /// Since when the client has owed an acknowledgement.
+    /// When the frame was sent that the client has not acknowledged.
     #[must_use]
     pub fn owed_since(&self) -> Option<Instant> {
-        self.desk.owed_since()
+        self.scheduler.owed_since()
     }
 }
 
-/// Whether frames of the one fit the other.
+/// Whether frames of both records have the same shape.
 fn same(a: &Record, b: &Record) -> bool {
     a.revision == b.revision
 }

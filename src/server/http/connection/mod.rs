@@ -146,7 +146,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         let _ = tokio::time::timeout(timeouts.shutdown_grace, all_ended).await;
         tasks.abort_all();
         // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
-        let _ = tokio::time::timeout(FAREWELL, app.drags_ended()).await;
+        let _ = tokio::time::timeout(FAREWELL, app.sockets_closed()).await;
         if let Some(tracer) = app.tracer() {
             tracer.shutdown(FAREWELL).await;
         }

@@ -97,13 +97,13 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
 /// The object in its client's share until it is read: it may be asked for on every stream.
 fn held_object(app: &App, client: Client, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
-    let held = app.reserve_for(Purpose::Frame, &app.share(client), text.len() as u64)?;
+    let held = app.reserve_for(Purpose::Frame, &app.response_quota(client), text.len() as u64)?;
     Ok(json_text(held.attach(text)))
 }
 
 /// Room for the object of a session that is to be made of this warp object: once the session is there, nobody may be told that it is not.
 fn hold_object(app: &App, client: Client, warp: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve_for(Purpose::Frame, &app.share(client), longest_text(warp, app.config().limits().columns))
+    app.reserve_for(Purpose::Frame, &app.response_quota(client), longest_text(warp, app.config().limits().columns))
 }
 
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {

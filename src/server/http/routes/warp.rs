@@ -30,10 +30,10 @@ pub(crate) async fn warp(State(app): State<App>, Extension(client): Extension<Cl
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     if upload::is_multipart(&request) {
-        app.admits(client)?;
+        app.require_queue_place(client)?;
         let upload = upload::read(&app, client, request).await?;
         let (drawn, material) = app.warp_once(client, upload.image, upload.warp, formats).await?;
-        let session = if keeps { Some(app.keep(client, material).await?.0.record.id) } else { None };
+        let session = if keeps { Some(app.open_prepared(client, material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
             name_session(&mut response, id);
@@ -89,7 +89,7 @@ pub(crate) const fn drag_limit(columns: u64) -> u64 {
 
 /// The memory of a drag's handles, which wait in the queue with it.
 pub(crate) fn parsed(app: &App, client: Client, json: &[u8]) -> Result<Reservation, Problem> {
-    app.reserve_for(Purpose::Frame, &app.request_share(client), PARSED * json.len() as u64)
+    app.reserve_for(Purpose::Frame, &app.request_quota(client), PARSED * json.len() as u64)
 }
 
 /// `?session=true`. What is not known is refused, as in the body.

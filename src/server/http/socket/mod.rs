@@ -155,7 +155,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
                 }
                 match heard {
                     Heard::Text(text) => drag.on_message(text.as_bytes(), now),
-                    Heard::Binary => drag.complain(None, &Problem::new(Code::MalformedRequest, "messages are text")),
+                    Heard::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "messages are text")),
                     Heard::Life => {}
                     Heard::End(ending) => return ending,
                 }
@@ -163,7 +163,7 @@ async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
             () = drag.work() => {}
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = &mut revoked => {
-                drag.complain(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
+                drag.send_problem(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
                 while let Some(said) = drag.next_outgoing() {
                     if let Outgoing::Text(text) = said {
                         line.last_words(text);

@@ -1,10 +1,9 @@
-//! How many sessions each client keeps, and how many bytes of their files and records: what a store holds of a session cannot be taken
-//! back before it ends, so each client has a limit below the store's.
+//! The number of sessions of each client, and the bytes of their files and records. What a store holds for a session cannot be reclaimed before the
+//! session ends, so each client has limits below those of the store.
 //!
-//! Counted are the sessions that were made through this process since it started, for the client that made them last. Nothing of this is
-//! stored: an address is written nowhere. What other replicas make, and what a store kept from before a restart, is bounded by the
-//! store's own limits alone. A session ends here when it is deleted or found to be gone, and otherwise when it has not been used through
-//! this process for one idle period.
+//! Only sessions that were stored through this process since its start are counted, for the client that stored them last; nothing of this is stored.
+//! Sessions of other replicas, and those from before a restart, are limited by the store's own limits. A session ends here when it is deleted or found
+//! to be gone, or when this process has not used it for one idle period.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,201 +16,202 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Bounds, Record, record_bytes};
 
-/// Seconds after which a client that keeps too much may try again.
+/// Seconds after which a rejected client may retry.
 const RETRY: u32 = 30;
 
-/// What every client keeps. Cloning shares it.
+/// The sessions of all clients. Clones share them.
 #[derive(Clone, Debug)]
-pub struct Holdings(Arc<HoldingsState>);
+pub struct ClientSessions(Arc<Shared>);
 
 #[derive(Debug)]
-struct HoldingsState {
+struct Shared {
     idle: Duration,
-    sessions: u64,
-    bytes: u64,
-    held: Mutex<Held>,
+    max_sessions: u64,
+    max_bytes: u64,
+    counted: Mutex<Counted>,
 }
 
 #[derive(Debug, Default)]
-struct Held {
-    sessions: HashMap<SessionId, Holding>,
-    clients: HashMap<Tenant, Sum>,
+struct Counted {
+    sessions: HashMap<SessionId, CountedSession>,
+    totals: HashMap<Tenant, Total>,
     claims: u64,
 }
 
-/// A session.
 #[derive(Clone, Copy, Debug)]
-struct Holding {
+struct CountedSession {
     tenant: Tenant,
     image: Digest,
     file: u64,
     record: u64,
     used: Instant,
-    /// By which claim it came to be as it is.
+    /// The number of the claim that counted it.
     claim: u64,
-    /// The store has not answered yet: nobody but the claim itself can end it.
+    /// The store has not answered yet: only the claim itself can end the session.
     is_pending: bool,
 }
 
-/// What one client keeps.
+/// The total of one client.
 #[derive(Debug, Default)]
-struct Sum {
+struct Total {
     sessions: u64,
     bytes: u64,
-    /// Sessions by their picture's file, which a client keeps once.
+    /// Number of sessions by file; a file is stored once per client.
     files: HashMap<Digest, usize>,
 }
 
-/// A session that is being stored, and is counted already.
+/// A session that is counted before it is stored.
 #[derive(Debug)]
 pub struct Claim {
     id: SessionId,
-    claim: u64,
-    before: Option<Holding>,
+    number: u64,
+    before: Option<CountedSession>,
 }
 
-impl Held {
-    fn add(&mut self, id: SessionId, kept: Holding) {
-        let sum = self.clients.entry(kept.tenant).or_default();
-        let files = sum.files.entry(kept.image).or_default();
+impl Counted {
+    fn add(&mut self, id: SessionId, session: CountedSession) {
+        let total = self.totals.entry(session.tenant).or_default();
+        let files = total.files.entry(session.image).or_default();
         *files += 1;
-        sum.sessions += 1;
-        sum.bytes += kept.record + if *files == 1 { kept.file } else { 0 };
-        self.sessions.insert(id, kept);
+        total.sessions += 1;
+        total.bytes += session.record + if *files == 1 { session.file } else { 0 };
+        self.sessions.insert(id, session);
     }
 
-    fn remove(&mut self, id: SessionId) -> Option<Holding> {
-        let kept = self.sessions.remove(&id)?;
-        if let Some(sum) = self.clients.get_mut(&kept.tenant) {
-            sum.sessions -= 1;
-            sum.bytes -= kept.record;
-            if let Some(files) = sum.files.get_mut(&kept.image) {
+    fn remove(&mut self, id: SessionId) -> Option<CountedSession> {
+        let session = self.sessions.remove(&id)?;
+        if let Some(total) = self.totals.get_mut(&session.tenant) {
+            total.sessions -= 1;
+            total.bytes -= session.record;
+            if let Some(files) = total.files.get_mut(&session.image) {
                 *files -= 1;
                 if *files == 0 {
-                    sum.files.remove(&kept.image);
-                    sum.bytes -= kept.file;
+                    total.files.remove(&session.image);
+                    total.bytes -= session.file;
                 }
             }
-            if sum.sessions == 0 {
-                self.clients.remove(&kept.tenant);
+            if total.sessions == 0 {
+                self.totals.remove(&session.tenant);
             }
         }
-        Some(kept)
+        Some(session)
     }
 
     fn sweep(&mut self, idle: Duration) {
-        let over: Vec<SessionId> = self.sessions.iter().filter(|(_, kept)| kept.used.elapsed() >= idle).map(|(id, _)| *id).collect();
-        for id in over {
+        let expired: Vec<SessionId> =
+            self.sessions.iter().filter(|(_, session)| session.used.elapsed() >= idle).map(|(id, _)| *id).collect();
+        for id in expired {
             self.remove(id);
+        }
+    }
+
+    /// Undoes a claim, unless another claim has followed, which then says what is stored.
+    fn restore(&mut self, Claim { id, number, before }: Claim) {
+        if self.sessions.get(&id).is_some_and(|session| session.claim == number) {
+            self.remove(id);
+            if let Some(before) = before {
+                self.add(id, before);
+            }
         }
     }
 }
 
-impl Holdings {
-    /// Of a store of these bounds; `of_client` says how much of each one client may have.
+impl ClientSessions {
+    /// The sessions in a store with these bounds; `of_client` gives one client's share of a total.
     #[must_use]
     pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> u64) -> Self {
-        let (sessions, bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
-        Self(Arc::new(HoldingsState { idle: bounds.idle, sessions, bytes, held: Mutex::default() }))
+        let (max_sessions, max_bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
+        Self(Arc::new(Shared { idle: bounds.idle, max_sessions, max_bytes, counted: Mutex::default() }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
-        // Nothing panics half-way through a change.
-        self.0.held.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Counted> {
+        // No change panics half-way.
+        self.0.counted.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a session that is about to be stored, in the place of the one of that name.
+    /// Counts a session that is about to be stored, instead of the one with the same id.
     ///
     /// # Errors
-    /// [`Code::RateLimited`]: the client keeps as much as it may.
+    /// [`Code::RateLimited`]: the client has reached a limit.
     pub fn claim(&self, tenant: Tenant, record: &Record, file: u64) -> Result<Claim, Problem> {
         let used = Instant::now();
         self.change(record.id, |_| {
-            Some(Holding { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0, is_pending: true })
+            Some(CountedSession { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0, is_pending: true })
         })
     }
 
-    /// Counts a record that is about to take the place of another one of its session.
+    /// Counts a record that is about to replace another one of its session.
     ///
     /// # Errors
-    /// As [`Holdings::claim`].
+    /// As [`ClientSessions::claim`].
     pub fn claim_revision(&self, record: &Record) -> Result<Claim, Problem> {
-        self.change(record.id, |before| before.map(|before| Holding { record: record_bytes(record), ..before }))
+        self.change(record.id, |before| before.map(|before| CountedSession { record: record_bytes(record), ..before }))
     }
 
-    fn change(&self, id: SessionId, to: impl Fn(Option<Holding>) -> Option<Holding>) -> Result<Claim, Problem> {
-        let mut held = self.lock();
-        let first = self.try_change(&mut held, id, &to);
-        if first.is_err() {
-            held.sweep(self.0.idle);
-            return self.try_change(&mut held, id, &to);
-        }
-        first
+    fn change(&self, id: SessionId, to: impl Fn(Option<CountedSession>) -> Option<CountedSession>) -> Result<Claim, Problem> {
+        let mut counted = self.lock();
+        self.try_change(&mut counted, id, &to).or_else(|_| {
+            counted.sweep(self.0.idle);
+            self.try_change(&mut counted, id, &to)
+        })
     }
 
-    fn try_change(&self, held: &mut Held, id: SessionId, to: impl Fn(Option<Holding>) -> Option<Holding>) -> Result<Claim, Problem> {
-        held.claims += 1;
-        let claim = held.claims;
-        let before = held.remove(id);
-        let Some(kept) = to(before) else { return Ok(Claim { id, claim, before }) };
-        held.add(id, Holding { claim, is_pending: true, ..kept });
-        let sum = &held.clients[&kept.tenant];
-        let limits =
-            [("client_sessions", "sessions", self.0.sessions, sum.sessions), ("client_store_bytes", "bytes", self.0.bytes, sum.bytes)];
-        let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else {
-            return Ok(Claim { id, claim, before });
-        };
-        Self::restore(held, &Claim { id, claim, before });
-        let detail =
-            format!("this client would keep {actual} {unit} in the session store; at most {limit}. Delete sessions, or let them expire");
+    fn try_change(
+        &self,
+        counted: &mut Counted,
+        id: SessionId,
+        to: impl Fn(Option<CountedSession>) -> Option<CountedSession>,
+    ) -> Result<Claim, Problem> {
+        counted.claims += 1;
+        let before = counted.remove(id);
+        let claim = Claim { id, number: counted.claims, before };
+        let Some(session) = to(before) else { return Ok(claim) };
+        counted.add(id, CountedSession { claim: claim.number, is_pending: true, ..session });
+        let total = &counted.totals[&session.tenant];
+        let limits = [
+            ("client_sessions", "sessions", self.0.max_sessions, total.sessions),
+            ("client_store_bytes", "bytes", self.0.max_bytes, total.bytes),
+        ];
+        let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else { return Ok(claim) };
+        counted.restore(claim);
+        let detail = format!("this client would store {actual} {unit}; at most {limit}. Delete sessions, or let them expire");
         Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
     }
 
-    /// What was claimed is stored.
-    pub fn settle(&self, claim: &Claim) {
-        if let Some(kept) = self.lock().sessions.get_mut(&claim.id).filter(|kept| kept.claim == claim.claim) {
-            kept.is_pending = false;
+    /// The claimed session is stored.
+    pub fn confirm(&self, claim: &Claim) {
+        if let Some(session) = self.lock().sessions.get_mut(&claim.id).filter(|session| session.claim == claim.number) {
+            session.is_pending = false;
         }
     }
 
-    /// What was claimed was not stored.
+    /// The claimed session was not stored.
     pub fn undo(&self, claim: Claim) {
-        Self::restore(&mut self.lock(), &claim);
-    }
-
-    fn restore(held: &mut Held, Claim { id, claim, before }: &Claim) {
-        // Another claim may have followed: then that one says what is stored.
-        if held.sessions.get(id).is_some_and(|kept| kept.claim == *claim) {
-            held.remove(*id);
-            if let Some(before) = *before {
-                held.add(*id, before);
-            }
-        }
+        self.lock().restore(claim);
     }
 
     /// The session was used.
     pub fn used(&self, id: SessionId) {
-        if let Some(kept) = self.lock().sessions.get_mut(&id) {
-            kept.used = Instant::now();
+        if let Some(session) = self.lock().sessions.get_mut(&id) {
+            session.used = Instant::now();
         }
     }
 
-    /// By which claim the session is counted, if it is: [`Holdings::ended`] takes it.
+    /// The number of the claim that counted the session, for [`ClientSessions::ended`].
     #[must_use]
     pub fn claim_of(&self, id: SessionId) -> Option<u64> {
-        self.lock().sessions.get(&id).map(|kept| kept.claim)
+        self.lock().sessions.get(&id).map(|session| session.claim)
     }
 
-    /// The session that was counted by `claim` when the store was asked is gone. One that has been stored since under the same name, or is being
-    /// stored, stays counted.
+    /// The session with this claim has ended. A session that has been stored since with the same id, or is being stored, stays counted.
     pub fn ended(&self, id: SessionId, claim: Option<u64>) {
-        let mut held = self.lock();
-        if held.sessions.get(&id).is_some_and(|kept| Some(kept.claim) == claim && !kept.is_pending) {
-            held.remove(id);
+        let mut counted = self.lock();
+        if counted.sessions.get(&id).is_some_and(|session| Some(session.claim) == claim && !session.is_pending) {
+            counted.remove(id);
         }
     }
 
-    /// Forgets sessions that have expired.
+    /// Removes expired sessions.
     pub fn sweep(&self) {
         self.lock().sweep(self.0.idle);
     }
@@ -248,27 +248,27 @@ mod tests {
         }
     }
 
-    fn holdings(idle: Duration, sessions: usize, bytes: u64) -> Holdings {
-        Holdings::new(Bounds { idle, sessions, bytes }, |total| total / 2)
+    fn client_sessions(idle: Duration, sessions: usize, bytes: u64) -> ClientSessions {
+        ClientSessions::new(Bounds { idle, sessions, bytes }, |total| total / 2)
     }
 
-    fn sum(holdings: &Holdings, n: u8) -> (u64, u64) {
-        holdings.lock().clients.get(&tenant(n)).map_or((0, 0), |sum| (sum.sessions, sum.bytes))
+    fn sum(client_sessions: &ClientSessions, n: u8) -> (u64, u64) {
+        client_sessions.lock().totals.get(&tenant(n)).map_or((0, 0), |sum| (sum.sessions, sum.bytes))
     }
 
     /// The session was stored, and is gone.
-    fn end(holdings: &Holdings, id: SessionId) {
-        let stored = |kept: &mut Holding| {
+    fn end(client_sessions: &ClientSessions, id: SessionId) {
+        let stored = |kept: &mut CountedSession| {
             kept.is_pending = false;
             kept.claim
         };
-        let claim = holdings.lock().sessions.get_mut(&id).map(stored);
-        holdings.ended(id, claim);
+        let claim = client_sessions.lock().sessions.get_mut(&id).map(stored);
+        client_sessions.ended(id, claim);
     }
 
     #[test]
     fn a_client_keeps_its_part_and_another_client_keeps_as_much() {
-        let held = holdings(Duration::from_secs(60), 4, 1 << 20);
+        let held = client_sessions(Duration::from_secs(60), 4, 1 << 20);
         let records: Vec<_> = (1..6).map(record).collect();
         held.claim(tenant(1), &records[0], FILE).unwrap();
         held.claim(tenant(1), &records[1], FILE).unwrap();
@@ -285,14 +285,14 @@ mod tests {
         held.claim(tenant(2), &records[2], FILE).unwrap();
         assert_eq!((sum(&held, 1).0, sum(&held, 2).0), (1, 2));
         records.iter().for_each(|ended| end(&held, ended.id));
-        assert!(held.lock().clients.is_empty() && held.lock().sessions.is_empty());
+        assert!(held.lock().totals.is_empty() && held.lock().sessions.is_empty());
     }
 
     #[test]
     fn bytes_are_counted_once_a_file_and_with_their_records() {
         let record = |n: u8| Record { image: Digest([9; 32]), ..record(n) };
         let each = record_bytes(&record(0));
-        let held = holdings(Duration::from_secs(60), 1000, 2 * (FILE + 3 * each));
+        let held = client_sessions(Duration::from_secs(60), 1000, 2 * (FILE + 3 * each));
         for n in 0..3 {
             held.claim(tenant(1), &record(n), FILE).unwrap();
         }
@@ -316,17 +316,17 @@ mod tests {
 
     #[test]
     fn a_session_that_is_being_stored_is_ended_by_nobody() {
-        let held = holdings(Duration::from_secs(60), 100, 1 << 20);
+        let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let record = record(1);
         let end = |claim| held.ended(record.id, claim);
         let first = held.claim(tenant(1), &record, FILE).unwrap();
         end(held.claim_of(record.id));
         assert_eq!(sum(&held, 1).0, 1, "it is pending");
-        held.settle(&first);
+        held.confirm(&first);
         let before = held.claim_of(record.id);
         // A delete is under way, and the same name is stored again before it is counted.
         let second = held.claim(tenant(1), &record, FILE).unwrap();
-        held.settle(&second);
+        held.confirm(&second);
         end(before);
         assert_eq!(sum(&held, 1).0, 1, "it was stored since");
         end(held.claim_of(record.id));
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn what_was_not_stored_is_not_counted() {
-        let held = holdings(Duration::from_secs(60), 100, 1 << 20);
+        let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let (a, b) = (record(1), record(2));
         let other = Record { image: b.image, ..a.clone() };
         held.undo(held.claim(tenant(1), &a, FILE).unwrap());
@@ -354,7 +354,7 @@ mod tests {
     #[test]
     fn an_expired_session_makes_room_and_a_used_one_does_not() {
         let idle = Duration::from_secs(60);
-        let held = holdings(idle, 2, 1 << 20);
+        let held = client_sessions(idle, 2, 1 << 20);
         let unused = |n: u8| held.lock().sessions.get_mut(&record(n).id).unwrap().used -= idle;
         held.claim(tenant(1), &record(1), FILE).unwrap();
         unused(1);
@@ -365,6 +365,6 @@ mod tests {
         assert_eq!(sum(&held, 1).0, 1);
         unused(3);
         held.sweep();
-        assert!(held.lock().clients.is_empty());
+        assert!(held.lock().totals.is_empty());
     }
 }
