@@ -80,11 +80,7 @@ impl Collector for App {
         self.write_store(writer)?;
         let connections = self.0.access.places();
         writer.gauge("connections", "Connections that are open", &one(connections.open() as u64))?;
-        writer.counter(
-            "connections_refused",
-            "Connections that were closed at once because there were too many",
-            &one(connections.refused()),
-        )?;
+        writer.counter("connections_refused", "Connections closed at once because of a limit", &one(connections.refused()))?;
         writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.taken() as u64))?;
         let (exported, dropped) = self.tracer().map(Tracer::stats).map_or((0, 0), |stats| (stats.exported(), stats.dropped()));
         writer.counter("spans_exported", "Spans that the collector has accepted", &one(exported))?;
@@ -136,11 +132,7 @@ impl App {
         writer.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
         writer.bytes("store_size", "Size of their records, and of their files unless Redis keeps them", &one(figures.bytes))?;
         writer.counter("store_damaged", "Sessions that were left out because their stored data was damaged", &one(figures.damaged))?;
-        writer.counter(
-            "store_other_version",
-            "Records skipped because another version of the program wrote them",
-            &one(figures.other_version),
-        )?;
+        writer.counter("store_other_version", "Records of another version of the program", &one(figures.other_version))?;
         writer.counter("store_failures", "Operations of the store that failed", &one(figures.failures))
     }
 }

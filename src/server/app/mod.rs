@@ -28,7 +28,7 @@ use crate::limits::connections::ConnectionLimiter;
 use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
-use crate::observe::tracer::{Tracer, TracerError};
+use crate::observe::tracer::Tracer;
 use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::store::{NotOpened, Store};
@@ -113,7 +113,7 @@ pub enum NotStarted {
     Store(#[from] NotOpened),
     /// Traces cannot be exported.
     #[error("{0}")]
-    Traces(#[from] TracerError),
+    Traces(String),
 }
 
 impl App {
@@ -123,7 +123,8 @@ impl App {
     /// See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.url, config.store.bounds())?;
-        let tracer = Tracer::new(config.telemetry.otlp_endpoint.clone(), config.telemetry.otlp_sample)?;
+        let tracer = config.telemetry.otlp_endpoint.as_ref().map(|collector| Tracer::new(collector, config.telemetry.otlp_sample));
+        let tracer = tracer.transpose().map_err(NotStarted::Traces)?;
         let (work, auth, clients) = (config.work, &config.auth, &config.clients);
         let of_client = |total| clients.client_share.of(total);
         let WorkConfig { workers, drag_wait, upload_wait, .. } = work;

@@ -220,6 +220,7 @@ impl App {
             let threads = app.0.pool.clone();
             let fill = move |cancel: &Cancel| threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()));
             let plan = app.0.pool.run(&ticket, fill).await??;
+            tracing::debug!("a plan was built");
             Ok(CacheEntry::new(plan, reservation))
         };
         let Fetched { value: plan, built } = self.0.plans.get(Key::new(owner, setup.plan_key()), build, build_aborted).await?;

@@ -1,5 +1,4 @@
-//! Log lines, as text or as one flat JSON object each. Whatever is told while a request is worked on ends with the request's id, and with the id of
-//! its trace where there is a collector.
+//! Log lines, as text or as one flat JSON object each. Lines of a request end with its id, and with its trace's id if there is a collector.
 
 use std::fmt;
 
@@ -11,41 +10,45 @@ use tracing_subscriber::registry::LookupSpan;
 
 use super::Scope;
 
-/// How log lines look.
+/// The format of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
-    /// For people.
+    /// Text for people.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
 /// Starts logging what passes `filter`; a second call changes nothing.
 pub fn start(filter: &str, format: LogFormat) {
-    let filter = EnvFilter::new(filter);
-    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let lines = tracing_subscriber::fmt().with_env_filter(EnvFilter::new(filter)).with_writer(std::io::stderr);
     // The only error is that logging has been started before.
     let _ = match format {
         LogFormat::Text => {
             let is_terminal = std::io::IsTerminal::is_terminal(&std::io::stderr());
-            lines.with_ansi(is_terminal).event_format(Text(format::format().with_ansi(is_terminal))).try_init()
+            lines.with_ansi(is_terminal).event_format(text(is_terminal)).try_init()
         }
-        LogFormat::Json => lines.fmt_fields(format::JsonFields::new()).event_format(Json(json())).try_init(),
+        LogFormat::Json => lines.fmt_fields(format::JsonFields::new()).event_format(json()).try_init(),
     };
 }
 
-/// Spans of libraries would nest: only what is told itself is written.
-fn json() -> format::Format<format::Json> {
-    format::json().flatten_event(true).with_current_span(false).with_span_list(false)
+fn text(has_colours: bool) -> WithRequest<format::Format> {
+    WithRequest { format: format::format().with_ansi(has_colours), is_json: false }
 }
 
-/// A line for people, then what is known of the request.
-struct Text<F>(F);
+fn json() -> WithRequest<format::Format<format::Json>> {
+    // Without spans of libraries, which would nest.
+    let format = format::json().flatten_event(true).with_current_span(false).with_span_list(false);
+    WithRequest { format, is_json: true }
+}
 
-/// A JSON object, with what is known of the request among its members.
-struct Json<F>(F);
+/// Adds the ids of the request to a line of `format`.
+struct WithRequest<F> {
+    format: F,
+    is_json: bool,
+}
 
-impl<S, N, F> FormatEvent<S, N> for Text<F>
+impl<S, N, F> FormatEvent<S, N> for WithRequest<F>
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,
@@ -53,39 +56,17 @@ where
 {
     fn format_event(&self, context: &FmtContext<'_, S, N>, mut writer: Writer<'_>, event: &Event<'_>) -> fmt::Result {
         let mut line = String::new();
-        self.0.format_event(context, Writer::new(&mut line), event)?;
-        writer.write_str(line.trim_end_matches('\n'))?;
+        self.format.format_event(context, Writer::new(&mut line), event)?;
+        let line = line.trim_end_matches('\n');
+        writer.write_str(if self.is_json { line.strip_suffix('}').unwrap_or(line) } else { line })?;
+        // Neither id has characters that JSON escapes.
+        let mut write = |name: &str, id: &dyn fmt::Display| {
+            if self.is_json { write!(writer, r#","{name}":"{id}""#) } else { write!(writer, " {name}={id}") }
+        };
         let scope = Scope::current();
-        if let Some(id) = scope.id() {
-            write!(writer, " id={id}")?;
-        }
-        if let Some(trace) = scope.trace_id() {
-            write!(writer, " trace_id={trace}")?;
-        }
-        writer.write_char('\n')
-    }
-}
-
-impl<S, N, F> FormatEvent<S, N> for Json<F>
-where
-    S: Subscriber + for<'a> LookupSpan<'a>,
-    N: for<'a> FormatFields<'a> + 'static,
-    F: FormatEvent<S, N>,
-{
-    fn format_event(&self, context: &FmtContext<'_, S, N>, mut writer: Writer<'_>, event: &Event<'_>) -> fmt::Result {
-        let mut line = String::new();
-        self.0.format_event(context, Writer::new(&mut line), event)?;
-        let object = line.trim_end_matches('\n');
-        writer.write_str(object.strip_suffix('}').unwrap_or(object))?;
-        let scope = Scope::current();
-        // Neither holds anything that JSON would have to escape.
-        if let Some(id) = scope.id() {
-            write!(writer, r#","id":"{id}""#)?;
-        }
-        if let Some(trace) = scope.trace_id() {
-            write!(writer, r#","trace_id":"{trace}""#)?;
-        }
-        writer.write_str("}\n")
+        scope.id().map_or(Ok(()), |id| write("id", &id))?;
+        scope.trace_id().map_or(Ok(()), |id| write("trace_id", &id))?;
+        writer.write_str(if self.is_json { "}\n" } else { "\n" })
     }
 }
 
@@ -125,7 +106,7 @@ mod tests {
     fn a_line_of_text_ends_with_the_id_of_its_request() {
         let paper = Paper::default();
         let told = paper.clone();
-        let lines = tracing_subscriber::fmt().with_ansi(false).event_format(Text(format::format().with_ansi(false)));
+        let lines = tracing_subscriber::fmt().with_ansi(false).event_format(text(false));
         tracing::subscriber::with_default(lines.with_writer(move || told.clone()).finish(), talk);
         let text = paper.text();
         let lines: Vec<&str> = text.lines().collect();
@@ -138,7 +119,7 @@ mod tests {
     fn a_line_of_json_is_one_flat_object() {
         let paper = Paper::default();
         let told = paper.clone();
-        let lines = tracing_subscriber::fmt().fmt_fields(format::JsonFields::new()).event_format(Json(json()));
+        let lines = tracing_subscriber::fmt().fmt_fields(format::JsonFields::new()).event_format(json());
         tracing::subscriber::with_default(lines.with_writer(move || told.clone()).finish(), || {
             tracing::error_span!("of a library", id = "nested").in_scope(talk);
         });

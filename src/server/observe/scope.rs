@@ -43,10 +43,6 @@ impl RecordedSpan {
     fn nanos(&self, at: Instant) -> u64 {
         u64::try_from(at.saturating_duration_since(self.began).as_nanos()).unwrap_or(u64::MAX)
     }
-
-    fn end_at(&self, at: Instant) {
-        self.ended.fetch_max(self.nanos(at), Ordering::Relaxed);
-    }
 }
 
 impl Drop for RecordedSpan {
@@ -182,7 +178,7 @@ impl Scope {
     /// Records the response's status; the span ends here unless a stage goes on.
     pub fn set_response(&self, status: u16, code: Option<Code>) {
         if let Some(recorded) = self.recorded() {
-            recorded.end_at(Instant::now());
+            recorded.ended.fetch_max(recorded.nanos(Instant::now()), Ordering::Relaxed);
             recorded.context.span().set_attribute(KeyValue::new("http.response.status_code", i64::from(status)));
         }
         if let Some(code) = code {
@@ -204,10 +200,11 @@ impl Scope {
     /// Records a stage as a child span.
     pub fn stage(&self, name: &'static str, began: Instant, ended: Instant) {
         if let Some(recorded) = self.recorded() {
-            let at = |instant| recorded.start_time + Duration::from_nanos(recorded.nanos(instant));
+            let (began, ended) = (recorded.nanos(began), recorded.nanos(ended));
+            let at = |nanos| recorded.start_time + Duration::from_nanos(nanos);
             let builder = SpanBuilder::from_name(name).with_start_time(at(began));
             recorded.tracer.sdk().build_with_context(builder, &recorded.context).end_with_timestamp(at(ended));
-            recorded.end_at(ended);
+            recorded.ended.fetch_max(ended, Ordering::Relaxed);
         }
     }
 }

@@ -13,7 +13,6 @@ use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{
     BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanLimits, SpanProcessor,
 };
-use thiserror::Error;
 use tokio::time::Instant;
 
 use super::collector::Collector;
@@ -31,15 +30,7 @@ const EXPORT_INTERVAL: Duration = Duration::from_secs(1);
 /// How often a shutdown looks for spans that have not ended.
 const POLL: Duration = Duration::from_millis(5);
 
-/// The exporter cannot be made.
-#[derive(Debug, Error)]
-#[error("traces cannot be exported to {collector}: {reason}")]
-pub struct TracerError {
-    collector: Collector,
-    reason: String,
-}
-
-/// Counts spans by their fate.
+/// The state of the export, and how many spans reached the collector.
 #[derive(Debug, Default)]
 pub struct ExportStats {
     exported: AtomicU64,
@@ -49,6 +40,8 @@ pub struct ExportStats {
     queued: AtomicUsize,
     /// The last export failed: the next failure is not logged.
     is_failing: AtomicBool,
+    /// Later spans are dropped.
+    is_shut_down: AtomicBool,
 }
 
 impl ExportStats {
@@ -73,13 +66,12 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Exports to the collector of the options, if there is one, from now on. Needs a runtime then.
+    /// Starts to export to `collector`; `share` of the requests without a caller's decision are traced. Needs a runtime.
     ///
     /// # Errors
     /// The exporter cannot be made with this address and OpenTelemetry's variables.
-    pub fn new(endpoint: Option<Collector>, share: f64) -> Result<Option<Self>, TracerError> {
-        let Some(collector) = endpoint else { return Ok(None) };
-        let queue = SpanQueue::new(&collector).map_err(|reason| TracerError { collector, reason })?;
+    pub fn new(collector: &Collector, share: f64) -> Result<Self, String> {
+        let queue = SpanQueue::new(collector).map_err(|why| format!("traces cannot be exported to {collector}: {why}"))?;
         let provider = SdkTracerProvider::builder()
             .with_sampler(Sampler::new(share))
             // Set here, or variables of the environment would set them.
@@ -87,13 +79,13 @@ impl Tracer {
             .with_span_processor(queue.clone())
             .build();
         let scope = InstrumentationScope::builder(SERVICE).with_version(env!("CARGO_PKG_VERSION")).build();
-        Ok(Some(Self { sdk: provider.tracer_with_scope(scope), queue }))
+        Ok(Self { sdk: provider.tracer_with_scope(scope), queue })
     }
 
     /// Counters of exported and dropped spans.
     #[must_use]
     pub fn stats(&self) -> &ExportStats {
-        &self.queue.0.stats
+        &self.queue.stats
     }
 
     pub(crate) const fn sdk(&self) -> &SdkTracer {
@@ -106,8 +98,9 @@ impl Tracer {
         while self.stats().open.load(Ordering::Relaxed) > 0 && Instant::now() < deadline - timeout * 3 / 4 {
             tokio::time::sleep(POLL).await;
         }
-        let queue = self.queue.clone();
-        let flush = move || queue.shutdown(deadline.saturating_duration_since(Instant::now()));
+        self.stats().is_shut_down.store(true, Ordering::Relaxed);
+        let batches = Arc::clone(&self.queue.batches);
+        let flush = move || batches.shutdown_with_timeout(deadline.saturating_duration_since(Instant::now()));
         if !matches!(tokio::task::spawn_blocking(flush).await, Ok(Ok(()))) {
             self.stats().is_failing.store(true, Ordering::Relaxed);
             tracing::warn!("traces that were not exported within {timeout:?} are lost");
@@ -117,13 +110,9 @@ impl Tracer {
 
 /// The SDK's batch processor behind a bound that counts what it drops.
 #[derive(Clone, Debug)]
-struct SpanQueue(Arc<QueueState>);
-
-#[derive(Debug)]
-struct QueueState {
-    batches: BatchSpanProcessor,
+struct SpanQueue {
+    batches: Arc<BatchSpanProcessor>,
     stats: Arc<ExportStats>,
-    is_shut_down: AtomicBool,
 }
 
 impl SpanQueue {
@@ -145,27 +134,20 @@ impl SpanQueue {
             .with_max_export_batch_size(BATCH)
             .with_scheduled_delay(EXPORT_INTERVAL)
             .build();
-        let batches = BatchSpanProcessor::new(exporter, config);
-        Ok(Self(Arc::new(QueueState { batches, stats, is_shut_down: AtomicBool::new(false) })))
-    }
-
-    /// Exports what is queued; later spans are dropped.
-    fn shutdown(&self, timeout: Duration) -> OTelSdkResult {
-        self.0.is_shut_down.store(true, Ordering::Relaxed);
-        self.0.batches.shutdown_with_timeout(timeout)
+        Ok(Self { batches: Arc::new(BatchSpanProcessor::new(exporter, config)), stats })
     }
 }
 
 impl SpanProcessor for SpanQueue {
     fn on_start(&self, _: &mut Span, _: &Context) {
-        self.0.stats.open.fetch_add(1, Ordering::Relaxed);
+        self.stats.open.fetch_add(1, Ordering::Relaxed);
     }
 
     fn on_end(&self, span: SpanData) {
-        let QueueState { batches, stats, is_shut_down } = &*self.0;
+        let Self { batches, stats } = self;
         // The SDK's queue has the same bound, but does not say what it drops.
         let queued = stats.queued.fetch_add(1, Ordering::Relaxed);
-        if queued < MAX_QUEUED && !is_shut_down.load(Ordering::Relaxed) {
+        if queued < MAX_QUEUED && !stats.is_shut_down.load(Ordering::Relaxed) {
             batches.on_end(span);
         } else {
             stats.queued.fetch_sub(1, Ordering::Relaxed);
@@ -175,7 +157,7 @@ impl SpanProcessor for SpanQueue {
     }
 
     fn force_flush(&self) -> OTelSdkResult {
-        self.0.batches.force_flush()
+        self.batches.force_flush()
     }
 
     /// Does nothing: the provider calls this when it is dropped, which must not block. [`Tracer::shutdown`] exports what is left.
@@ -263,7 +245,7 @@ mod tests {
     #[tokio::test]
     async fn a_trace_that_ends_a_little_after_its_request_is_exported_too() {
         let (listener, collector) = listen().await;
-        let tracer = Tracer::new(Some(collector), 1.0).unwrap().unwrap();
+        let tracer = Tracer::new(&collector, 1.0).unwrap();
         let takes = async {
             let (mut socket, _) = listener.accept().await.unwrap();
             assert!(socket.read(&mut [0; 1024]).await.unwrap() > 0);
@@ -284,7 +266,7 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
     async fn a_request_belongs_to_its_callers_trace() {
-        let tracer = Tracer::new(Some(Collector::parse("http://127.0.0.1:1").unwrap()), 0.0).unwrap().unwrap();
+        let tracer = Tracer::new(&Collector::parse("http://127.0.0.1:1").unwrap(), 0.0).unwrap();
         let ids = RandomIdGenerator::default();
         let caller = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), TraceFlags::SAMPLED, true, TraceState::NONE);
         let scope = request(&tracer, Context::new().with_remote_span_context(caller.clone()));
@@ -297,7 +279,7 @@ mod tests {
     async fn a_full_queue_drops_and_counts() {
         // It never answers: the first batch is under way for the rest of the test.
         let (_silent, collector) = listen().await;
-        let tracer = Tracer::new(Some(collector), 1.0).unwrap().unwrap();
+        let tracer = Tracer::new(&collector, 1.0).unwrap();
         drop(request(&tracer, Context::new()));
         while tracer.stats().queued.load(Ordering::Relaxed) > 0 {
             tokio::time::sleep(POLL).await;

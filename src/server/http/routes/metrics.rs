@@ -1,4 +1,4 @@
-//! `GET /metrics`: never behind the queue.
+//! `GET /metrics`, which never waits in the queue.
 
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
