@@ -36,7 +36,7 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     visit.page.on("request", lambda request: asked.append(request.url))
     visit.page.set_input_files("#file", picture)
     visit.body("[data-problem=unauthorized]")
-    assert visit.text("problem-title") == "This server wants a key" and visit.text("problem-detail") == ""
+    assert visit.text("problem-title") == "API key required" and visit.text("problem-detail") == ""
     visit.page.click("#problem-action")
     # By its name, with the keyboard; what is no key is told here, a wrong one by the server.
     field = visit.page.get_by_label("Key", exact=True)

@@ -25,7 +25,7 @@ def test_a_text_that_is_called_a_picture(visit, tmp_path):
     (tmp_path / "notes.png").write_text("Not a picture at all.\n" * 20)
     visit.page.set_input_files("#file", tmp_path / "notes.png")
     title, _, advice = told(visit, "unsupported_format")
-    assert title == "This is not a picture that can be read here"
+    assert title == "Unsupported file format"
     assert all(format in advice for format in ("PNG", "JPEG", "WebP"))
     assert visit["state"] == "empty" and visit.page.locator("#pick").is_visible()
     visit.page.click("#problem-close")
@@ -66,7 +66,7 @@ def test_a_picture_of_too_many_pixels(visits, picture, tmp_path):
         visit.expects("413")
         visit.page.set_input_files("#file", picture)
         title, detail, _ = told(visit, "too_large")
-        assert title == "That is too large for this server" and "100000" in detail.replace(",", "").replace(" ", "")
+        assert title == "Too large for this server" and "100000" in detail.replace(",", "").replace(" ", "")
         visit.open(discs(tmp_path / "small.png", (330, 260)))
     finally:
         server.stop()
@@ -108,7 +108,7 @@ def test_two_handles_that_contradict_each_other(pinned):
         pinned.ready()
         type_number(pinned, f"p-1-0-{axis}", number)
     title, detail, advice = told(pinned, "contradictory_handles")
-    assert title == "Two handles want different things"
+    assert title == "Two handles contradict each other"
     assert "1 and 2" in detail and "1 and 2" in advice
     assert pinned["state"] == "error"
     marked = pinned.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
@@ -156,7 +156,7 @@ def test_a_server_that_goes_away_and_comes_back(visits, picture):
         server.kill()
         visit.drag(RED, (140, 130))
         title, _, advice = told(visit, "network")
-        assert title == "The server does not answer" and "safe" in advice
+        assert title == "The server does not respond" and "safe" in advice
         visit.keep("problem-network")
         # One works on meanwhile; nothing is lost.
         visit.drag(BLUE, (220, 240))
@@ -196,7 +196,7 @@ def test_a_server_that_is_full(visits, picture):
         visit.expects("503")
         visit.page.set_input_files("#file", picture)
         title, _, _ = told(visit, "overloaded")
-        assert title == "The server has its hands full"
+        assert title == "The server is busy"
         # The one who came first is not disturbed.
         taken.click(*RED)
         taken.ready()
@@ -225,7 +225,7 @@ def test_every_code_of_the_contract_has_words(visit):
     silent = []
     for code in sorted(codes):
         said = visit.page.evaluate("(code) => words.problemWords({ code, title: '', detail: '' })", code)
-        if not said["title"] or not said["advice"] or said["title"] == "That was refused":
+        if not said["title"] or not said["advice"] or said["title"] == "Request rejected":
             silent.append(code)
     # What this page never provokes needs no words of its own: it sends no such request.
     assert not set(silent) - {
