@@ -17,7 +17,7 @@ from verdict import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Story, judge
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
-# Most that a replica takes to tell the store what it does not know, when it is there.
+# Maximum time in which a replica sends pending updates to a store that is available again.
 TOLD = 10.0
 HANDS = (
     RequestHand("request 1", "chelsea.png", 0.00),
@@ -62,11 +62,11 @@ def check_stack(stage):
 
 
 def check_proxy(check, stack):
-    """What the proxy does with single requests."""
+    """Single requests through the proxy."""
     plans, right = [], True
     for hand in HANDS:
         if isinstance(hand, RequestHand):
-            # The session stands in the body, and the upload came to its replica by the path.
+            # The session is in the body; the upload reached its replica by the path.
             body = json.dumps({"session": hand.session.upper(), "q": hand.poses[0]})
             status, headers, picture = stack.proxy.ask("POST", "/warp", body)
             plans.append(headers["Warp-Plan"])
@@ -84,12 +84,12 @@ def check_proxy(check, stack):
 
 
 def tell(stack, story):
-    """The events, one after the other; what was seen of the replicas meanwhile."""
+    """Runs the events in sequence, and records the state of the replicas."""
     facts, (*first_two, third) = {}, stack.replicas
     story.begin("calm")
     time.sleep(CALM)
 
-    # docker starts it again by itself, as compose.yaml says.
+    # Docker restarts it automatically (compose.yaml).
     killed = max(first_two, key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'))
     story.begin(KILLED)
     stack.kill(killed)
@@ -133,7 +133,7 @@ def tell(stack, story):
 
 
 def known(stack, hand):
-    """The last pose that the store knows of: a replica tells it within seconds what it answered while the store was slow."""
+    """The last pose in the store: a replica sends within seconds what it answered while the store was slow."""
     deadline, seq = time.monotonic() + TOLD, -1
     while seq < hand.answered and time.monotonic() < deadline:
         with contextlib.suppress(Failure):
@@ -143,12 +143,12 @@ def known(stack, hand):
 
 
 def look_after(check, stack, uploader):
-    """Afterwards every session is there, and where it was."""
+    """Checks that every session exists and has its last pose."""
     lost = [hand.name for hand in HANDS if stack.proxy.ask("GET", f"/sessions/{hand.session}")[0] != 200]
     check("no session that was dragged is lost", not lost, lost or f"{len(HANDS)} looked at")
     behind = []
     for hand in HANDS:
-        # A pose that was refused, or broken off by the end of the test, need not have been seen.
+        # A rejected pose, or one cut off by the end of the test, may be missing.
         if isinstance(hand, RequestHand) and not hand.answered <= (seq := known(stack, hand)) <= hand.seq:
             behind.append((hand.name, seq, hand.answered, hand.seq))
     check("each knows how far it was dragged", not behind, behind)
@@ -159,7 +159,7 @@ def look_after(check, stack, uploader):
         for c in ("new", "evicted", "elsewhere")
     }
     say(f"plans filled, by why: {', '.join(f'{c} {n:.0f}' for c, n in built.items())} (of the processes that live)")
-    # An id is all that is needed to use a session where nobody needs a key.
+    # On a server without keys, the id is enough to use a session.
     log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
     told = [hand.name for hand in HANDS if hand.session in log]
     lines = log.count(" POST\n")

@@ -82,7 +82,7 @@ class Stack:
             time.sleep(0.2)
 
     def wait_balanced(self, replicas):
-        """Until the proxy sends requests to so many."""
+        """Waits until the proxy uses this number of replicas."""
         deadline = time.monotonic() + HEALTHY_SECONDS
         figures = Server(self.addresses["proxy"], 8404)
         while (count := int(metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"'))) != replicas:

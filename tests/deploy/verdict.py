@@ -72,7 +72,7 @@ def judge_chapter(check, chapter, facts):
     name, refused, closed = chapter.name, chapter.all("refused"), chapter.all("closed")
     silent = [client for client, part in chapter.parts.items() if client != "uploads" and not any(e.what == "frame" for e in part)]
     check(f"{name}: every hand goes on", not silent, silent)
-    # What a killed replica had begun to answer cannot be answered by another: the status is with the client already. It asks again.
+    # A response that a killed replica has begun cannot be completed by another one: the client already has the status. It repeats the request.
     if name != KILLED:
         check(f"{name}: no answer breaks off", not chapter.all("cut"), chapter.all("cut")[:3])
     if name in WITHOUT_STORE:

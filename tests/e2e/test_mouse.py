@@ -1,4 +1,4 @@
-"""The picture and its handles by mouse. What is seen is read back from pixels."""
+"""Picture and handles by mouse. Results are read from pixels."""
 
 import io
 import json

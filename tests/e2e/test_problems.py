@@ -1,4 +1,4 @@
-"""What goes wrong is told in clear words, with what to do about it, and leaves what was there."""
+"""Problems have a clear message with advice, and leave the open picture unchanged."""
 
 import json
 
@@ -8,7 +8,7 @@ from support import BLUE, GREEN, RED, SOCKET, Server, discs, near
 
 
 def told(visit, code):
-    """Waits for a problem and gives its words; whoever does not see is told as well."""
+    """Waits for a problem and returns its texts, which are also announced to screen readers."""
     visit.body(f"[data-problem='{code}']")
     alert = visit.page.get_by_role("alert")
     assert alert.is_visible()
@@ -50,7 +50,7 @@ def test_a_picture_that_was_cut_off(opened, picture, tmp_path):
     opened.page.set_input_files("#file", cut)
     title, _, _ = told(opened, "bad_image")
     assert title == "The picture cannot be read"
-    # What was open still is.
+    # The open picture is unchanged.
     assert (opened["handles"], opened["state"]) == ("1", "ready")
     opened.page.click("#problem-close")
     opened.drag(RED, (120, 120))
@@ -113,7 +113,7 @@ def test_two_handles_that_contradict_each_other(pinned):
     assert pinned["state"] == "error"
     marked = pinned.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
     assert marked == ["handle-0", "handle-1"] and pinned.page.locator("tr[data-fault]").count() == 2
-    # The last good picture is still seen; nobody is left alone with it.
+    # The last good picture is still shown, with an action.
     assert pinned["source"] == "png" and pinned["shown"] != pinned["revision"] and before.image.size == pinned.look().image.size
     pinned.keep("problem-contradictory")
     assert pinned.page.locator("#problem-action").inner_text() == "Undo"
@@ -158,11 +158,11 @@ def test_a_server_that_goes_away_and_comes_back(visits, picture):
         title, _, advice = told(visit, "network")
         assert title == "The server does not respond" and "safe" in advice
         visit.keep("problem-network")
-        # One works on meanwhile; nothing is lost.
+        # Editing continues; nothing is lost.
         visit.drag(BLUE, (220, 240))
         assert near(visit.posed(2), (220, 240), 0.6)
         server.start()
-        # By itself: no button is pressed. The store is empty, so the picture is sent once more.
+        # Automatically, without a click. The store is empty, so the picture is uploaded again.
         visit.ready()
         assert visit["session"] != first and visit["handles"] == "3"
         assert near(visit.look().centre("red"), (140, 130), 2.5) and near(visit.look().centre("blue"), (220, 240), 2.5)
@@ -197,7 +197,7 @@ def test_a_server_that_is_full(visits, picture):
         visit.page.set_input_files("#file", picture)
         title, _, _ = told(visit, "overloaded")
         assert title == "The server is busy"
-        # The one who came first is not disturbed.
+        # The first client is not affected.
         taken.click(*RED)
         taken.ready()
     finally:
@@ -217,7 +217,7 @@ def test_a_link_that_leads_nowhere(visits, picture, fragment, code, refusal):
 
 
 def test_every_code_of_the_contract_has_words(visit):
-    """The codes that the served document names, asked of the page's own table."""
+    """Every code of the served OpenAPI document has texts in the page."""
     document = json.loads(visit.server.ask("GET", "/openapi.json").body)
     codes = set(find_codes(document))
     assert len(codes) > 15, codes
@@ -227,7 +227,7 @@ def test_every_code_of_the_contract_has_words(visit):
         said = visit.page.evaluate("(code) => words.problemWords({ code, title: '', detail: '' })", code)
         if not said["title"] or not said["advice"] or said["title"] == "Request rejected":
             silent.append(code)
-    # What this page never provokes needs no words of its own: it sends no such request.
+    # Codes that the requests of this page never cause need no texts.
     assert not set(silent) - {
         "malformed_request", "method_not_allowed", "not_acceptable", "not_found", "not_supported", "unknown_field", "superseded", "folded",
         "unsupported_media_type", "upgrade_required",
