@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
 """Session affinity: a simulation of sessions on replicas whose caches hold a limited number of plans.
 
-    tests/bench/affinity.py                    the tables of deploy/capacity.md, some minutes on one core
-    tests/bench/affinity.py --sessions 4000    another size; --help names the others
-    tests/bench/affinity.py --check            the laws that every way of choosing must keep, in seconds
+    tests/bench/affinity.py                    the tables of deploy/capacity.md, a few minutes on one core
+    tests/bench/affinity.py --sessions 4000    another size; --help lists all options
+    tests/bench/affinity.py --check            checks the laws of every selection method, in seconds
 
-The same requests, from one seed, are played against each way of choosing. A replica is one core that serves first come, first served. A request for a plan
-that its cache (least recently used) holds costs --warm-ms; for one that it does not hold --cold-ms: fetching the file, decoding it, the plan, the drag. Sessions
-come and go; how often each drags is Zipf-like (a few do most of it), in bursts of some seconds at 10 poses a second.
+Every method gets the same requests, generated from one seed. A replica is one core that serves requests in order of arrival. A request costs --warm-ms if its
+plan is in the cache (least recently used), otherwise --cold-ms: fetching the file, decoding it, building the plan, and the drag. Sessions arrive and end. Their
+activity is Zipf-like (a few cause most of the load), in bursts of a few seconds at 10 poses per second.
 
-`posts` hashes every pose anew, as a proxy does with `POST /sessions/{id}/warp`; `sockets` chooses once a visit, as with the drag socket, which then stays where
-it is until its replica leaves. Bounded load counts what a proxy counts: requests (or sockets) that are open, against the factor times the mean.
+`posts` hashes every pose, as a proxy does with `POST /sessions/{id}/warp`. `sockets` selects a replica once per visit, as for a drag socket, which stays there
+until the replica leaves. Bounded load compares the open requests (or sockets) of a replica with the factor times the mean.
 
-The ways: `ring n` has n points for each replica (HAProxy: 16 times the weight; nginx: 160 times), `maglev` is Envoy's table of 65,537 places. With bounded load a full
-replica is passed over for the next on the ring (HAProxy), or for another that depends on the key alone (Envoy).
+Methods: `ring n` has n points per replica (HAProxy: 16 times the weight; nginx: 160 times), `maglev` is Envoy's table of 65,537 entries. With bounded load,
+HAProxy replaces a full replica by the next on the ring, Envoy by another one that depends on the key only.
 """
 
 import argparse

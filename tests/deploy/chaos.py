@@ -1,6 +1,6 @@
-"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is away; a ninth uploads.
+"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is down; a ninth uploads.
 
-Every picture is compared byte for byte with what a lone server made of the same pose before. Nothing is asserted about time; gaps are
+Every image is compared byte for byte with the result of a single server for the same pose. Nothing is asserted about time; gaps are
 printed (verdict.py)."""
 
 import contextlib

@@ -1,8 +1,8 @@
-"""deploy/kubernetes/gateway by the proxy that stands behind it: an Envoy is given what Envoy Gateway makes of those files, and three replicas.
+"""Runs Envoy with the configuration that Envoy Gateway derives from deploy/kubernetes/gateway, and three replicas.
 
-What is translated here, field by field as Envoy Gateway does it, is read from the manifests: the Lua that makes a header of the path's session, the
-hash over that header and its table, retries, health checks, times, routes and the line of the access log. Whatever a manifest has that is not
-translated makes the test fail. Envoy itself is out of its wheel on PyPI.
+The translation follows Envoy Gateway field by field and reads the manifests: the Lua filter that sets the session header, the hash over that header and
+its table, retries, health checks, timeouts, routes and the format of the access log. A field of a manifest that is not translated fails the test. Envoy
+comes from its wheel on PyPI.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""What the clients' diaries say of each chapter of the story: printed, and judged."""
+"""Evaluates and prints the records of the clients for each event."""
 
 import time
 from collections import Counter
@@ -14,7 +14,7 @@ WITHOUT_STORE = (SILENT, SPEAKS, ANEW)
 
 @dataclass
 class Chapter:
-    """From one event to the next: what each client wrote meanwhile."""
+    """The records of each client between two events."""
 
     name: str
     begun: float
@@ -32,7 +32,7 @@ class Chapter:
 
 
 class Story:
-    """What happened, and when."""
+    """The events and their times."""
 
     def __init__(self):
         self.events = []

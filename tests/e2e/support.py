@@ -25,7 +25,7 @@ PROGRAM = os.environ["MLSWARP_PROGRAM"]
 # No test asserts speed: this is the time after which something counts as hung.
 DEADLINE = 60.0
 
-# Debian's Chromium without what reaches for a network of its own; WebGL on the processor.
+# Debian's Chromium without background network requests; WebGL on the CPU.
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
@@ -163,7 +163,7 @@ class Visit:
     # Opening
 
     def open(self, picture):
-        """A picture file through the chooser."""
+        """Opens a picture by the file chooser."""
         self.page.set_input_files("#file", picture)
         self.body("[data-state=ready]")
         return self
@@ -192,7 +192,7 @@ class Visit:
         self.page.mouse.up()
 
     def press(self, *places, steps=6):
-        """The same without letting go."""
+        """The same without the release."""
         spots = [self.at(*place) for place in places]
         self.page.mouse.move(*spots[0])
         self.page.mouse.down()
@@ -216,35 +216,35 @@ class Visit:
     # Results
 
     def warp(self):
-        """The handles as the page saves them."""
+        """The handles as saved by the page."""
         return json.loads(self.saved("save-handles")[1])
 
     def posed(self, handle, vertex=None):
-        """Where a handle is drawn, picture px."""
+        """Position of a handle, picture px."""
         node = self.page.locator(f"#handle-{handle}" + ("" if vertex is None else f"-{vertex}"))
         return float(node.get_attribute("data-x")), float(node.get_attribute("data-y"))
 
     def saved(self, button):
-        """What a button downloads: its name and its bytes."""
+        """Name and bytes of the download of a button."""
         with self.page.expect_download() as download:
             self.page.click(f"#{button}")
         return download.value.suggested_filename, Path(download.value.path()).read_bytes()
 
     def copied(self, button):
-        """What a button puts on the clipboard."""
+        """The text that a button copies."""
         self.page.click(f"#{button}")
         self.page.wait_for_selector("#toast.seen")
         return self.page.evaluate("navigator.clipboard.readText()")
 
     def of_server(self, **output):
-        """What the server itself answers to the pose that the page has: its response."""
+        """The response of the server to the current pose of the page."""
         warp = self.warp()
         body = {"q": warp["q"], **({"output": output} if output else {})}
         answer = self.server.ask("POST", f"/sessions/{self['session']}/warp", body)
         assert answer.status == 200, answer.body
         return answer
 
-    # What is seen
+    # Screenshots
 
     def look(self):
         """The visible picture on the stage, without handles and bars."""
@@ -257,7 +257,7 @@ class Visit:
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
 
     def keep(self, name):
-        """A screenshot of the whole page among the artefacts."""
+        """Saves a screenshot of the page in the artefacts."""
         return self.page.screenshot(path=KEPT / f"{name}.png")
 
 
@@ -275,13 +275,13 @@ class Look:
         return self.image.getpixel(tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y))))
 
     def mask(self, name):
-        """255 where a colour of `discs` prevails."""
+        """255 where a colour of `discs` dominates."""
         bands = dict(zip(("red", "green", "blue"), self.image.split()))
         wanted = bands.pop(name)
         return ImageChops.subtract(wanted, ImageChops.lighter(*bands.values())).point(lambda more: 255 if more > 90 else 0)
 
     def centre(self, name):
-        """The middle of everything of a colour, picture px."""
+        """The centroid of a colour, picture px."""
         mask = self.mask(name)
         box = mask.getbbox()
         assert box, f"nothing {name} is seen"
@@ -293,12 +293,12 @@ class Look:
         return (x - self.pan[0]) / self.zoom, (y - self.pan[1]) / self.zoom
 
     def differs(self, other):
-        """How many pixels differ visibly from another look."""
+        """Number of pixels that differ visibly from another look."""
         red, green, blue = ImageChops.difference(self.image, other.image).split()
         return sum(ImageChops.lighter(ImageChops.lighter(red, green), blue).histogram()[13:])
 
 
-# Places of the discs in the picture that `discs` draws.
+# Positions of the discs in the picture of `discs`.
 RED, GREEN, BLUE = (100, 100), (320, 90), (200, 220)
 
 
@@ -318,7 +318,7 @@ def near(a, b, within):
 
 
 class Fingers:
-    """Touches as the screen reports them, which the browser turns into pointer events."""
+    """Touch input, which the browser converts to pointer events."""
 
     def __init__(self, visit):
         self.visit = visit
@@ -330,13 +330,13 @@ class Fingers:
         self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def put(self, **spots):
-        """Fingers come down, by name, one after another."""
+        """Touches down, by name, in sequence."""
         for name, spot in spots.items():
             self.down[ord(name[0])] = spot
             self._send("touchStart")
 
     def move(self, steps=6, **spots):
-        """Fingers move together."""
+        """Moves touches simultaneously."""
         begun = {name: self.down[ord(name[0])] for name in spots}
         for step in range(1, steps + 1):
             for name, spot in spots.items():
