@@ -28,7 +28,10 @@ export class Live {
   #asking = null; // AbortController of the outstanding POST
   #report = null;
 
-  /** `kind`: mesh or png. `told`: { mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision), way() }. */
+  /**
+   * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
+   * way().
+   */
   constructor(kind, allowSocket, told) {
     this.kind = kind;
     this.allowSocket = allowSocket;

@@ -12,7 +12,7 @@ const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version",
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Sync {
-  /** The session: { id, grid, rest (JSON that it was created with), setup (the server's form of it), borrowed (opened by a link of another user) }. */
+  /** The session: { id, grid, rest (JSON that it was created with), setup (the server's form), borrowed (from a link of another user) }. */
   session = null;
   /** The picture as a file: { blob, name }. */
   file = null;
