@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Makes an animated WebP of a warp: the picture deforms from its rest pose to the posed handles and back.
+"""Makes an animated WebP of a warp: the image deforms from its rest pose to the posed handles and back.
 
     api/examples/animate.py IMAGE WARP.json OUT.webp [PROGRAM]      PROGRAM: default target/release/mlswarp
 
-IMAGE is a picture, WARP.json a warp object with p and q in px (api/examples has five). Every frame is made by `mlswarp warp`. Needs Pillow.
-The picture at the top of README.md: api/examples/animate.py tests/images/astronaut.png api/examples/thinner-face.json api/examples/drag.webp
+IMAGE is an image, WARP.json a warp object with p and q in px (api/examples has five). `mlswarp warp` renders every frame. Requires Pillow.
+The animation at the top of README.md: api/examples/animate.py tests/images/astronaut.png api/examples/thinner-face.json api/examples/drag.webp
 """
 
 import io
@@ -23,7 +23,7 @@ FRAME_MS = 60
 
 
 def between(p, q, t):
-    """Numbers of p and q in any nesting, mixed."""
+    """Interpolates between p and q, nested lists of numbers."""
     return [between(a, b, t) for a, b in zip(p, q)] if isinstance(p, list) else p + t * (q - p)
 
 
@@ -33,7 +33,7 @@ def handles(places):
 
 
 def frame(program, image, warp, t, folder):
-    """The picture at t of the way from p to q, with its handles."""
+    """The image at the fraction t of the way from p to q, with its handles."""
     posed = between(warp["p"], warp["q"], t)
     output = {**warp.get("output", {}), "width": WIDTH}
     Path(folder, "warp.json").write_text(json.dumps({**warp, "q": posed, "output": output}))

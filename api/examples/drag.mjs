@@ -1,9 +1,9 @@
-// Drags one handle of a picture along a circle, as a hand would, and keeps the last frame.
+// Drags one handle of an image along a circle, as a user would, and saves the last frame.
 //
 //     npm install ws
-//     node drag.mjs PICTURE OUT.png [http://127.0.0.1:8080]
+//     node drag.mjs IMAGE OUT.png [http://127.0.0.1:8080]
 //
-// In a browser nothing has to be installed: WebSocket is there, `socket.binaryType = "arraybuffer"`, and a frame is shown as
+// A browser needs no package: use its WebSocket with `socket.binaryType = "arraybuffer"`, and show a frame with
 // URL.createObjectURL(new Blob([picture])).
 
 import { readFile, writeFile } from "node:fs/promises";
@@ -11,17 +11,17 @@ import { setTimeout as pause } from "node:timers/promises";
 import WebSocket from "ws";
 
 const STEPS = 120;
-const PATIENCE = 5000; // ms: whoever answers nothing for so long is gone, whatever the connection says
-let newest = 0; // the pose that was sent last
+const PATIENCE = 5000; // ms without a message, after which the socket is given up
+let newest = 0; // the last pose sent
 const [picture, out, server = "http://127.0.0.1:8080"] = process.argv.slice(2);
 
-// The first handle circles (60 px wide), the others stay.
+// The first handle moves on a circle (60 px wide), the others stay.
 function pose([[x, y], ...others], step) {
   const angle = (2 * Math.PI * step) / STEPS;
   return [[x + 30 * Math.sin(angle), y + 30 - 30 * Math.cos(angle)], ...others];
 }
 
-// Says where the handles are, 125 times a second. Nobody waits for a frame: the server keeps the newest pose alone.
+// Sends 125 poses per second without waiting for frames: the server keeps only the newest pose.
 async function move(socket, rest) {
   for (let seq = newest; seq < STEPS && socket.readyState === WebSocket.OPEN; seq++) {
     newest = seq;
@@ -30,10 +30,10 @@ async function move(socket, rest) {
   }
 }
 
-// Shows the frames and acknowledges each; the next comes after that. The last one is of the last pose, at full size.
+// Acknowledges each frame; the server then sends the next one. The last frame has the last pose, at full size.
 function watch(socket) {
   return new Promise((resolve, reject) => {
-    let report; // of the frame that follows; the first one tells the grid
+    let report; // the report of the next frame; the first message is the grid
     const silent = setTimeout(() => resolve(socket.terminate()), PATIENCE);
     socket.on("error", reject);
     socket.on("close", () => resolve(clearTimeout(silent)));
@@ -55,7 +55,7 @@ function watch(socket) {
   });
 }
 
-// The picture is uploaded once, with the handles at rest.
+// Upload the image once, with the handles at rest.
 const rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]];
 const form = new FormData();
 form.set("image", new Blob([await readFile(picture)]));
@@ -64,14 +64,14 @@ const answer = await fetch(`${server}/sessions`, { method: "POST", body: form })
 if (!answer.ok) throw new Error(await answer.text());
 const session = answer.headers.get("Location");
 
-// From here on nothing but q travels. A socket that ends, or answers nothing, is given up; the next one begins with the pose that was sent last.
+// From here on, only q is sent. If the socket closes or is silent, opens another one, which begins with the last pose sent.
 async function drag() {
   for (;;) {
     const socket = new WebSocket(`${server.replace("http", "ws")}${session}/drag?frames=png&width=auto&report=true`);
     socket.on("open", () => move(socket, rest));
     const last = await watch(socket);
     if (last) return last;
-    console.log("another socket, as this one is gone");
+    console.log("reconnecting");
     await pause(200);
   }
 }

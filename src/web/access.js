@@ -1,10 +1,10 @@
-// The key that a server may want. It stays in this browser: in this tab's storage, or, where that is wished, in the browser's. It travels in a
-// header, and in the socket's list of subprotocols, never in an address.
+// The API key. It is stored in this browser only: for this tab or, on request, permanently. It is sent in a header and in the list of
+// subprotocols of the socket, never in an address.
 
 import { attempt } from "./keep.js";
 
 const NAME = "mlswarp.key";
-/** What a key may look like; the server says whether it is one. */
+/** The syntax of a key; only the server knows whether it is valid. */
 const SHAPE = /^[A-Za-z0-9._~+/=-]{16,512}$/;
 
 let key = attempt(() => sessionStorage.getItem(NAME) ?? localStorage.getItem(NAME));
@@ -13,7 +13,7 @@ export const hasKey = () => key !== null;
 export const isRemembered = () => attempt(() => localStorage.getItem(NAME)) !== null;
 export const looksLikeKey = (text) => SHAPE.test(text);
 
-/** From now on this key, or none. */
+/** Sets the key; null removes it. */
 export function useKey(text, remember) {
   key = text;
   for (const [storage, keeps] of [[() => sessionStorage, !remember], [() => localStorage, remember]]) {
@@ -23,7 +23,7 @@ export function useKey(text, remember) {
 
 export const keyHeaders = () => (key === null ? {} : { Authorization: `Bearer ${key}` });
 
-/** A browser gives a WebSocket no headers. */
+/** Subprotocols with the key: a WebSocket in a browser cannot set headers. */
 export const keyProtocols = () => (key === null ? [] : ["mlswarp", `mlswarp.bearer.${base64Url(key)}`]);
 
 const base64Url = (text) => btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");

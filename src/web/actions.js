@@ -1,4 +1,4 @@
-// What a person can do to the handles, whoever asks: a pointer, a key, a button.
+// The user actions on handles, shared by pointer, keyboard and buttons.
 
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
@@ -17,7 +17,7 @@ export class Actions {
     this.store.do("edit", { document, now: performance.now(), ...more });
   }
 
-  /** Where a posed place comes from: through the inverse of the grid that is seen. */
+  /** The rest position of a posed position, by the inverse of the shown grid. */
   restOf(place) {
     return this.sync.mesh ? this.sync.mesh.inverse(...place) : place;
   }
@@ -27,11 +27,11 @@ export class Actions {
     return x >= 0 && y >= 0 && x <= width && y <= height;
   }
 
-  /** A handle that is seen at these places; it is selected and has the focus. */
+  /** Adds a handle at these posed positions, selects it and focuses it. */
   add(posed) {
     const made = edits.added(this.state.document, posed.map((place) => this.restOf(place)), posed);
     this.store.do("draft", { places: [] });
-    if (!made) return this.say("A line needs two different places");
+    if (!made) return this.say("A line needs two different points");
     this.edit(made.document, { select: [made.key] });
     const index = this.state.document.handles.length - 1;
     const handle = this.state.document.handles[index];
@@ -39,7 +39,7 @@ export class Actions {
     this.say(`${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}`);
   }
 
-  /** What a click at a place of the picture does when it hits no handle. */
+  /** A click on the picture that hits no handle. */
   place(place) {
     const { tool, draft, arm } = this.state;
     if (arm === "move") return this.moveTo(place);
@@ -47,7 +47,7 @@ export class Actions {
     const places = [...draft, place];
     if (tool === "line" && places.length === 2) return this.add(places);
     this.store.do("draft", { places });
-    this.say(`${tool === "line" ? "Line" : "Path"}: ${count(places.length, "place")}`);
+    this.say(`${tool === "line" ? "Line" : "Path"}: ${count(places.length, "point")}`);
   }
 
   finish() {
@@ -56,7 +56,7 @@ export class Actions {
     else this.store.do("draft", { places: [] });
   }
 
-  /** The selection's middle goes to a place. */
+  /** Moves the centre of the selection to a position. */
   moveTo(place) {
     const { document, selection } = this.state;
     const { centre } = edits.circleOf(edits.posedPlaces(document, selection));
@@ -76,7 +76,7 @@ export class Actions {
     const posed = edits.posedPlaces(document, selection);
     if (posed.length < 2) return;
     this.edit(edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180), { tag: `rotate ${selection}` });
-    this.say(`Turned by ${degrees} degrees`);
+    this.say(`Rotated by ${degrees} degrees`);
   }
 
   remove(selection = this.state.selection) {
@@ -84,7 +84,7 @@ export class Actions {
     const next = edits.removed(document, selection);
     const gone = document.handles.length - next.handles.length;
     this.edit(next, { select: [] });
-    this.say(gone ? `${count(gone, "handle")} deleted` : "Place deleted");
+    this.say(gone ? `${count(gone, "handle")} deleted` : "Point of the path deleted");
     if (!globalThis.document.activeElement?.isConnected || globalThis.document.activeElement === globalThis.document.body) this.view.stage.focus({ preventScroll: true });
   }
 
@@ -106,7 +106,7 @@ export class Actions {
     this.remove(this.all);
   }
 
-  /** A handle where the middle of what is seen is, as the tool says. */
+  /** Adds a handle of the selected kind in the middle of the view. */
   addInTheMiddle() {
     const middle = this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
     const reach = Math.min(...this.view.size) / 8;
@@ -117,7 +117,7 @@ export class Actions {
   pinBorder() {
     const places = edits.borderPath(...this.view.size);
     const { document } = this.state;
-    if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places))) return this.say("The border is pinned already");
+    if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places))) return this.say("The border is already pinned");
     const made = edits.added(document, places, places);
     this.edit(made.document, { select: [] });
     this.say("The border is pinned");
@@ -125,7 +125,7 @@ export class Actions {
 
   undo(back) {
     this.store.do(back ? "undo" : "redo");
-    this.say(back ? "Undone" : "Done again");
+    this.say(back ? "Undone" : "Redone");
   }
 
   escape() {

@@ -1,5 +1,5 @@
-// The service, as the page asks it. Addresses are relative to the page, so that a proxy may put both under any path. What is refused is
-// thrown as a Problem: a problem document, or the lack of any answer.
+// The HTTP client. Addresses are relative to the page, so that a proxy may serve both under any path. Errors are thrown as a Problem: a
+// problem document, or a missing response.
 
 import { keyHeaders } from "./access.js";
 
@@ -13,20 +13,20 @@ export class Problem extends Error {
     try {
       return new Problem(await response.json(), response.status);
     } catch (error) {
-      // Given up while its body was read: that is no answer of anybody's.
+      // Aborted while the body was read: not a response.
       if (wasAborted(error)) throw error;
       return Problem.ofStatus(response.status);
     }
   }
 
-  /** An answer that is no problem document: a proxy's, not the service's. */
+  /** An error without a problem document: it comes from a proxy, not from the service. */
   static ofStatus(status) {
     const code = { 413: "too_large", 429: "rate_limited", 502: "network", 503: "overloaded", 504: "timeout" }[status] ?? "internal";
-    return new Problem({ code, title: `The answer was ${status}`, detail: "Something between this page and the service refused." }, status);
+    return new Problem({ code, title: `Status ${status}`, detail: "A proxy between this page and the server rejected the request." }, status);
   }
 
   static network() {
-    return new Problem({ code: "network", title: "No answer", detail: "" }, 0);
+    return new Problem({ code: "network", title: "No response", detail: "" }, 0);
   }
 }
 
@@ -45,7 +45,7 @@ async function ask(method, path, { json, accept, signal } = {}) {
   return response;
 }
 
-/** Reads a body; a connection that breaks under it is a network problem. */
+/** Reads a body; a broken connection is a network problem. */
 async function read(response, how) {
   try {
     return await response[how]();
@@ -54,7 +54,7 @@ async function read(response, how) {
   }
 }
 
-/** A UUID of version 4. `crypto.randomUUID` is not there on a page that came over plain HTTP. */
+/** A version 4 UUID. `crypto.randomUUID` is unavailable on pages served over plain HTTP. */
 function newName() {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   bytes[6] = (bytes[6] & 0x0f) | 0x40;
@@ -64,8 +64,8 @@ function newName() {
 }
 
 /**
- * PUT /sessions/{uuid}: under a name of its own, so that a proxy that hashes names sends the upload where the drags will go.
- * XMLHttpRequest, because fetch tells nothing while it sends.
+ * PUT /sessions/{uuid}: with a client-chosen id, so that a proxy that hashes ids sends upload and drags to one replica.
+ * XMLHttpRequest, because fetch reports no upload progress.
  */
 export function openSession(file, name, rest, { progress, signal }) {
   return new Promise((resolve, reject) => {
@@ -83,7 +83,7 @@ export function openSession(file, name, rest, { progress, signal }) {
       try {
         answer = JSON.parse(request.responseText);
       } catch {
-        // Told by its status below.
+        // Reported by its status below.
       }
       if (request.status < 300 && answer) resolve(answer);
       else reject(answer?.code ? new Problem(answer, request.status) : Problem.ofStatus(request.status));
@@ -106,7 +106,7 @@ export async function mesh(id, body, signal) {
   return { places: floats(bytes, 0), report: reportOf(response, bytes.byteLength) };
 }
 
-/** A picture, and what its headers say. */
+/** A picture, and the figures in its headers. */
 export async function picture(id, body, signal) {
   const begun = performance.now();
   const response = await ask("POST", `${session(id)}/warp`, { json: body, accept: "image/png", signal });
@@ -126,14 +126,14 @@ function reportOf(response, size) {
 
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
-/** Little-endian f32 from a byte on (a multiple of 4), on any machine. */
+/** Reads little-endian f32 from a byte offset (a multiple of 4). */
 export function floats(bytes, from) {
   if (LITTLE_ENDIAN) return new Float32Array(bytes, from);
   const view = new DataView(bytes, from);
   return Float32Array.from({ length: view.byteLength >> 2 }, (_, k) => view.getFloat32(4 * k, true));
 }
 
-/** The drag socket's address. */
+/** The address of the drag socket. */
 export function socketAddress(id, query) {
   const address = new URL(`${session(id)}/drag?${query}`, document.baseURI);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";

@@ -1,10 +1,10 @@
-// What can be done to a document: each function takes one and gives another, or the same when nothing changes. Places are [x, y] in picture
-// px, kept to a hundredth, so that what the table shows is what is sent.
+// Edits of a document: pure functions that return a new document, or the same one if nothing changes. Positions are [x, y] in picture px,
+// rounded to 0.01, so that the table shows the values that are sent.
 
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
 export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
 
-/** The server's own limit of a coordinate. */
+/** The server's limit of a coordinate. */
 const REACH = 1e6;
 const round = (x) => Math.min(REACH, Math.max(-REACH, Math.round(x * 100) / 100)) + 0;
 export const rounded = ([x, y]) => [round(x), round(y)];
@@ -13,7 +13,7 @@ const same = (a, b) => a[0] === b[0] && a[1] === b[1];
 const idOf = (key) => Number(key.split(".")[0]);
 const vertexOf = (key) => (key.includes(".") ? Number(key.split(".")[1]) : null);
 
-/** What a selection means: Map of handle id to the set of its places. Places of one handle that meet at rest go together. */
+/** The selected vertices: Map of handle id to vertex indices. Vertices of one handle that coincide at rest are selected together. */
 export function placesOf(document, selection) {
   const found = new Map();
   for (const key of selection) {
@@ -29,13 +29,13 @@ export function placesOf(document, selection) {
   return found;
 }
 
-/** Posed places of a selection. */
+/** Posed positions of a selection. */
 export function posedPlaces(document, selection) {
   const places = placesOf(document, selection);
   return document.handles.flatMap((h) => [...(places.get(h.id) ?? [])].map((k) => h.q[k]));
 }
 
-/** Every posed place of a selection goes where `to` says. */
+/** Maps every posed position of a selection by `to`. */
 export function moved(document, selection, to) {
   const places = placesOf(document, selection);
   let changed = false;
@@ -57,7 +57,7 @@ export function rotated(document, selection, [cx, cy], angle) {
   return moved(document, selection, ([x, y]) => [cx + (x - cx) * cos - (y - cy) * sin, cy + (x - cx) * sin + (y - cy) * cos]);
 }
 
-/** Centre and radius of the circle around some places. */
+/** Centre and radius of the circle around positions. */
 export function circleOf(places) {
   const xs = places.map((p) => p[0]);
   const ys = places.map((p) => p[1]);
@@ -77,7 +77,7 @@ export function putBack(document, selection) {
   return changed ? { ...document, handles } : document;
 }
 
-/** Removes whole handles, and places of paths as long as two remain. */
+/** Removes whole handles, and vertices of paths while two remain. */
 export function removed(document, selection) {
   const handles = document.handles.flatMap((handle) => {
     const keys = selection.filter((key) => idOf(key) === handle.id);
@@ -93,7 +93,7 @@ export function removed(document, selection) {
 
 const segmentsHaveLength = (p) => p.every((place, k) => k === 0 || !same(place, p[k - 1]));
 
-/** A new handle; `null` when no segment of it would have a length at rest. Repeated places are dropped. */
+/** Adds a handle; `null` if all of its segments would have zero length at rest. Repeated positions are dropped. */
 export function added(document, p, q) {
   const rest = p.map(rounded);
   const keep = rest.map((place, k) => k === 0 || !same(place, rest[k - 1]));
@@ -103,7 +103,7 @@ export function added(document, p, q) {
   return { document: { ...document, handles: [...document.handles, handle] }, key: String(id) };
 }
 
-/** One number of the table. */
+/** Sets one coordinate of the table. */
 export function withNumber(document, which, index, vertex, axis, value) {
   const old = document.handles[index];
   const places = old[which].map((place, k) => {
@@ -117,21 +117,21 @@ export function withNumber(document, which, index, vertex, axis, value) {
   return { ...document, handles };
 }
 
-/** A closed path around the picture, held where it is. */
+/** A closed path around the picture. */
 export function borderPath(width, height) {
   return [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
 }
 
-/** What the server calls p and q: a point is [x, y], a line a list of places. */
+/** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions. */
 export const wire = (document, which) => document.handles.map((h) => (h[which].length === 1 ? h[which][0] : h[which]));
 
-/** What the server takes for alpha when nobody says: 2 with any line, else 1. */
+/** Alpha; the server's default is 2 with any line, otherwise 1. */
 export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
 
-/** What is drawn where the picture does not reach: `transparent`, `edge` or `#rrggbbaa`. What an older page has kept does not say. */
+/** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
-/** The session's part of a warp object. Alpha and outside are always said: a field that is left out keeps what the session had. */
+/** The session's part of a warp object. Alpha and outside are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const weights = handles.some((h) => h.weight !== undefined) ? { weights: handles.map((h) => h.weight ?? 1) } : {};
@@ -139,14 +139,14 @@ export function restOf(document) {
   return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), grid: grid === "auto" ? grid : { cell: grid }, output };
 }
 
-/** The whole warp object, as it is taken along. */
+/** The complete warp object, for export. */
 export function warpOf(document) {
   const { alpha, output, ...rest } = restOf(document);
   const chosen = { ...(document.alpha !== null && { alpha }), ...(output.outside !== "transparent" && { output }) };
   return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
-/** The document of a warp object, `null` when it is none that this page can show. */
+/** The document of a warp object; `null` if this page does not support it. */
 export function documentOf(warp) {
   const places = (h) => (Array.isArray(h) && Array.isArray(h[0]) ? h : [h]);
   const sound = (list) => Array.isArray(list) && list.every((place) => Array.isArray(place) && place.length === 2 && place.every(Number.isFinite));
@@ -165,14 +165,14 @@ export function documentOf(warp) {
   return { handles, method, alpha, grid, outside };
 }
 
-/** As the server writes it, or null. */
+/** The server's form of a colour, or null. */
 function readOutside(told) {
   if (told === "transparent" || told === "edge") return told;
   const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
   return colour ? colour + alpha : null;
 }
 
-/** Whether a session has the handles at rest, and the rest, of a document. */
+/** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
   const { p, weights, method, alpha, grid, output } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);

@@ -1,17 +1,17 @@
 // Mesh lines and folded cells, on a 2D canvas over the picture.
 
-/** Lines are left out until those drawn are about so far apart, CSS px. */
+/** Minimum distance between drawn lines, CSS px; lines in between are left out. */
 const APART = 16;
 
-/** Seen on any picture: light lines on a dark edge, red that is no skin. */
+/** Visible on any picture: light lines with a dark edge; a red that differs from skin. */
 const COLOURS = { line: "rgb(255 255 255 / 0.8)", under: "rgb(10 20 40 / 0.22)", fold: "rgb(235 10 50 / 0.6)" };
 
-/** `place`: { zoom, x, y } in device px; `scale`: device px a CSS px; `quick`: while the hand moves, without the dark edge. */
+/** `place`: { zoom, x, y } in device px; `scale`: device px per CSS px; `quick`: during a drag, without the dark edge. */
 export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, quick) {
   const { width, height } = context.canvas;
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.clearRect(0, 0, width, height);
-  // As the picture, what is drawn over it ends at its edge.
+  // Clip to the picture.
   context.beginPath();
   context.rect(x, y, zoom * mesh.grid.width, zoom * mesh.grid.height);
   context.save();
@@ -36,7 +36,7 @@ function drawLines(context, mesh, to, zoom, scale, colour, thick) {
   const every = (size) => Math.max(1, Math.round((APART * scale) / (zoom * size)));
   const [acrossStep, downStep] = [every(cell[0]), every(cell[1])];
   const chosen = (count, step) => Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
-  // Places along a line are left out where it would not be seen.
+  // Skip vertices along a line where the difference is not visible.
   const [alongX, alongY] = [acrossStep, downStep].map((step) => Math.max(1, Math.floor(step / 2)));
   const line = (places) => places.forEach((place, k) => (k ? context.lineTo(...to(place)) : context.moveTo(...to(place))));
   context.beginPath();

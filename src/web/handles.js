@@ -1,13 +1,13 @@
-// The handles as SVG over the picture: one focusable element for a point, one for the whole of a line and one for each of its places.
-// Places are in picture px, the drawing in CSS px of the stage, so that dots keep their size at every zoom.
+// The handles as SVG over the picture: one focusable element per point; for a line, one for the whole and one per vertex. Positions are in
+// picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom.
 
 import { circleOf, kindName, kindOf, posedPlaces } from "./edits.js";
 import { marked, places as placesWords } from "./words.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
-/** How near a place or a line is taken, CSS px: 24 px across for a mouse, 44 for a finger. */
+/** Hit radius of a vertex or a line, CSS px: 24 px across for a mouse, 44 px for touch. */
 export const REACH = { mouse: 12, pen: 14, touch: 22 };
-/** The ring of a selection stands so far off its places. */
+/** Distance of the selection ring from the vertices, CSS px. */
 const RING_OFF = 26;
 
 function element(name, attributes = {}, ...children) {
@@ -17,7 +17,7 @@ function element(name, attributes = {}, ...children) {
   return made;
 }
 
-/** Sets what has changed; null takes away. */
+/** Sets changed attributes; null removes one. */
 function set(node, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null) node.removeAttribute(name);
@@ -31,17 +31,17 @@ const at = ([x, y]) => `translate(${x.toFixed(2)} ${y.toFixed(2)})`;
 export const keyOf = (handle, vertex) => (vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`);
 
 export class Handles {
-  /** Where the marquee is, in stage px: [[x, y], [x, y]] or null; and where the pointer is while a line is drawn. */
+  /** The selection rectangle in stage px: [[x, y], [x, y]] or null; and the pointer position while a line is drawn. */
   marquee = null;
   pointer = null;
 
-  #drawn = new Map(); // id of a handle to its nodes
+  #drawn = new Map(); // handle id to its nodes
 
   constructor(svg, store, view) {
     Object.assign(this, { svg, store, view });
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
-    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection: arrow keys turn by 1 degree" });
+    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection: arrow keys rotate by 1 degree" });
     this.knob.append(element("circle", { class: "hit", r: 14 }), element("circle", { class: "halo", r: 11 }), element("circle", { class: "dot", r: 6.5 }));
     this.draft = element("g", { class: "draft", "aria-hidden": true }, element("polyline", { class: "under" }), element("polyline", { class: "over" }));
     this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
@@ -65,7 +65,7 @@ export class Handles {
     handles.forEach((handle, index) => {
       const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
       this.#update(nodes, handle, index, state);
-      // A handle that an undo brings back stands where it stood.
+      // A handle restored by undo returns to its old position in the order.
       if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
     });
@@ -103,7 +103,7 @@ export class Handles {
     else for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
       const pressed = whole || state.selection.includes(`${handle.id}.${k}`);
-      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressed, "aria-label": `${name}, place ${k + 1} at ${placesWords([handle.q[k]])}` });
+      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressed, "aria-label": `${name}, point ${k + 1} at ${placesWords([handle.q[k]])}` });
       this.#updatePlace(node, posed[k], handle.q[k], `${index + 1}.${k + 1}`);
     });
     nodes.ghosts.forEach((ghost, k) => {
@@ -120,7 +120,7 @@ export class Handles {
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
   }
 
-  /** Circle around a selection with two or more places, stage px; null without. */
+  /** Circle around a selection with two or more vertices, stage px; otherwise null. */
   ringAt() {
     const { document, selection, draft } = this.store.state;
     const places = posedPlaces(document, selection);
@@ -128,7 +128,7 @@ export class Handles {
     const { centre, radius } = this.turning ?? circleOf(places);
     const middle = this.view.toStage(centre);
     const angle = -Math.PI / 4 + (this.turning?.angle ?? 0);
-    // The knob stays in the stage, however large the selection is.
+    // Keep the knob inside the stage for large selections.
     const room = [Math.cos(angle), Math.sin(angle)].map((way, axis) => ((way > 0 ? this.view.stageSize[axis] - RING_OFF : RING_OFF) - middle[axis]) / way);
     const r = Math.max(RING_OFF, Math.min(radius * this.view.zoom + RING_OFF, ...room));
     return { centre, middle, r, knob: [middle[0] + r * Math.cos(angle), middle[1] + r * Math.sin(angle)] };
@@ -163,7 +163,7 @@ export class Handles {
     set(this.cross, { visibility: cross ? "visible" : "hidden", ...(cross && { transform: at(this.view.toStage(cross)) }) });
   }
 
-  /** What a pointer takes at a place of the stage: { knob: true }, { handle, index, vertex } (vertex null: the whole), or null. */
+  /** Hit test at a stage position: { knob: true }, { handle, index, vertex } (vertex null: the whole handle), or null. */
   hit([x, y], kind) {
     const ring = this.ringAt();
     const reach = REACH[kind] ?? REACH.mouse;
@@ -189,7 +189,7 @@ export class Handles {
     return best;
   }
 
-  /** Keys of everything inside a rectangle of the stage: wholes where all places are inside, else the places. */
+  /** Selection keys inside a stage rectangle: the whole handle if all vertices are inside, otherwise the vertices. */
   inside([[ax, ay], [bx, by]]) {
     const within = (place) => {
       const [x, y] = this.view.toStage(place);
@@ -201,7 +201,7 @@ export class Handles {
     });
   }
 
-  /** What an element of the SVG stands for. */
+  /** The handle or vertex of an SVG element. */
   named(target) {
     const node = target.closest?.("[data-handle]");
     if (!node) return null;
@@ -210,7 +210,7 @@ export class Handles {
     return handle ? { handle, index, vertex: node.dataset.vertex === undefined ? null : Number(node.dataset.vertex) } : null;
   }
 
-  /** Gives the focus to a handle's element without moving the page. */
+  /** Focuses the element of a handle without scrolling. */
   focus(index, vertex = null) {
     this.svg.querySelector(vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`)?.focus({ preventScroll: true });
   }

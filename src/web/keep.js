@@ -1,12 +1,12 @@
-// Nothing is lost on reload: the document in this tab's storage (and, for a new tab, in the browser's), the file in IndexedDB, so that a
-// session that has ended is opened again without asking.
+// Persistence across reloads: the document in session storage (and in local storage, for a new tab), the file in IndexedDB, so that an
+// expired session is opened again automatically.
 
 const KEY = "mlswarp";
 const STEPS = 50;
-/** Files that are kept: of the last few pictures. */
+/** Number of stored files: those of the last pictures. */
 const FILES = 4;
 
-/** Storage that may be refused, full or private: then nothing is kept, and the page works on. */
+/** Storage may be disabled or full: then nothing is stored, and the page continues. */
 export function attempt(what, otherwise = null) {
   try {
     return what();
@@ -18,7 +18,7 @@ export function attempt(what, otherwise = null) {
 export const setting = (name) => attempt(() => localStorage.getItem(`${KEY}.${name}`));
 export const keepSetting = (name, value) => attempt(() => localStorage.setItem(`${KEY}.${name}`, value));
 
-/** What was kept by this tab, else by the last one. */
+/** The state stored by this tab, otherwise by the last one. */
 export const kept = () => attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY)));
 
 export function forget() {
@@ -26,7 +26,7 @@ export function forget() {
   attempt(() => localStorage.removeItem(KEY));
 }
 
-/** Keeps what there is room for: all steps, or none. Never an older document: that would come back instead of the newest. */
+/** Stores the document with all undo steps or, if storage is full, without them. Never leaves an older document in the storage. */
 function keepText(storage, text) {
   const keeps = (steps) => attempt(() => (storage.setItem(KEY, text(steps)), true), false);
   if (keeps(STEPS) || keeps(0)) return true;
@@ -38,7 +38,7 @@ export class Keeper {
   kept = false;
   #timer = 0;
 
-  /** `whole`: gives what is to be kept, or null. */
+  /** `whole`: returns the session state to store, or null. */
   constructor(store, whole, told) {
     Object.assign(this, { whole, told });
     store.subscribe((state, previous) => {
@@ -78,7 +78,7 @@ function settled(request) {
   });
 }
 
-/** Keeps a file; its key, or null where the browser refuses. */
+/** Stores a file; returns its key, or null if the browser refuses. */
 export async function keepFile(blob, name) {
   try {
     const opened = await database();

@@ -1,4 +1,5 @@
-// The keyboard. Keys with Ctrl work everywhere but in text; single keys only with the focus in the stage or nowhere, and can be switched off.
+// The keyboard. Keys with Ctrl work everywhere except in text fields. Single keys work with the focus in the stage or nowhere, and can be
+// switched off.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const NUDGE = [1, 10];
@@ -9,13 +10,13 @@ const TURN = 5;
 export class Keys {
   #crossMoved = false;
 
-  /** `does`: what the buttons of the page do, by name. */
+  /** `does`: the actions of the buttons, by name. */
   constructor(stage, store, view, handles, pointer, actions, does, singleKeys) {
     Object.assign(this, { stage, store, view, handles, pointer, actions, does, singleKeys });
     document.addEventListener("keydown", (event) => this.#down(event));
     document.addEventListener("keyup", (event) => this.#up(event));
     globalThis.addEventListener("blur", () => this.#release());
-    // Tab brings a handle into sight.
+    // Tab pans to the focused handle.
     stage.addEventListener("focusin", (event) => {
       const named = event.target.matches(":focus-visible") && handles.named(event.target);
       if (named) view.reveal(named.handle.q[named.vertex ?? 0]);
@@ -55,7 +56,7 @@ export class Keys {
     act();
   }
 
-  /** Arrows, with or without something selected. */
+  /** Arrow keys, with or without a selection. */
   #moving(event, inStage) {
     const arrow = ARROWS[event.key];
     if (!arrow) return false;
@@ -75,7 +76,7 @@ export class Keys {
     return this.handles.named(event.target);
   }
 
-  /** The handle that has the focus is the one that moves: it is selected when nothing that contains it is. */
+  /** Selects the focused handle, unless the selection contains it: arrow keys move the focused handle. */
   #adopts(event) {
     const { state } = this.store;
     if (state.arm || state.draft.length) return false;
@@ -100,12 +101,12 @@ export class Keys {
     const { draft, tool, arm, cross } = this.store.state;
     if (named && !arm && !draft.length) return this.actions.choose(named, event.shiftKey);
     if (!cross) return draft.length ? this.actions.finish() : this.#moveCross(0, 0);
-    // Twice at one place: that was the last.
+    // Twice at the same position: the path is complete.
     if (tool === "path" && draft.length && !arm && !this.#crossMoved) return this.actions.finish();
     this.#crossMoved = false;
     const keep = tool !== "point" && draft.length + 1 < (tool === "line" ? 2 : Infinity);
     this.actions.place(cross);
-    // The cross stays while it draws; a new handle has the focus, and arrows move it.
+    // The cross stays while drawing. A new handle has the focus, so that arrow keys move it.
     if (!keep || arm) this.store.do("cross", { place: null });
   }
 
@@ -160,7 +161,7 @@ export class Keys {
 
   #up(event) {
     if (event.key === " ") {
-      // Space that panned nothing chooses the handle that has the focus.
+      // Space without a pan selects the focused handle.
       const named = this.pointer.spaceHeld && !this.pointer.spaceUsed && event.target && this.#focused(event);
       if (named) this.actions.choose(named, event.shiftKey);
       this.pointer.spaceHeld = false;
@@ -169,7 +170,7 @@ export class Keys {
     if (event.key.toLowerCase() === "b" && this.store.state.peek) this.store.do("show", { what: { peek: false } });
   }
 
-  /** Keys that are held when the window loses the focus are not told of. */
+  /** Releases held keys: no keyup arrives after the window loses the focus. */
   #release() {
     this.#up({ key: " " });
     this.#up({ key: "b" });

@@ -1,16 +1,16 @@
-// Poses while the hand moves: newest wins, one answer under way. The drag socket where it opens; where it does not, POST with the same rule.
-// What comes is the posed grid, or, where WebGL is missing, pictures.
+// Live poses during a drag: the newest wins, and one response is outstanding. Uses the drag socket, or POST if the socket does not open.
+// Responses are posed grids, or pictures without WebGL.
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
 
-/** Failures to open one after another before a session is served by POST. */
+/** Consecutive failures to open the socket before the session uses POST. */
 const TRIES = 3;
-/** A socket that lived shorter, ms, has failed. */
+/** A socket that closes sooner than this, ms, counts as failed. */
 const LIVED = 2000;
-/** A pose that nothing follows for so long, ms: whoever was at the other end is gone, whatever the connection says. */
+/** Time without a response, ms, after which the socket is given up, even if the connection looks open. */
 const PATIENCE = 5000;
-/** Bytes waiting to be sent beyond which a newer pose waits here. */
+/** Buffered bytes of the socket beyond which newer poses wait here. */
 const BACKLOG = 1 << 16;
 
 export class Live {
@@ -21,14 +21,17 @@ export class Live {
   #opened = 0;
   #grid = null;
   #seq = 0;
-  #revisions = new Map(); // seq of the socket to revision of the document
+  #revisions = new Map(); // socket seq to document revision
   #waiting = null; // the newest pose that has not been sent
   #sent = null; // the newest pose that the socket has not answered
   #overdue = 0;
-  #asking = null; // AbortController of the POST under way
+  #asking = null; // AbortController of the outstanding POST
   #report = null;
 
-  /** `kind`: mesh or png. `told`: { mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision), way() }. */
+  /**
+   * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
+   * way().
+   */
   constructor(kind, allowSocket, told) {
     this.kind = kind;
     this.allowSocket = allowSocket;
@@ -39,7 +42,7 @@ export class Live {
     return this.#id === null ? "off" : this.#open ? "socket" : "http";
   }
 
-  /** `grid` and `nextSeq` serve the POST way: the session's grid, and numbers that its requests share with every other of the page. */
+  /** `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers. */
   open(id, grid, nextSeq) {
     this.nextSeq = nextSeq;
     this.#grid = grid;
@@ -50,7 +53,7 @@ export class Live {
     this.#connect();
   }
 
-  /** Another key: what was refused may be open now. */
+  /** Call after the key has changed: a rejected socket may open now. */
   again() {
     this.#failures = 0;
   }
@@ -63,13 +66,13 @@ export class Live {
     this.#open = false;
     const socket = this.#socket;
     this.#socket = null;
-    // One that is not open yet would complain.
+    // Closing a socket that is not open yet would log an error.
     if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close(1000);
     else socket?.close(1000);
     this.told.way();
   }
 
-  /** A pose; those before it that are not yet sent are forgotten. */
+  /** Sends a pose; drops older poses that have not been sent. */
   send(q, revision) {
     if (this.#id === null) return;
     this.#waiting = { q, revision };
@@ -77,10 +80,10 @@ export class Live {
     this.#flush();
   }
 
-  /** The hand rests: nothing is to be sent any more, and what is under way is not waited for. */
+  /** The drag pauses: sends nothing more, and does not wait for the outstanding response. */
   rest() {
     this.#waiting = null;
-    // Whether the socket answers is seen all the same.
+    // Still check whether the socket responds.
     this.#sent = null;
     this.#asking?.abort();
     this.#asking = null;
@@ -105,7 +108,7 @@ export class Live {
     socket.onclose = current(() => this.#closed(this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1));
   }
 
-  /** Another way for the pose that was not answered. */
+  /** Sends the unanswered pose again, by another transport if necessary. */
   #closed(failures) {
     this.#waiting ??= this.#sent;
     this.#answered();

@@ -1,5 +1,4 @@
-// Puts the page together: one store, the views that show it, the inputs that change it, and the state that can be observed from outside
-// (README.md lists it).
+// The entry point: creates the store, the views and the inputs, and publishes the observable state (README.md).
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
@@ -30,7 +29,7 @@ const actions = new Actions(store, sync, view, handles, say);
 const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state));
 const pointer = new Pointer(stage, store, view, handles, actions);
 
-/** For those who do not see: the newest words win. */
+/** Announces a text to screen readers; a newer text replaces it. */
 function say(words) {
   find("says").textContent = words;
 }
@@ -47,7 +46,7 @@ function toast(words) {
 const KEYS = new Set(["unauthorized", "forbidden"]);
 const RETRIES = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
-/** What buttons and keys share. */
+/** Actions shared by buttons and keys. */
 const does = {
   pick: () => find("file").click(),
   help: () => find("help").showModal(),
@@ -57,17 +56,17 @@ const does = {
   compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
   full: () => view.zoomTo(1 / view.scale),
-  /** The name of what can be done about a problem. */
+  /** The label of the action that resolves a problem, or null. */
   mending: ({ code, opening }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
-    if (KEYS.has(code)) return "Give a key";
+    if (KEYS.has(code)) return "Enter a key";
     if (RETRIES.has(code) && !opening) return "Try again";
     return !opening && store.state.past.length ? "Undo" : null;
   },
   mend: (problem) => {
     const action = does.mending(problem);
     if (action === "Open a picture") does.pick();
-    else if (action === "Give a key") does.key();
+    else if (action === "Enter a key") does.key();
     else if (action === "Try again") sync.retry();
     else actions.undo(true);
   },
@@ -82,7 +81,7 @@ const keeper = new Keeper(
   observe,
 );
 
-// What the view shows of the state.
+// Passes the state to the view.
 store.subscribe((state, previous) => {
   const { meshShown: lines, compare, compareAt: at, peek } = state;
   if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
@@ -90,7 +89,7 @@ store.subscribe((state, previous) => {
   stage.classList.toggle("armed", Boolean(state.arm || state.draft.length));
 });
 
-/** `document.body.dataset`. */
+/** Writes the observable state to `document.body.dataset`. */
 function observe() {
   const { state } = store;
   const { shown } = sync;
@@ -123,13 +122,13 @@ store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
-// A tool that was clicked does not keep the focus: the keys go on to the stage. Who came by keyboard stays.
+// After a click, a tool returns the focus to the stage, so that shortcuts work. Keyboard focus stays.
 for (const bar of document.querySelectorAll("#work > .tools, #work > .zoom, #selection, #draft, #undo, #redo")) {
   const giveBack = () => bar.contains(document.activeElement) && stage.focus({ preventScroll: true });
   bar.addEventListener("click", ({ detail }) => {
     if (detail === 0) return;
     giveBack();
-    setTimeout(giveBack); // a label gives its radio button the focus after this
+    setTimeout(giveBack); // a label focuses its radio button after this
   });
 }
 
@@ -156,9 +155,9 @@ addEventListener("drop", (event) => {
 });
 addEventListener("paste", (event) => event.clipboardData?.files.length && opener.files(event.clipboardData.files));
 
-// Taking it along
+// Export
 
-/** An action on what is open; what the server refuses is told. */
+/** Runs an action on the open picture; shows the problem if the server rejects it. */
 const taking = (act) => async () => {
   try {
     await act(store.state);
@@ -166,7 +165,7 @@ const taking = (act) => async () => {
     store.do("problem", { problem });
   }
 };
-// A command or a link names the session: after a change of handles it may be another one.
+// A command or a link contains the session id, which may change with the handles: wait until the server has them.
 const copying = (words, what) =>
   taking(async () => {
     await sync.settled();
@@ -211,12 +210,12 @@ function showKey() {
   find("key-wrong").hidden = true;
   find("key").showModal();
 }
-/** What was refused for want of a key is asked once more. */
+/** Uses a key and retries a request that was rejected without it. */
 function takeKey(key, remember) {
   useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  toast(key === null ? "The key is forgotten" : "The key is kept in this browser");
+  toast(key === null ? "Key removed" : "Key saved in this browser");
   if (key === null || !KEYS.has(problem?.code)) return;
   if (problem.opening) {
     store.do("problem", { problem: null });
@@ -238,7 +237,7 @@ find("panel-toggle").addEventListener("click", ({ currentTarget }) => {
   currentTarget.setAttribute("aria-expanded", open);
 });
 
-// What was there before, or what the address names.
+// Restore the last state, or open the link in the address.
 
 find("limits").textContent = limitWords(limits);
 function begin() {

@@ -1,6 +1,5 @@
-// The posed grid, as the server answers it: where a place of the source goes, where a place of the picture comes from, which cells fold.
-// Lines at rest lie at 0, c, 2c, ..., the last at the picture's edge. What is drawn is the bilinear patch of each cell; under folds the later
-// cell in row order is seen.
+// The posed grid from the server: the forward map, the inverse map, and the folded cells. Rest lines are at 0, c, 2c, ...; the last one is
+// at the edge of the picture. Each cell is a bilinear patch; where cells overlap, the later one in row order is visible.
 
 export class Mesh {
   /** `grid`: columns, rows, width, height, cell [w, h]; `places`: x, y of each vertex, row by row, picture px. */
@@ -30,7 +29,7 @@ export class Mesh {
     return [this.posed(i, j), this.posed(i + 1, j), this.posed(i + 1, j + 1), this.posed(i, j + 1)];
   }
 
-  /** The place of the source that is seen at (x, y). Where the picture has nothing, the nearest vertex is carried along. */
+  /** The source position of (x, y). Outside the posed picture, uses the displacement of the nearest vertex. */
   inverse(x, y) {
     const { columns, rows } = this.grid;
     for (let j = rows - 2; j >= 0; j--) {
@@ -45,7 +44,7 @@ export class Mesh {
     return this.#carried(x, y);
   }
 
-  /** Where in a cell (s, t in [0, 1]) a place lies, or null. */
+  /** The cell coordinates (s, t in [0, 1]) of a position, or null. */
   #inCell(i, j, x, y) {
     const { columns } = this.grid;
     const m = this.places;
@@ -82,7 +81,7 @@ export class Mesh {
     return [this.restX(i) + x - this.places[best], this.restY(j) + y - this.places[best + 1]];
   }
 
-  /** Cells of which a corner's cross product is not positive, as [i, j]: the rule by which the server counts. */
+  /** Folded cells as [i, j]: a cross product at a corner is not positive. The server uses the same rule. */
   folded() {
     const { columns, rows } = this.grid;
     const m = this.places;
@@ -102,7 +101,7 @@ export class Mesh {
     return cells;
   }
 
-  /** Every cell as n x n smaller ones on its patch: posed places of (n (columns - 1) + 1) x (n (rows - 1) + 1) vertices. */
+  /** Divides every cell into n x n: posed positions of (n (columns - 1) + 1) x (n (rows - 1) + 1) vertices. */
   refined(n) {
     if (n === 1) return this.places;
     const { columns, rows } = this.grid;
@@ -127,7 +126,7 @@ export class Mesh {
     return fine;
   }
 
-  /** x or y at rest of the lines of `refined(n)`. */
+  /** Rest x or y of the lines of `refined(n)`. */
   refinedLines(n, along) {
     const [count, rest] = along === 0 ? [this.grid.columns, (k) => this.restX(k)] : [this.grid.rows, (k) => this.restY(k)];
     return Float32Array.from({ length: n * (count - 1) + 1 }, (_, k) => {

@@ -1,4 +1,4 @@
-// How a picture comes in: a file (dropped, pasted, picked), a sample, a link, or what was kept before a reload.
+// Opens a picture: a file (dropped, pasted, picked), a sample, a link, or the state before a reload.
 
 import * as api from "./api.js";
 import { alphaOf, documentOf, restOf, sameRest } from "./edits.js";
@@ -9,14 +9,14 @@ import { readLink } from "./share.js";
 import { bytes } from "./words.js";
 
 export class Opener {
-  /** Key of the file in IndexedDB, and the link that this tab came by. */
+  /** Key of the file in IndexedDB, and the link that opened this tab. */
   fileKey = null;
   link = null;
 
   #cancel = null;
   #tried = null;
 
-  /** `told`: a file has been kept. */
+  /** `told` is called when a file has been stored. */
   constructor(store, sync, view, actions, limits, told) {
     Object.assign(this, { store, sync, view, actions, limits, told });
   }
@@ -25,7 +25,7 @@ export class Opener {
     this.#cancel?.abort();
   }
 
-  /** Whatever was dropped, pasted or picked. */
+  /** Opens dropped, pasted or picked files. */
   async files(list) {
     const files = [...list];
     const isPicture = (f) => f.type.startsWith("image/") || /\.(png|jpe?g|webp)$/i.test(f.name);
@@ -41,16 +41,16 @@ export class Opener {
     try {
       warp = documentOf(JSON.parse(await file.text()));
     } catch {
-      // Told below, as everything else that is no warp object.
+      // Reported below, like every other invalid warp object.
     }
     if (warp) this.actions.edit(warp, { select: [] });
-    else this.#refuse(new api.Problem({ code: "bad_value", detail: `${file.name} holds no handles that can be shown here` }, 0));
+    else this.#refuse(new api.Problem({ code: "bad_value", detail: `the file ${file.name} has no handles that this page supports` }, 0));
   }
 
   file(file, name) {
     return this.#attempt(name, async (signal) => {
       if (file.size > this.limits.body) {
-        throw new api.Problem({ code: "too_large", detail: `${name} has ${bytes(file.size)}; at most ${bytes(this.limits.body)} are taken` }, 413);
+        throw new api.Problem({ code: "too_large", detail: `the file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}` }, 413);
       }
       await this.#fresh(await copyOf(file), name, emptyDocument(), null, signal);
     });
@@ -77,12 +77,12 @@ export class Opener {
     return api.openSession(blob, name, restOf(document), { progress, signal });
   }
 
-  /** Once more what was refused. */
+  /** Repeats the last attempt that failed. */
   retry() {
     return this.#tried?.();
   }
 
-  /** Opens something; what fails leaves the page as it was, and is told. */
+  /** Opens something; after a failure the page is unchanged and shows the problem. */
   async #attempt(name, open) {
     this.cancel();
     this.#tried = () => this.#attempt(name, open);
@@ -106,7 +106,7 @@ export class Opener {
     if (!(error instanceof api.Problem) && error?.name !== "EncodingError") throw error;
   }
 
-  /** A session and its document become what is seen. `file` null: the texture comes from the session. */
+  /** Shows a session and its document. If `file` is null, the texture comes from the session. */
   async #use(object, document, file, { picture, past, future, borrowed = false, fileKey }, signal) {
     const { width, height } = object.image;
     const source = file ?? { blob: await this.#identity(object, signal), name: picture.name };
@@ -114,23 +114,23 @@ export class Opener {
       await this.view.setPicture(source.blob, width, height, signal);
     } catch (error) {
       if (error?.name !== "EncodingError") throw error;
-      // The server reads what this browser does not: then its own copy is shown.
+      // The browser cannot decode the file, but the server can: show the server's PNG.
       await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
     }
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
-    this.view.resized(); // only now the stage is seen, and has a size
+    this.view.resized(); // only now the stage is visible and has a size
     this.fileKey = fileKey ?? null;
     this.fileKey ??= await keepFile(source.blob, source.name);
     this.told();
   }
 
-  /** The session's picture as it came: q = p. */
+  /** The unchanged picture of the session: q = p. */
   async #identity(object, signal) {
     return (await api.picture(object.id, { q: object.p }, signal)).blob;
   }
 
-  /** A link: the session it names, with the handles it carries. */
+  /** Opens a link: its session, with its handles. */
   openLink(hash) {
     const { session, warp, name } = readLink(hash);
     return this.#attempt(name, async (signal) => {
@@ -145,7 +145,7 @@ export class Opener {
     });
   }
 
-  /** What was kept: with the session if it lives, else with the file as a new one. */
+  /** Restores the stored state: with its session if it exists, otherwise with a new session from the stored file. */
   restore(kept) {
     return this.#attempt(kept.picture.name, async (signal) => {
       const file = await keptFile(kept.file);
@@ -163,7 +163,7 @@ export class Opener {
   }
 }
 
-/** A file as it is now: the one on disk may change or go before it is needed again. */
+/** Copies a file to memory: the file on disk may change or disappear before it is needed again. */
 async function copyOf(file) {
   try {
     return new Blob([await file.arrayBuffer()], { type: file.type });
@@ -172,7 +172,7 @@ async function copyOf(file) {
   }
 }
 
-/** What a link without handles means: the session's own, put back. An alpha that is the usual one was not asked for. */
+/** The warp object of a link without handles: those of the session, at rest. An alpha equal to the default counts as automatic. */
 function warpOfSession({ p, weights, method, alpha, units, grid, output }) {
   const warp = { p, weights, method, units, grid: grid.requested, output };
   const usual = documentOf(warp);

@@ -1,13 +1,13 @@
-// Where the posed picture does not reach, the colour of the border's nearest place: what the server draws for `edge`, for what follows the hand.
-// Every segment of the border has a strip on both sides, every vertex fans between the strips; their depth is the distance from the border, so
-// that of two the nearer is seen. The picture itself is drawn over them.
+// The live preview of `outside: edge`: every pixel outside the posed picture has the colour of the nearest border position. Each border
+// segment has a strip on both sides, and each vertex has fans between the strips. The depth is the distance from the border, so the nearest
+// one is visible. The picture is drawn over them.
 
-/** Numbers a vertex: x, y (picture px), depth, and the place in the texture. */
+/** Numbers per vertex: x, y (picture px), depth, and the texture coordinates. */
 export const STRIDE = 5;
-/** Triangles of a fan: the chord of a wide one would come too near. */
+/** Triangles per fan: the chord of a wide triangle would be too close to the border. */
 const FAN = 4;
 
-/** Vertices of the grid around the picture, closed. */
+/** The border vertices of the grid, as a closed path. */
 function around({ columns, rows }) {
   const [right, bottom] = [columns - 1, rows - 1];
   const along = (count, place) => Array.from({ length: count }, (_, k) => place(k));
@@ -23,10 +23,10 @@ function around({ columns, rows }) {
 export function edgeTriangles(mesh) {
   const { width, height } = mesh.grid;
   const border = around(mesh.grid).map(([i, j]) => [mesh.posed(i, j), mesh.restX(i) / width, mesh.restY(j) / height]);
-  // As far as anything that is seen can lie from the border.
+  // The largest visible distance from the border.
   const reach = 4 * Math.max(width, height, ...border.map(([[x, y]]) => Math.max(Math.abs(x), Math.abs(y))));
   const numbers = [];
-  /** `angle` null: on the border itself. */
+  /** `angle` null: a position on the border. */
   const vertex = ([[x, y], u, v], angle) => {
     if (angle === null) numbers.push(x, y, 0, u, v);
     else numbers.push(x + reach * Math.cos(angle), y + reach * Math.sin(angle), 1, u, v);
@@ -46,7 +46,7 @@ export function edgeTriangles(mesh) {
     if (before !== null) turns.push([a, before, normal]);
     before = normal;
   });
-  // The first and the last segment meet as well.
+  // The path is closed: the last segment meets the first.
   if (turns.length) turns.push([border[0], before, turns[0][1]]);
   for (const [place, from, to] of turns) {
     const turn = Math.atan2(Math.sin(to - from), Math.cos(to - from)) / FAN;

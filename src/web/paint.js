@@ -1,6 +1,6 @@
-// The source drawn through the posed grid, in WebGL (2, else 1). Each cell is its bilinear patch, as 1, 4 or 16 pairs of triangles; cells are
-// drawn in row order without blending, so that under folds the later one is seen, as in the server's picture. What lies outside is drawn first.
-// Alpha is premultiplied.
+// Renders the source through the posed grid with WebGL 2 or 1. Each cell is a bilinear patch of 1, 4 or 16 pairs of triangles. Cells are
+// drawn in row order without blending: where cells overlap, the later one is visible, as in the server's picture. The outside is drawn
+// first. Alpha is premultiplied.
 
 import { STRIDE, edgeTriangles } from "./outside.js";
 
@@ -12,7 +12,7 @@ const FRAGMENT = `
 precision mediump float; uniform sampler2D source; varying vec2 at;
 void main() { gl_FragColor = texture2D(source, at); }`;
 
-/** A patch is divided until its parts are about so wide, picture px, and no more vertices than these. */
+/** Target size of the parts of a patch, picture px, and the maximum number of vertices. */
 const FINE = 6;
 const MOST_VERTICES = 300_000;
 
@@ -27,7 +27,7 @@ export class Painter {
   #wide;
   #mipmaps;
 
-  /** `kind`: webgl2, webgl, or none when neither is there. */
+  /** `kind`: webgl2, webgl or none. */
   constructor(canvas) {
     const wish = { alpha: true, premultipliedAlpha: true, antialias: false, depth: true };
     const second = canvas.getContext("webgl2", wish);
@@ -72,7 +72,7 @@ export class Painter {
     return this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE);
   }
 
-  /** The picture, upright, as an ImageBitmap with premultiplied alpha; its size in picture px, which may be more than the bitmap's. */
+  /** Sets the picture: an upright ImageBitmap with premultiplied alpha, and its size in picture px, which may exceed that of the bitmap. */
   setSource(bitmap, width, height) {
     const gl = this.#gl;
     this.#source = bitmap;
@@ -89,7 +89,7 @@ export class Painter {
     this.#shape = "";
   }
 
-  /** Draws a mesh; `place`: { zoom, x, y } in device px of the canvas, `crisp`: no smoothing of enlarged pixels, `outside`: as the document has it. */
+  /** Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`: as in the document. */
   paint(mesh, { zoom, x, y }, crisp, outside) {
     const gl = this.#gl;
     if (!this.#texture || gl.isContextLost()) return;
@@ -101,7 +101,7 @@ export class Painter {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    // The server's picture ends where the source did.
+    // Clip to the size of the source, like the server.
     const [left, bottom] = [Math.round(x), Math.round(height - y - zoom * this.#size[1])];
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.round(x + zoom * this.#size[0]) - left, Math.round(height - y) - bottom);
@@ -123,7 +123,7 @@ export class Painter {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  /** Depth is the distance from the border: the nearest place of it is seen. */
+  /** Draws the extended edge; depth is the distance from the border. */
   #paintEdge(mesh) {
     const gl = this.#gl;
     const vertices = edgeTriangles(mesh);
@@ -143,7 +143,7 @@ export class Painter {
     return [4, 2].find((n) => Math.max(...grid.cell) > (FINE * n) / 2 && vertices(n) <= most) ?? 1;
   }
 
-  /** Triangles and texture places, which depend on the grid alone: in the order of its cells. */
+  /** Triangles and texture coordinates in cell order; they depend on the grid only. */
   #arrange(mesh, n) {
     const { columns, rows, cell, width, height } = mesh.grid;
     const shape = [columns, rows, ...cell, n].join();

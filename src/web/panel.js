@@ -1,4 +1,4 @@
-// The controls around the picture: each shows the state and changes it.
+// The controls around the picture: they show the state and change it.
 
 import { alphaOf, kindName, outsideOf } from "./edits.js";
 import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
@@ -57,7 +57,7 @@ export class Panel {
     find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
     find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
     find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
-    // What lets through a part of what is below stays so: the field knows colours alone.
+    // The colour field has no alpha: keep the alpha of the current value.
     find("outside-colour").addEventListener("input", ({ target }) => this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"));
     find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
     this.#holds(find("before"));
@@ -67,7 +67,7 @@ export class Panel {
     this.actions.edit({ ...this.store.state.document, ...what }, { tag });
   }
 
-  /** The original is seen as long as the button is held, by whatever holds it. */
+  /** Shows the original while the button is held by pointer or keyboard. */
   #holds(button) {
     const peek = (on) => () => this.store.state.peek !== on && this.store.do("show", { what: { peek: on } });
     const isPress = (event) => event.key === " " || event.key === "Enter";
@@ -104,7 +104,7 @@ export class Panel {
   #drawUpload({ phase, progress, uploadName }) {
     if (phase !== "uploading") return;
     find("upload-bar").value = progress;
-    text("upload-text", progress === 0 ? `Opening ${uploadName}` : progress < 100 ? `Sending ${uploadName}: ${Math.round(progress)} %` : `Reading ${uploadName}`);
+    text("upload-text", progress === 0 ? `Opening ${uploadName}` : progress < 100 ? `Uploading ${uploadName}: ${Math.round(progress)} %` : `Processing ${uploadName}`);
   }
 
   #drawBend(document) {
@@ -144,7 +144,7 @@ export class Panel {
     for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < 2;
-    text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "place")}`);
+    text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "point")}`);
     this.#drawHint(state);
   }
 
@@ -181,12 +181,12 @@ export class Panel {
     for (const [side, more] of Object.entries(this.view.beyond)) find(`pan-${side}`).hidden = !more;
   }
 
-  /** What the last answer said of itself. */
+  /** Shows the figures of the last response. */
   #drawPicture() {
     const { shown, session } = this.sync;
     text("folds-note", foldWords(shown.folds));
     find("folds").hidden = !shown.folds;
-    text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"} over`);
+    text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"}`);
     const { grid } = session ?? {};
     text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
     const rows = timingRows(shown, this.view.size);
@@ -215,7 +215,7 @@ export class Panel {
   }
 }
 
-/** The same in a few words, under the picture. */
+/** A short form of the same figures, under the picture. */
 function statusWords({ report, rate, source, warnings }) {
   if (!report) return "";
   const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
@@ -223,7 +223,7 @@ function statusWords({ report, rate, source, warnings }) {
   return [speed, ...warnings.map((w) => WARNINGS[w]).filter(Boolean)].join(". ");
 }
 
-/** What helps now: a key of HINTS, or null. */
+/** The hint for the current state: a key of HINTS, or null. */
 function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before }) {
   if (phase !== "open" || draft.length || compare || problem) return null;
   if (arm) return "move";
@@ -238,7 +238,7 @@ const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;
 function timingRows({ report, rate }, size) {
   if (!report) return [];
   const rows = Object.entries(STAGES).filter(([name]) => report.timing[name] !== undefined).map(([name, words]) => [name, words, ms(report.timing[name])]);
-  if (report.trip !== undefined) rows.push(["trip", "There and back", ms(report.trip)]);
+  if (report.trip !== undefined) rows.push(["trip", "Round trip", ms(report.trip)]);
   rows.push(["size", "Size", `${size ? `${size[0]} × ${size[1]}, ` : ""}${bytes(report.size)}`]);
   if (rate) rows.push(["rate", "While dragging", `${Math.round(rate)} frames/s`]);
   return rows;

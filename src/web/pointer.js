@@ -1,19 +1,19 @@
-// Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until it is lifted or taken away; a second
-// finger ends it without a trace and begins a pinch.
+// Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until pointerup or pointercancel. A second
+// finger cancels it and begins a pinch.
 
 import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
 import { keyOf } from "./handles.js";
 
-/** A press that moves less is a click, CSS px. */
+/** Maximum movement of a click, CSS px. */
 const STILL = { mouse: 3, pen: 5, touch: 8 };
-/** A second click so soon and so near is a double click. */
+/** Maximum time and distance between the clicks of a double click. */
 const DOUBLE = { time: 400, away: 8 };
-/** One notch of a wheel is about this factor. */
+/** Zoom factor per notch of the wheel, approximately. */
 const WHEEL = 1.0018;
 
 export class Pointer {
   spaceHeld = false;
-  /** Something was panned since Space went down. */
+  /** Whether a pan happened since Space was pressed. */
   spaceUsed = false;
 
   #gesture = null;
@@ -32,14 +32,14 @@ export class Pointer {
     stage.addEventListener("pointerleave", () => this.#hover(null));
     stage.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
     stage.addEventListener("contextmenu", (event) => event.pointerType === "touch" && event.preventDefault());
-    // What assistive technology does to a handle is a click without a pointer.
+    // Assistive technology activates a handle by a click without a pointer.
     stage.addEventListener("click", (event) => {
       const named = event.detail === 0 && handles.named(event.target);
       if (named) actions.choose(named, event.shiftKey);
     });
   }
 
-  /** A gesture is under way. */
+  /** Whether a gesture is active. */
   get busy() {
     return this.#gesture !== null || this.#pinch !== null;
   }
@@ -49,7 +49,7 @@ export class Pointer {
     this.#end();
   }
 
-  /** Where in the stage. Its own place cannot change under a gesture, so it is looked up once. */
+  /** Position in the stage. The stage cannot move during a gesture, so its rectangle is read once. */
   #at(event) {
     const { left, top } = (this.#gesture || this.#pinch) && this.#box ? this.#box : (this.#box = this.stage.getBoundingClientRect());
     return [event.clientX - left, event.clientY - top];
@@ -64,7 +64,7 @@ export class Pointer {
     }
     if (this.#gesture || this.#pinch) return;
     this.stage.setPointerCapture(event.pointerId);
-    event.preventDefault(); // no selection, no focus but the one given here
+    event.preventDefault(); // prevent text selection; the focus is set here
     this.store.do("cross", { place: null });
     this.#hover(null);
     const gesture = this.#begin(event, at);
@@ -181,7 +181,7 @@ export class Pointer {
     };
   }
 
-  /** On nothing: a click adds, a drag selects. */
+  /** At an empty position: a click adds, a drag selects. */
   #marquee(adds) {
     const { selection } = this.store.state;
     const kept = adds ? selection : [];
@@ -204,7 +204,7 @@ export class Pointer {
     this.actions.place(place);
   }
 
-  /** The next place of a line or path, or where the selection goes. */
+  /** The next vertex of a line or path, or the target of the selection. */
   #placing(kind, drags = false) {
     const isDouble = (at) => {
       const { time, at: before } = this.#lastClick;
@@ -221,7 +221,7 @@ export class Pointer {
     };
     return {
       press: () => this.stage.focus({ preventScroll: true }),
-      // A line may be drawn in one movement.
+      // A line may be drawn by one drag.
       begin: () => drags && this.actions.place(this.view.toPicture(this.#gesture.begun)),
       move: (at) => this.#hover(at),
       end: (at) => (drags ? this.actions.place(this.view.toPicture(at)) : click(at)),
@@ -281,12 +281,12 @@ export class Pointer {
     event.preventDefault();
     if (event.shiftKey && !event.ctrlKey) return this.view.panBy(-(event.deltaX || event.deltaY), 0);
     const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
-    // A pinch on a touchpad comes as a wheel with Ctrl, in smaller steps.
+    // A touchpad pinch arrives as a wheel event with Ctrl, in smaller steps.
     const step = Math.max(-240, Math.min(240, event.deltaY * lines * (event.ctrlKey ? 5 : 1)));
     this.view.zoomTo(this.view.zoom * WHEEL ** -step, this.#at(event));
   }
 
-  /** Where a line that is being drawn would go on. */
+  /** The preview of the next vertex while a line is drawn. */
   #hover(at) {
     const drawing = at && this.store.state.draft.length > 0;
     const next = drawing ? at : null;

@@ -1,4 +1,4 @@
-// The sample pictures: where they lie, how their handles rest and how they are posed.
+// The sample pictures: file, rest handles and posed handles.
 
 const border = (width, height) => [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
 

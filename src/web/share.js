@@ -1,4 +1,4 @@
-// What can be taken along: the picture, the handles, a command that repeats the picture, a link.
+// Export: the picture, the handles, a curl command that reproduces the picture, and a link.
 
 import { hasKey } from "./access.js";
 import * as api from "./api.js";
@@ -16,7 +16,7 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-/** The server's bytes of the document as it stands: those that are seen, else asked for. */
+/** The PNG of the current document: the shown one, otherwise requested from the server. */
 export async function bentPicture(sync, store) {
   await sync.settled();
   const { revision, document } = store.state;
@@ -24,7 +24,7 @@ export async function bentPicture(sync, store) {
   return (await api.picture(sync.session.id, { q: wire(document, "q") })).blob;
 }
 
-/** The warp object, a handle a line. */
+/** The warp object as JSON, with one handle per line. */
 export function handlesText(document) {
   const { p, q, ...others } = warpOf(document);
   const list = (handles) => (handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]");
@@ -32,13 +32,13 @@ export function handlesText(document) {
   return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;
 }
 
-/** In single quotes, for a POSIX shell. */
+/** Quotes a word for a POSIX shell. */
 const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`);
 
-/** A file name in a form field of curl: in double quotes where curl would read a part of it as something else; `-` alone is its standard input. */
+/** A file name in a form field of curl: quoted if it has special characters; `-` alone would be standard input. */
 const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
 
-/** A command that answers the bytes of "Download PNG". Whoever runs it has the key in a variable: it is never a part of what is copied. */
+/** A curl command with the same result as "Download PNG". It reads the key from a variable; the copied text never contains it. */
 export function curlLine(sync, { picture, document: bent }) {
   const address = (path) => new URL(path, document.baseURI).href;
   const out = quoted(pictureName(picture.name));
@@ -60,13 +60,13 @@ const toBase64Url = (text) => {
 
 const fromBase64Url = (text) => new TextDecoder().decode(Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0)));
 
-/** A link that reopens the session as it is posed now. */
+/** A link that reopens the session with the current pose. */
 export function linkTo(sync, { picture, document: bent }) {
   const parts = new URLSearchParams({ session: sync.session.id, warp: toBase64Url(JSON.stringify(warpOf(bent))), name: picture.name });
   return `${new URL(".", document.baseURI)}#${parts}`;
 }
 
-/** What a link says: { session, warp, name }, null when it is none, a warp of null when it is broken. */
+/** Parses a link: { session, warp, name }; null if it is none; `warp` is null if it is damaged. */
 export function readLink(hash) {
   const parts = new URLSearchParams(hash.replace(/^#/, ""));
   const session = parts.get("session");
@@ -75,12 +75,12 @@ export function readLink(hash) {
   try {
     warp = parts.has("warp") ? JSON.parse(fromBase64Url(parts.get("warp"))) : undefined;
   } catch {
-    // Cut off or mistyped: told by the one who opens it.
+    // Truncated or mistyped: the caller reports it.
   }
   return { session, warp, name: (parts.get("name") ?? "picture.png").slice(0, 200) };
 }
 
-/** Puts text on the clipboard; where that is refused, it is shown, marked, to be copied by hand. */
+/** Copies text to the clipboard; if the browser refuses, shows and selects it for manual copying. */
 export async function copy(text, shown) {
   shown.value = text;
   try {

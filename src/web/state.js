@@ -1,9 +1,9 @@
-// The document (handles, method, alpha, grid, outside), what is selected, and the history. Reducers are pure: a state and an action give the next
-// state. Everything that shows something subscribes.
+// The store: document (handles, method, alpha, grid, outside), selection and history. Reducers are pure functions of state and action.
+// Views subscribe.
 
-/** Steps of undo that are kept. */
+/** Maximum number of undo steps. */
 const STEPS = 200;
-/** Steps with the same tag that follow each other within so many milliseconds are one. */
+/** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
 export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent" });
@@ -14,12 +14,12 @@ const initialState = () => ({
   picture: null, // { name, width, height, sample, linked }
   document: emptyDocument(),
   revision: 0,
-  selection: [], // "7" is a whole handle, "7.2" a place of it
+  selection: [], // "7" is a whole handle, "7.2" a vertex of it
   tool: "point",
   draft: [],
   arm: "",
   more: false,
-  cross: null, // where the keyboard points, picture px
+  cross: null, // position of the keyboard cross, picture px
   before: null, // the document at the start of a drag
   past: [],
   future: [],
@@ -34,7 +34,7 @@ const initialState = () => ({
 
 const idOf = (key) => Number(key.split(".")[0]);
 
-/** Whether a key of the selection still names something. */
+/** Whether a selection key still exists. */
 function exists(document, key) {
   const handle = document.handles.find((h) => h.id === idOf(key));
   if (!handle) return false;
@@ -56,7 +56,7 @@ const reducers = {
   progress: (state, { percent }) => ({ ...state, progress: percent }),
   uploadEnded: (state) => ({ ...state, phase: state.picture ? "open" : "empty" }),
 
-  /** Another picture, with its handles and history. */
+  /** Opens another picture, with its handles and history. */
   opened: (state, { picture, document, past = [], future = [] }) => ({
     ...initialState(),
     phase: "open",
@@ -69,7 +69,7 @@ const reducers = {
     meshShown: state.meshShown,
   }),
 
-  /** One step. Steps with one tag in quick succession are one. */
+  /** One undo step. Quick successive steps with one tag are merged. */
   edit: (state, { document, select, tag = "", now = 0 }) => {
     if (document === state.document) return state;
     const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
@@ -103,7 +103,7 @@ const reducers = {
     return { ...state, selection, arm: selection.length ? state.arm : "", more: selection.length ? state.more : false };
   },
   toggle: (state, { key }) => {
-    // The whole of a handle and a place of it do not stand beside each other.
+    // A handle and one of its vertices are never selected together.
     const others = state.selection.filter((k) => idOf(k) !== idOf(key) || (k.includes(".") && key.includes(".")));
     const selection = state.selection.includes(key) ? state.selection.filter((k) => k !== key) : [...others, key];
     return { ...state, selection, arm: "" };
@@ -132,7 +132,7 @@ export class Store {
     return this.#state;
   }
 
-  /** Tells every view, once for what views themselves do while they are told. */
+  /** Notifies every view; actions of views during the notification cause one more round. */
   do(type, action = {}) {
     const before = this.#state;
     this.#state = reduce(before, { ...action, type });

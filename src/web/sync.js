@@ -1,29 +1,28 @@
-// Keeps the server in step with the document, and the picture in step with the server. While the hand moves, poses travel through `live`
-// and what comes back is drawn at once; when the hand rests, the server's PNG is fetched. One loop decides what is next, so that an answer
-// that was overtaken is never shown.
+// Synchronises document, server and picture. During a drag, `live` sends the poses and its responses are drawn at once; when the pointer
+// rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
 
 import * as api from "./api.js";
 import { restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
 
-/** The hand rests when it has not moved for so long, ms. */
+/** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Sync {
-  /** The session: { id, grid, rest (JSON of what it was made with), setup (the same in the server's words), borrowed (came by a link: its handles are someone else's) }. */
+  /** The session: { id, grid, rest (JSON that it was created with), setup (the server's form), borrowed (from a link of another user) }. */
   session = null;
   /** The picture as a file: { blob, name }. */
   file = null;
   mesh = null;
-  /** The server's PNG that is seen: { blob, revision }. */
+  /** The shown PNG of the server: { blob, revision }. */
   png = null;
   shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
 
   #running = false;
-  #again = false; // something has changed since the last step began
+  #again = false; // changed since the last step began
   #cancel = null;
   #refused = -1;
   #stalled = false;
@@ -59,7 +58,7 @@ export class Sync {
     for (const view of this.#views) view();
   }
 
-  /** What `data-state` says. */
+  /** The value of `data-state`. */
   get condition() {
     const { phase, revision, before } = this.store.state;
     if (phase !== "open") return phase;
@@ -67,7 +66,7 @@ export class Sync {
     return this.#settled === revision && !before ? "ready" : "busy";
   }
 
-  /** A session and its picture, before the store is told of the document. */
+  /** Sets the session and its picture, before the document is set in the store. */
   begin(object, rest, file, borrowed = false) {
     this.#cancel?.abort();
     this.file = file;
@@ -81,14 +80,14 @@ export class Sync {
 
   #adopt(object, rest, borrowed = false) {
     this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), setup: setupOf(object), borrowed };
-    // Beyond 2^53 numbers are not exact here: such a session is left for one of its own when it refuses (`#after`).
+    // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
     if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
     this.#tell();
   }
 
-  /** Numbers that grow over tabs and reloads too: the clock, or one more than the last. */
+  /** Sequence numbers that increase across tabs and reloads: the clock, or the last number plus one. */
   #nextSeq() {
     this.#seq = Math.max(this.#seq + 1, Date.now());
     return this.#seq;
@@ -110,7 +109,7 @@ export class Sync {
     this.#run();
   }
 
-  /** Asks again, after a problem. */
+  /** Retries after a problem. */
   retry() {
     this.live.again();
     this.#refused = -1;
@@ -163,12 +162,12 @@ export class Sync {
   async #putRest(rest) {
     const { session } = this;
     if (session.borrowed) return this.#reopen(rest);
-    session.rest = null; // until the answer says otherwise, nobody knows
+    session.rest = null; // unknown until the response arrives
     const object = await api.putHandles(session.id, rest);
     if (this.session === session) this.#adopt(object, rest);
   }
 
-  /** The same picture as a new session: the old one has ended, or is someone else's. */
+  /** Opens a new session with the same picture: the old one has expired, or belongs to another user. */
   async #reopen(rest) {
     if (!this.file) throw new api.Problem({ code: "no_such_session", title: "The session has ended", detail: "" }, 404);
     const { session } = this;
@@ -187,7 +186,7 @@ export class Sync {
     const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
     const [{ blob, report }, object] = await Promise.all([api.picture(id, body, cancel.signal), api.readSession(id), meshing]);
     if (cancel.signal.aborted) return;
-    // Another tab, or whoever has the link, may have given the session other handles: then this page has one of its own from now on.
+    // Another tab, or another user of the link, may have replaced the handles: then this page opens its own session.
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision };
@@ -242,7 +241,7 @@ export class Sync {
     return span < 200 ? 0 : ((this.#frames.length - 1) * 1000) / span;
   }
 
-  /** Only a problem of the newest pose matters; a session that is lost, or that somebody else gave other handles, is mended by the loop (`#after`). */
+  /** Reports problems of the newest pose only. The loop handles lost sessions and sessions with replaced handles (`#after`). */
   #liveProblem(problem, revision) {
     if (problem.code === "superseded" || problem.code === "shape_mismatch" || TRANSIENT.has(problem.code) || LOST.has(problem.code)) return;
     if (revision === this.store.state.revision) this.#refuse(problem);
@@ -254,7 +253,7 @@ export class Sync {
     this.#tell();
   }
 
-  /** Resolves when the newest pose has its picture, or none to be expected. */
+  /** Resolves when the newest pose has its picture, or when none is expected. */
   settled() {
     const done = () => this.condition === "ready" || this.condition === "error";
     return new Promise((resolve) => {
@@ -268,7 +267,7 @@ export class Sync {
     });
   }
 
-  /** Whether to go on after an error. */
+  /** Whether to continue after an error. */
   async #after(error) {
     if (api.wasAborted(error)) return true;
     if (error?.name === "EncodingError") error = new api.Problem({ code: "unreadable" }, 0);
@@ -282,7 +281,7 @@ export class Sync {
         else await this.#reopen(restOf(document));
         return true;
       }
-      // Shapes that do not match: somebody else gave the session other handles. However often the server was asked before it came back.
+      // The shapes do not match: another client has replaced the handles of the session.
       if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#reopens++ < 3) {
         await this.#reopen(restOf(document));
         return true;
@@ -302,12 +301,12 @@ export class Sync {
   }
 }
 
-/** All of a session object that decides on a picture, but q. */
+/** The members of a session object that determine a picture, except q. */
 function setupOf({ p, weights, method, alpha, point_mass: mass, units, grid, folds, output }) {
   return JSON.stringify([p, weights, method, alpha, mass, units, grid, folds, output]);
 }
 
-/** The grid of a session object, as a mesh has it. */
+/** The grid of a session object, in the form of a mesh. */
 function gridOf({ grid, image }) {
   return { columns: grid.columns, rows: grid.rows, cell: grid.cell, width: image.width, height: image.height };
 }

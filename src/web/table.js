@@ -1,4 +1,4 @@
-// The table of handles: every number of p and q can be typed.
+// The table of handles: every coordinate of p and q can be edited.
 
 import { kindName, withNumber } from "./edits.js";
 import { marked } from "./words.js";
@@ -38,7 +38,7 @@ export class Table {
     choose.type = "button";
     const single = handle.p.length === 1;
     choose.textContent = single ? `${index + 1}` : `${index + 1}.${vertex + 1}`;
-    choose.setAttribute("aria-label", `Select ${kindName(handle).toLowerCase()} ${index + 1}${single ? "" : `, place ${vertex + 1}`}`);
+    choose.setAttribute("aria-label", `Select ${kindName(handle).toLowerCase()} ${index + 1}${single ? "" : `, point ${vertex + 1}`}`);
     choose.addEventListener("click", (event) => this.actions.choose({ handle: this.store.state.document.handles[index], vertex: single ? null : vertex }, event.shiftKey));
     head.append(choose);
     row.append(head);
@@ -47,7 +47,7 @@ export class Table {
         const input = document.createElement("input");
         Object.assign(input, { type: "number", step: "any", id: `${which}-${index}-${vertex}-${"xy"[axis]}` });
         Object.assign(input.dataset, { which, axis });
-        const place = single ? "" : ` place ${vertex + 1}`;
+        const place = single ? "" : ` point ${vertex + 1}`;
         input.setAttribute("aria-label", `Handle ${index + 1}${place} ${which === "p" ? "rest" : "posed"} ${"xy"[axis]}`);
         const cell = document.createElement("td");
         cell.append(input);
@@ -81,11 +81,11 @@ export class Table {
     const { document } = this.store.state;
     const value = input.value.trim() === "" ? NaN : Number(input.value);
     if (Number.isFinite(value)) this.actions.edit(withNumber(document, input.dataset.which, index, vertex, Number(input.dataset.axis), value));
-    // What was not taken, or was rounded, is seen as it is.
+    // Show the accepted value: the input may have been rejected or rounded.
     this.#fill(this.store.state);
   }
 
-  /** A number that is entered shows which handle it belongs to. */
+  /** Selects the handle of the focused input. */
   #entered({ target }) {
     if (!target.matches("input")) return;
     target.select();

@@ -1,22 +1,22 @@
-// What is seen: zoom and pan, and the layers of the stage. The server's PNG is an <img>; what follows the hand is a canvas of the stage's
-// size, so that a large picture costs no more than a small one.
+// The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview is a canvas of the size of the stage, so
+// that its cost does not depend on the size of the picture.
 
 import { drawGrid } from "./grid.js";
 import { Painter } from "./paint.js";
 
 const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 32;
-/** From here on enlarged pixels are shown as squares. */
+/** Zoom from which pixels are shown as squares. */
 const CRISP = 6;
-/** Room at the sides and above and below, CSS px, that Fit and Tab keep free of the tools; on a narrow stage hardly any. */
+/** Margins for the tools, CSS px, that Fit and Tab keep free; small on a narrow stage. */
 const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
   zoom = 1;
   pan = [0, 0];
-  stageSize = [0, 0]; // CSS px, as it was laid out last: asking for it anew would lay out the page in every move
-  size = null; // of the picture, px
-  source = "none"; // of what is seen
+  stageSize = [0, 0]; // CSS px, cached: reading it from the DOM would force a layout in every move
+  size = null; // size of the picture, px
+  source = "none"; // source of the shown layer
   mesh = null;
   folds = 0;
 
@@ -33,7 +33,7 @@ export class View {
   constructor(stage, allowWebgl) {
     this.stage = stage;
     this.live = stage.querySelector("#live");
-    this.lines = stage.querySelector("#grid").getContext("2d", { willReadFrequently: true }); // many short lines are drawn faster by the processor
+    this.lines = stage.querySelector("#grid").getContext("2d", { willReadFrequently: true }); // many short lines are faster without the GPU
     this.painter = allowWebgl ? new Painter(this.live) : { kind: "none" };
     this.webgl = this.painter.kind;
     this.plain = this.webgl === "none" ? this.live.getContext("2d") : null;
@@ -41,7 +41,7 @@ export class View {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
   }
 
-  /** Told when zoom, pan or size of the stage have changed. */
+  /** Called when zoom, pan or the size of the stage have changed. */
   subscribe(view) {
     this.#views.add(view);
   }
@@ -59,10 +59,10 @@ export class View {
     return [(x - this.pan[0]) / this.zoom, (y - this.pan[1]) / this.zoom];
   }
 
-  /** Another picture: its file is the texture and the "before". */
+  /** Sets the picture: its file is the texture and the original of the comparison. */
   async setPicture(blob, width, height, signal) {
-    const original = await this.#load("original", blob, "The picture as it came");
-    const picture = await this.#load("picture", blob, "The picture");
+    const original = await this.#load("original", blob, "Original picture");
+    const picture = await this.#load("picture", blob, "Picture");
     let texture = null;
     if (this.webgl !== "none") {
       const most = Math.min(1, this.painter.longestSide / Math.max(width, height));
@@ -70,7 +70,7 @@ export class View {
       texture = await createImageBitmap(original, wish);
     }
     if (signal.aborted) {
-      // Another picture was opened meanwhile: what is seen is its.
+      // Another picture was opened meanwhile and is shown.
       this.#release(original);
       this.#release(picture);
       texture?.close();
@@ -85,7 +85,7 @@ export class View {
     this.#fitted = true;
   }
 
-  /** Loads a picture into an element that is not seen yet. */
+  /** Loads a picture into a hidden element. */
   async #load(id, blob, alt) {
     const image = new Image();
     const url = URL.createObjectURL(blob);
@@ -112,9 +112,9 @@ export class View {
     this.#urls.delete(image);
   }
 
-  /** The server's PNG, decoded before it is seen; false when it was overtaken meanwhile. */
+  /** Shows the server's PNG after decoding; false if a newer one has replaced it. */
   async showPng(blob, signal) {
-    const image = await this.#load("picture", blob, "The bent picture");
+    const image = await this.#load("picture", blob, "Warped picture");
     if (signal.aborted) {
       this.#release(image);
       return false;
@@ -132,7 +132,7 @@ export class View {
     this.invalidate();
   }
 
-  /** A preview of the server, where WebGL is missing. */
+  /** Shows a preview from the server, for browsers without WebGL. */
   async showFrame(blob) {
     const frame = await createImageBitmap(blob).catch(() => null);
     if (!frame) return false;
@@ -143,7 +143,7 @@ export class View {
     return true;
   }
 
-  /** The posed grid of what is seen, for lines and folds. */
+  /** Sets the posed grid of the shown picture, for mesh lines and folds. */
   setMesh(mesh) {
     this.#setMesh(mesh);
     this.invalidate();
@@ -156,14 +156,14 @@ export class View {
     this.folds = this.#folded.length;
   }
 
-  /** What lies outside of a mesh; pictures of the server have it in them. */
+  /** Sets the content outside of a mesh; pictures from the server include it. */
   setOutside(outside) {
     if (outside === this.#outside) return;
     this.#outside = outside;
     this.invalidate();
   }
 
-  /** Mesh lines, comparison, the original while a key is held. */
+  /** Sets mesh lines, comparison, and the original while a key is held. */
   show(what) {
     this.#show = { ...this.#show, ...what };
     this.#place();
@@ -202,7 +202,7 @@ export class View {
     this.#moved();
   }
 
-  /** Brings a place of the picture into the stage. */
+  /** Pans until a position of the picture is visible. */
   reveal(place) {
     const at = this.toStage(place);
     const inset = this.#margins;
@@ -210,7 +210,7 @@ export class View {
     if (shift[0] || shift[1]) this.panBy(...shift);
   }
 
-  /** Towards which sides the picture goes on beyond the stage. */
+  /** The sides on which the picture extends beyond the stage. */
   get beyond() {
     if (!this.size) return {};
     const [left, top] = this.pan;
@@ -219,7 +219,7 @@ export class View {
     return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
   }
 
-  /** The stage has another size, or has come into sight. */
+  /** Call when the stage has a new size or has become visible. */
   resized() {
     this.stageSize = [this.stage.clientWidth, this.stage.clientHeight];
     if (this.#fitted) this.fit();
@@ -227,7 +227,7 @@ export class View {
   }
 
   #moved() {
-    // Some of the picture stays in reach.
+    // Keep a part of the picture in the stage.
     if (this.size) {
       this.pan = this.pan.map((at, axis) => Math.min(this.stageSize[axis] - 40, Math.max(40 - this.zoom * this.size[axis], at)));
     }
@@ -247,7 +247,7 @@ export class View {
     });
   }
 
-  /** Layers that the browser moves itself. */
+  /** Layers that the browser transforms. */
   #place() {
     const [width, height] = this.size ?? [0, 0];
     const { compare, at, peek } = this.#show;

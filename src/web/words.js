@@ -1,4 +1,4 @@
-// Texts: what the page says of problems, methods, reach, folds and keys, in plain words.
+// User-visible texts: problems, methods, alpha, folds, warnings, hints and limits.
 
 const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
 export const places = (list) => list.map(([x, y]) => `${number.format(x)}, ${number.format(y)}`).join(" to ");
@@ -9,51 +9,51 @@ export function bytes(n) {
   return `${size >= 100 || unit === "bytes" ? Math.round(size) : size.toFixed(1).replace(/\.0$/, "")} ${unit}`;
 }
 
-/** What is wrong and what to do, by code. The server's own title and detail stand where nothing is said here. */
+/** Title and advice by problem code. Other codes use the title of the server. */
 const PROBLEMS = {
-  network: ["The server does not answer", "Your handles are safe in this browser. Trying again by itself."],
-  overloaded: ["The server has its hands full", "Trying again by itself in a moment."],
-  stored_by_another_version: ["The server is being updated", "Another version of it keeps this picture. Trying again by itself."],
-  misdirected: ["This server does not answer at this address", "Open it as localhost, or add the name to --allowed-hosts."],
-  rate_limited: ["Too many requests at once", "Trying again by itself in a moment."],
-  timeout: ["That took too long", "Trying again by itself. A smaller picture is quicker."],
-  no_such_session: ["The session has ended", "Open the picture again: the server keeps it for a while only, and this browser has no copy."],
-  session_expired: ["The session has ended", "Open the picture again: the server keeps it for a while only, and this browser has no copy."],
-  too_large: ["That is too large for this server", "Make it smaller, or ask whoever runs the server for a higher limit."],
-  unsupported_format: ["This is not a picture that can be read here", "Save it as PNG, JPEG or WebP and open that."],
-  bad_image: ["The picture cannot be read", "The file seems damaged or incomplete. See whether it opens elsewhere."],
-  contradictory_handles: ["Two handles want different things", "Put one of them back, or delete it."],
-  degenerate_line: ["A line has no length", "Its places rest on each other. Move one of them apart in the table, or delete it."],
+  network: ["The server does not respond", "Your handles are safe in this browser. Retrying automatically."],
+  overloaded: ["The server is busy", "Retrying automatically."],
+  stored_by_another_version: ["The server is being updated", "Another version of the server stored this picture. Retrying automatically."],
+  misdirected: ["The server does not serve this host name", "Open the page as localhost, or add the name to --allowed-hosts."],
+  rate_limited: ["Too many requests", "Retrying automatically."],
+  timeout: ["The request timed out", "Retrying automatically. A smaller picture takes less time."],
+  no_such_session: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
+  session_expired: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
+  too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
+  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG or WebP and open that file."],
+  bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
+  contradictory_handles: ["Two handles contradict each other", "Put one of them back, or delete it."],
+  degenerate_line: ["A line has no length", "Its points coincide at rest. Move one of them in the table, or delete the line."],
   alpha_out_of_range: ["Focus is out of range", "Choose a value on the slider, or Automatic."],
-  shape_mismatch: ["The handles do not match", "Reload the page; if it stays, delete the handle that is marked."],
+  shape_mismatch: ["The handles do not match", "Reload the page. If the problem persists, delete the marked handle."],
   not_finite: ["A number is too large", "Undo, or put the marked handle back."],
-  bad_value: ["A value is not taken", "Undo the last step."],
-  forbidden: ["This server does not take your key", "Give another one, or ask whoever runs the server."],
-  unauthorized: ["This server wants a key", "Give the one that you have from whoever runs the server."],
-  internal: ["Something went wrong on the server", "Undo the last step, or try again."],
-  unreadable: ["The browser cannot show this picture", "It can still be bent by the service; here, save it as PNG or JPEG first."],
+  bad_value: ["Invalid value", "Undo the last step."],
+  forbidden: ["The server does not accept this key", "Enter another key, or ask the operator of the server."],
+  unauthorized: ["API key required", "Enter the key that you got from the operator of the server."],
+  internal: ["Internal server error", "Undo the last step, or try again."],
+  unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
   unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["Nothing here is a picture", "PNG, JPEG and WebP files can be opened."],
-  bad_link: ["This link is incomplete", "Ask for it again, or open a picture yourself."],
+  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file."],
+  bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
-/** Which handles a problem is about: the one that it names as a member, and a second one that only its words have. */
+/** Indices of the handles that a problem is about: the member `handle`, and a second one from the detail. */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
   const [, a, b] = /\bhandles (\d+) and (\d+)/i.exec(problem.detail ?? "") ?? [];
   return [...new Set([problem.handle, ...(b === undefined ? [] : [Number(a), Number(b)])])];
 }
 
-/** The server counts handles from 0 and gives every digit; people do neither. */
+/** Counts handles from 1 instead of 0, and rounds numbers. */
 const plain = (detail) =>
   detail
     .replace(/\b(handles?) (\d+)(?: and (\d+))?/gi, (_, word, a, b) => `${word} ${Number(a) + 1}${b === undefined ? "" : ` and ${Number(b) + 1}`}`)
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
 export function problemWords({ code, title, detail: told, handle, request_id: id }) {
-  // How a program sends its key helps nobody here.
+  // The detail describes a request header, which does not help here.
   const detail = code === "unauthorized" ? "" : plain(told ?? "");
-  const [said, advice] = PROBLEMS[code] ?? [title || "That was refused", "Undo the last step, or try again."];
+  const [said, advice] = PROBLEMS[code] ?? [title || "Request rejected", "Undo the last step, or try again."];
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marks = marked({ handle, detail: told });
   const where = marks.length ? ` Marked: ${marks.map((index) => index + 1).join(" and ")}.` : "";
@@ -62,52 +62,52 @@ export function problemWords({ code, title, detail: told, handle, request_id: id
 }
 
 export const METHODS = {
-  rigid: "Keeps shapes as they are, like cardboard: it turns and shifts, nothing grows or shrinks.",
-  similarity: "May grow and shrink, but keeps angles: good for making something larger or smaller.",
-  affine: "May also stretch and slant: follows the handles most freely.",
+  rigid: "Rotation and translation only, without scaling, like cardboard.",
+  similarity: "Allows scaling and keeps angles: use it to make something larger or smaller.",
+  affine: "Also allows stretching and shear: follows the handles most freely.",
 };
 
 export const OUTSIDE = {
-  transparent: "Nothing where the picture does not reach.",
-  edge: "Its edge goes on where the picture does not reach.",
-  colour: "This colour where the picture does not reach.",
+  transparent: "Transparent outside the warped picture.",
+  edge: "Extends the edge pixels outside the warped picture.",
+  colour: "Fills the outside of the warped picture with this colour.",
 };
 
 export function focusWords(alpha) {
-  if (alpha < 0.95) return "Wide: each handle is felt across the picture.";
-  if (alpha < 1.35) return "Balanced: felt far away, but less and less.";
-  if (alpha < 2.25) return "Tight: each handle rules its surroundings.";
-  return "Very tight: each handle rules its own place, with quick changes in between.";
+  if (alpha < 0.95) return "Wide: each handle affects the whole picture.";
+  if (alpha < 1.35) return "Balanced: the influence of a handle falls off slowly with distance.";
+  if (alpha < 2.25) return "Tight: each handle affects mainly its surroundings.";
+  return "Very tight: each handle affects only its own position, with sharp changes in between.";
 }
 
 export function foldWords(n) {
   if (!n) return "";
-  return `${count(n, "cell")} of the mesh ${n === 1 ? "folds" : "fold"} over: the picture overlaps itself where it is red. Move the handles there less far, or add one between them.`;
+  return `${count(n, "cell")} of the mesh ${n === 1 ? "folds" : "fold"}: the picture overlaps itself where it is red. Move the handles there less, or add a handle between them.`;
 }
 
 export const WARNINGS = {
   affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
-  translation_only: "One handle: the whole picture is shifted.",
-  rotation_undefined: "The handles say nothing of a turn: none is made.",
-  near_duplicate_handles: "Two handles lie almost on each other.",
-  line_alpha_below_one: "Focus below 1 lets lines slip between their ends.",
-  nothing_visible: "The whole picture lies outside the canvas.",
-  profile_dropped: "The picture's colour profile cannot be used: its colours may look different.",
+  translation_only: "One handle: the whole picture is moved.",
+  rotation_undefined: "The handles do not define a rotation: none is applied.",
+  near_duplicate_handles: "Two handles are almost at the same position.",
+  line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
+  nothing_visible: "The whole picture is outside the canvas.",
+  profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };
 
-export const STAGES = { queue: "Waiting", decode: "Reading", plan: "Plan", deform: "Bending", render: "Drawing", encode: "Writing PNG" };
+export const STAGES = { queue: "Queue", decode: "Decoding", plan: "Plan", deform: "Deformation", render: "Rendering", encode: "PNG encoding" };
 
 export const HINTS = {
-  first: { mouse: "Click to pin a place, then drag it", touch: "Tap to pin a place, then drag it" },
-  sample: { mouse: "Drag a handle, or click to pin another place", touch: "Drag a handle, or tap to pin another place" },
-  one: { mouse: "One handle moves everything. Click to pin what should stay", touch: "One handle moves everything. Tap to pin what should stay" },
+  first: { mouse: "Click to place a pin, then drag it", touch: "Tap to place a pin, then drag it" },
+  sample: { mouse: "Drag a handle, or click to place another pin", touch: "Drag a handle, or tap to place another pin" },
+  one: { mouse: "One handle moves everything. Click to pin the parts that should stay", touch: "One handle moves everything. Tap to pin the parts that should stay" },
   line: { mouse: "Drag a line, or click its two ends", touch: "Drag a line, or tap its two ends" },
-  path: { mouse: "Click the places of the path; double-click the last", touch: "Tap the places of the path, then Finish" },
-  move: { mouse: "Click where it should go", touch: "Tap where it should go" },
+  path: { mouse: "Click the points of the path; double-click the last one", touch: "Tap the points of the path, then Finish" },
+  move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
 
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and forgets it after ${time}.`;
+  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
 }

@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Which replica a session should go to: a simulation of sessions over replicas whose caches hold a bounded number of plans.
+"""Session affinity: a simulation of sessions on replicas whose caches hold a limited number of plans.
 
-    tests/bench/affinity.py                    the tables of deploy/capacity.md, some minutes on one core
-    tests/bench/affinity.py --sessions 4000    another size; --help names the others
-    tests/bench/affinity.py --check            the laws that every way of choosing must keep, in seconds
+    tests/bench/affinity.py                    the tables of deploy/capacity.md, a few minutes on one core
+    tests/bench/affinity.py --sessions 4000    another size; --help lists all options
+    tests/bench/affinity.py --check            checks the laws of every selection method, in seconds
 
-The same requests, from one seed, are played against each way of choosing. A replica is one core that serves first come, first served. A request for a plan
-that its cache (least recently used) holds costs --warm-ms; for one that it does not hold --cold-ms: fetching the file, decoding it, the plan, the drag. Sessions
-come and go; how often each drags is Zipf-like (a few do most of it), in bursts of some seconds at 10 poses a second.
+Every method gets the same requests, generated from one seed. A replica is one core that serves requests in order of arrival. A request costs --warm-ms if its
+plan is in the cache (least recently used), otherwise --cold-ms: fetching the file, decoding it, building the plan, and the drag. Sessions arrive and end. Their
+activity is Zipf-like (a few cause most of the load), in bursts of a few seconds at 10 poses per second.
 
-`posts` hashes every pose anew, as a proxy does with `POST /sessions/{id}/warp`; `sockets` chooses once a visit, as with the drag socket, which then stays where
-it is until its replica leaves. Bounded load counts what a proxy counts: requests (or sockets) that are open, against the factor times the mean.
+`posts` hashes every pose, as a proxy does with `POST /sessions/{id}/warp`. `sockets` selects a replica once per visit, as for a drag socket, which stays there
+until the replica leaves. Bounded load compares the open requests (or sockets) of a replica with the factor times the mean.
 
-The ways: `ring n` has n points for each replica (HAProxy: 16 times the weight; nginx: 160 times), `maglev` is Envoy's table of 65,537 places. With bounded load a full
-replica is passed over for the next on the ring (HAProxy), or for another that depends on the key alone (Envoy).
+Methods: `ring n` has n points per replica (HAProxy: 16 times the weight; nginx: 160 times), `maglev` is Envoy's table of 65,537 entries. With bounded load,
+HAProxy replaces a full replica by the next on the ring, Envoy by another one that depends on the key only.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def mixed(value):
     return value ^ (value >> 31)
 
 
-# --- ways of choosing: choose(key, open) answers a replica; `open` holds what is open at each -----------------------------------------
+# --- selection methods: choose(key, open) returns a replica; `open` has the open requests of each -----------------------------------------
 
 
 class RoundRobin:
@@ -56,7 +56,7 @@ class Modulo:
 
 
 class Bounded:
-    """No replica is chosen that has its share, the factor times the mean; there is always one that has less."""
+    """Skips replicas with at least the factor times the mean load; there is always one with less."""
 
     def __init__(self, replicas, factor):
         self.replicas, self.factor = list(replicas), factor
@@ -119,14 +119,14 @@ WAYS = {
 }
 
 
-# --- what is asked ----------------------------------------------------------------------------------------------------------------
+# --- requests ---------------------------------------------------------------------------------------------------------------------
 
 
 def requests(options, hot):
-    """(time, session, visit) of every pose, in order of time. A visit is some bursts of a session, with less than a minute between them."""
+    """(time, session, visit) of every pose, ordered by time. A visit is a series of bursts of a session, less than a minute apart."""
     chance = random.Random(options.seed)
     ends = options.seconds
-    # Sessions that are alive at the start, and those that arrive: as many as end.
+    # Sessions that exist at the start, and arrivals: as many as end.
     births = [0.0] * options.sessions
     time = 0.0
     while time < ends:
@@ -140,9 +140,9 @@ def requests(options, hot):
     for birth, weight in zip(births, weights):
         session = chance.getrandbits(60)
         death = min(birth + chance.expovariate(1 / options.life), ends)
-        # At most one burst in four seconds, whatever the rank: a hand rests.
+        # At most one burst in four seconds for every rank: users pause.
         pace = min(weight / mean / options.between, 0.25)
-        # From the middle on, one session in fifty drags without rest.
+        # From the middle on, one session in fifty drags without pause.
         heated = hot and chance.random() < 0.02
         visit, last = 0, -1e9
         time = birth + chance.expovariate(pace)
@@ -160,11 +160,11 @@ def requests(options, hot):
     return poses
 
 
-# --- what happens -----------------------------------------------------------------------------------------------------------------
+# --- simulation -------------------------------------------------------------------------------------------------------------------
 
 
 class Window:
-    """What is counted between two moments."""
+    """Counters of a time window."""
 
     def __init__(self, begins, ends):
         self.begins, self.ends = begins, ends
@@ -193,7 +193,7 @@ class Window:
 
 
 def play(way, poses, options, change):
-    """Plays all requests; `change` happens in the middle: None, "leave", "join", "slow". Answers the window before it and the minute after."""
+    """Simulates all requests; `change` happens in the middle: None, "leave", "join", "slow". Returns the window before it and the minute after."""
     before = list(range(1, options.replicas + 1))
     after = {"leave": before[:-1], "join": [*before, options.replicas + 1]}.get(change, before)
     choose = way(before)
@@ -205,7 +205,7 @@ def play(way, poses, options, change):
     ending, seats = [], {}
     steady, disturbed = Window(options.settle, options.at), Window(options.at, options.at + 60)
     changed = False
-    # A socket closes when its visit is over.
+    # A socket closes at the end of its visit.
     last = {(session, visit): time for time, session, visit in poses} if options.traffic == "sockets" else {}
     for time, session, visit in poses:
         if not changed and time >= options.at:
@@ -275,7 +275,7 @@ def table(options):
 
 
 def check():
-    """What must hold of every way, whatever the seed; raises where it does not."""
+    """Checks the laws of every method, for every seed; raises on a violation."""
     keys = [mixed(k) for k in range(20_000)]
     none = dict.fromkeys(range(1, 30), 0)
 
@@ -296,7 +296,7 @@ def check():
     share, _ = moved(Modulo, twelve, eleven)
     assert share > 0.85, f"hash modulo n moves nearly all: {share}"
 
-    # Bounded: nobody has more than the factor allows, and a replica that is idle gets what hashes to it.
+    # Bounded: no replica exceeds the factor, and an idle replica gets the sessions that hash to it.
     for way in (lambda r: Ring(r, 160, 1.25), lambda r: Maglev(r, 2039, 1.25)):
         chooser, placed = way(twelve), dict.fromkeys(twelve, 0)
         for number, key in enumerate(keys, start=1):
@@ -308,7 +308,7 @@ def check():
     spread = [table_of.count(replica) for replica in twelve]
     assert max(spread) - min(spread) <= 1, "Maglev gives each replica the same number of places"
 
-    # A small play: affinity must pay, and the same seed must give the same figures.
+    # A small simulation: affinity must have a benefit, and the same seed must give the same figures.
     options = parser().parse_args(["--sessions", "200", "--replicas", "4", "--plans", "80", "--seconds", "150", "--settle", "40", "--at", "80"])
     poses = requests(options, False)
     assert poses == requests(options, False) and poses != requests(argparse.Namespace(**{**vars(options), "seed": 2}), False)

@@ -22,7 +22,7 @@ from skimage.transform import warp
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FILES = ROOT / "target" / "peers-files"
 RESULTS = ROOT / "tests" / "bench" / "results" / "peers.md"
-# Seconds that one contender of one table may take, and samples that it gets at least.
+# Maximum seconds and minimum samples of one contender in one table.
 ENOUGH, LEAST = 2.0, 3
 
 cv2.setNumThreads(1)
@@ -35,7 +35,7 @@ def say(line=""):
 
 
 def build():
-    """Builds the benches; where their programs lie."""
+    """Builds the benches; returns the paths of their programs."""
     command = ["cargo", "bench", "--no-run", "--quiet", "--message-format=json", "--bench", "render", "--bench", "png", "--bench", "request"]
     told = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, check=True, text=True).stdout
     messages = [json.loads(line) for line in told.splitlines() if line.startswith("{")]
@@ -43,7 +43,7 @@ def build():
 
 
 class Ours:
-    """A bench in its paired mode: it has written its files and answers with seconds."""
+    """A bench in paired mode: it has written its files and answers with seconds."""
 
     def __init__(self, program, name):
         self.folder = FILES / name
@@ -80,12 +80,12 @@ def here(work):
 
 
 def low(samples):
-    """The twentieth part was at least so fast: what the work takes when nobody disturbs it."""
+    """The fastest 5 %: the time without disturbance."""
     return sorted(samples)[len(samples) // 20]
 
 
 def turns(contenders, rounds=101):
-    """`contenders`: {name: function that gives seconds}; one sample of each in turn. Slow ones rest when they have had their time."""
+    """`contenders`: {name: function that gives seconds}; one sample of each in turn. Slow ones stop when their time is used."""
     samples = {name: [] for name in contenders}
     spent = dict.fromkeys(contenders, 0.0)
     for turn in range(rounds):
@@ -112,12 +112,12 @@ def table(title, contenders, sizes=None):
 
 
 def render(program, goals):
-    """Our mesh to pixels against samplers that are given the same map, one place a pixel."""
+    """Our mesh to pixels, compared with samplers of the same dense map."""
     limits = {"500x500": 0.65, "1920x1080": 0.6, "3840x2160": 0.6, "500x500-folded-1": 1.0, "500x500-folded-10": 1.6}
     with Ours(program, "render") as ours:
         for case in ours.index:
             name, source = case["case"], ours.picture(case["source"], case)
-            # Their pixel centres are whole numbers.
+            # Their pixel centres have integer coordinates.
             places = numpy.fromfile(ours.folder / case["map"], numpy.float32).reshape(case["height"], case["width"], 2) - numpy.float32(0.5)
             x, y = numpy.ascontiguousarray(places[..., 0]), numpy.ascontiguousarray(places[..., 1])
             fixed = cv2.convertMaps(places, None, cv2.CV_16SC2)
@@ -136,7 +136,7 @@ def render(program, goals):
             if name == "500x500":
                 contenders["skimage warp, order 1, a channel after the other, f64"] = here(skimage_warp(source, y, x))
             times = table(f"render {case['what']}", contenders)
-            # Do both draw the same? We repeat the border where the map stays inside, and draw nothing where it does not.
+            # Compare the results: mlswarp repeats the border inside the map, and renders nothing outside.
             out = cv2.remap(source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             out[x < -1] = 0
             apart = numpy.abs(ours.picture(case["ours"], case).astype(int) - out).max(axis=2)
@@ -197,7 +197,7 @@ def rigid(p, q, v):
 
 
 def request(program):
-    """q to PNG, and the mesh alone, as they are written in Python: the inverse of the handles on a coarse grid, enlarged, sampled."""
+    """q to PNG, and the mesh alone, as typical in Python: the inverse map on a coarse grid, enlarged and sampled."""
     with Ours(program, "request") as ours:
         case = ours.index
         source = cv2.cvtColor(ours.picture(case["source"], case), cv2.COLOR_RGBA2BGRA)

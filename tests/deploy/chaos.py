@@ -1,6 +1,6 @@
-"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is away; a ninth uploads.
+"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is down; a ninth uploads.
 
-Every picture is compared byte for byte with what a lone server made of the same pose before. Nothing is asserted about time; gaps are
+Every image is compared byte for byte with the result of a single server for the same pose. Nothing is asserted about time; gaps are
 printed (verdict.py)."""
 
 import contextlib
@@ -17,7 +17,7 @@ from verdict import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Story, judge
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
-# Most that a replica takes to answer how far a session was dragged.
+# Maximum time in which a replica answers with the last pose.
 TOLD = 10.0
 HANDS = (
     RequestHand("request 1", "chelsea.png", 0.00),
@@ -62,11 +62,11 @@ def check_stack(stage):
 
 
 def check_proxy(check, stack):
-    """What the proxy does with single requests."""
+    """Single requests through the proxy."""
     plans, right = [], True
     for hand in HANDS:
         if isinstance(hand, RequestHand):
-            # The session stands in the body, and the upload came to its replica by the path.
+            # The session is in the body; the upload reached its replica by the path.
             body = json.dumps({"session": hand.session.upper(), "q": hand.poses[0]})
             status, headers, picture = stack.proxy.ask("POST", "/warp", body)
             plans.append(headers["Warp-Plan"])
@@ -84,12 +84,12 @@ def check_proxy(check, stack):
 
 
 def tell(stack, story):
-    """The events, one after the other; what was seen of the replicas meanwhile."""
+    """Runs the events in sequence, and records the state of the replicas."""
     facts, (*first_two, third) = {}, stack.replicas
     story.begin("calm")
     time.sleep(CALM)
 
-    # docker starts it again by itself, as compose.yaml says.
+    # Docker restarts it automatically (compose.yaml).
     killed = max(first_two, key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'))
     story.begin(KILLED)
     stack.kill(killed)
@@ -133,7 +133,7 @@ def tell(stack, story):
 
 
 def known(stack, hand):
-    """The last pose that the service knows of."""
+    """The last pose that the service knows."""
     deadline, seq = time.monotonic() + TOLD, -1
     while seq < hand.answered and time.monotonic() < deadline:
         with contextlib.suppress(Failure):
@@ -143,12 +143,12 @@ def known(stack, hand):
 
 
 def look_after(check, stack, uploader):
-    """Afterwards every session is there, and where it was."""
+    """Checks that every session exists and has its last pose."""
     lost = [hand.name for hand in HANDS if stack.proxy.ask("GET", f"/sessions/{hand.session}")[0] != 200]
     check("no session that was dragged is lost", not lost, lost or f"{len(HANDS)} looked at")
     behind = []
     for hand in HANDS:
-        # A pose that was refused, or broken off by the end of the test, need not have been seen.
+        # A rejected pose, or one cut off by the end of the test, may be missing.
         if isinstance(hand, RequestHand) and not hand.answered <= (seq := known(stack, hand)) <= hand.seq:
             behind.append((hand.name, seq, hand.answered, hand.seq))
     check("each knows how far it was dragged", not behind, behind)
@@ -156,7 +156,7 @@ def look_after(check, stack, uploader):
     check("no upload that was answered is lost", not lost and uploader.promised, f"{len(uploader.promised)} looked at, {len(lost)} lost")
     built = sum(stack.figure(r, "mlswarp_cache_builds_total", 'cache="plans"') for r in stack.replicas)
     say(f"plans built: {built:.0f} (of the processes that live)")
-    # An id is all that is needed to use a session where nobody needs a key.
+    # On a server without keys, the id is enough to use a session.
     log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
     told = [hand.name for hand in HANDS if hand.session in log]
     lines = log.count(" POST\n")

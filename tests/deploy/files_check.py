@@ -1,4 +1,4 @@
-"""Runs every check of the files in deploy/ (see `files`): says what held, and ends with 1 when something did not."""
+"""Runs every check of the files in deploy/ (see `files`): prints the results, and exits with 1 after a failure."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ def tracked(*patterns):
 
 
 def silent(*command):
-    """Complaints of a linter: whatever it prints when it fails."""
+    """Messages of a linter that failed."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     return [done.stdout.strip() or f"{command[0]} ended with {done.returncode}"] if done.returncode else []
 
@@ -31,12 +31,12 @@ def shell_scripts():
 
 
 def linters():
-    """What others have learnt about such files."""
-    # DL4006 asks for a shell with `pipefail`, which a builder's need not have; what the one pipe fails to find, cargo refuses.
+    """General-purpose linters."""
+    # DL4006 requires a shell with `pipefail`, which a builder may lack; cargo rejects an empty result of the only pipe.
     yield "hadolint has nothing to say", silent("hadolint", "--no-color", "--failure-threshold", "style", "--ignore", "DL4006", "deploy/Dockerfile")
     scripts = sorted(shell_scripts())
     yield f"shellcheck has nothing to say of {len(scripts)} scripts", silent("shellcheck", "-x", *scripts)
-    # What changes no meaning is left to whoever writes: long lines, a space more or less. A key that stands twice is an error of the default rules.
+    # Style rules are off: line length, spaces. The default rules report duplicate keys.
     rules = "{extends: default, rules: {line-length: disable, document-start: disable, comments: disable, comments-indentation: disable, braces: {max-spaces-inside: 1}, truthy: {check-keys: false}}}"
     files = tracked("*.yaml", "*.yml")
     yield f"yamllint has nothing to say of {len(files)} files", silent("yamllint", "--strict", "-d", rules, *files)

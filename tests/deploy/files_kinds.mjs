@@ -1,6 +1,6 @@
-// Manifests of kinds that Kubernetes itself does not have, against the models that are generated from their projects' own definitions. Reads a JSON list of
-// objects, answers a list of lists of complaints. The models' validators know values (patterns, enumerations, bounds) and let unknown fields pass; their
-// types know every field, and the TypeScript compiler lets no unknown one pass in a literal. So each object is given to both.
+// Checks custom resources against models generated from the definitions of their projects. Reads a JSON list of objects, returns a list of lists of
+// messages. The validators of the models check values (patterns, enumerations, bounds) but accept unknown fields. Their types list every field, and the
+// TypeScript compiler rejects unknown ones in a literal. Each object is therefore checked by both.
 import { readFileSync, writeFileSync } from "node:fs";
 import ts from "typescript";
 
@@ -28,7 +28,7 @@ for (const [index, object] of objects.entries()) {
   } catch (refusal) {
     complaints[index].push(refusal.message);
   }
-  // One line an object, so that a complaint's line says whose it is.
+  // One line per object, so that the line of a message identifies the object.
   lines.push({ index, text: `export const o${index}: import("${module}").I${object.kind} = ${JSON.stringify(object)};` });
 }
 

@@ -1,4 +1,4 @@
-"""The manifests of deploy/kubernetes, as kubectl renders them: by the schemas of their kinds, against each other, and against the program."""
+"""Checks the rendered manifests of deploy/kubernetes against their schemas, against each other, and against the program."""
 
 import copy
 import json
@@ -17,7 +17,7 @@ SERVER = {"app.kubernetes.io/name": "mlswarp", "app.kubernetes.io/component": "s
 
 
 def rendered(folder):
-    """The objects of a folder with a kustomization, each valid YAML without a key twice."""
+    """The objects of a kustomization, each valid YAML without duplicate keys."""
     said = subprocess.run(["kubectl", "kustomize", f"{FOLDER}/{folder}"], check=True, capture_output=True, text=True)
     if said.stderr.strip():
         raise AssertionError(f"{folder}: {said.stderr.strip()}")
@@ -32,7 +32,7 @@ def name_of(obj):
 
 
 def by_schema(objects, kept):
-    """Complaints of each object's schema; unknown fields are among them."""
+    """Schema errors of each object, including unknown fields."""
     complaints = [[] for _ in objects]
     others = []
     for index, obj in enumerate(objects):
@@ -52,7 +52,7 @@ def by_schema(objects, kept):
 
 
 class Cluster:
-    """What a set of objects says about itself."""
+    """A set of objects and its cross references."""
 
     def __init__(self, objects):
         self.objects = objects
@@ -75,7 +75,7 @@ class Cluster:
         return one
 
     def variables(self):
-        """What the server's container gets, without what is secret."""
+        """The environment of the server's container, without secrets."""
         [container] = containers(self.server())
         found = {}
         for source in container.get("envFrom", []):
@@ -94,7 +94,7 @@ def ports(workload):
 
 
 def across(cluster):
-    """What no schema can know: whether names, labels and ports mean something that is there."""
+    """Checks that referenced names, labels and ports exist."""
     said = []
 
     def expect(holds, text):
@@ -157,7 +157,7 @@ def across(cluster):
 
 
 def strangers(cluster, policy, peers, wanted):
-    """A peer in this namespace is one of ours, and listens there; one elsewhere is named by its namespace."""
+    """A peer in this namespace is one of these pods and listens on the port; other peers are named by their namespace."""
     said = []
     for peer in peers:
         if "namespaceSelector" not in peer:
@@ -189,7 +189,7 @@ def hardening(workload):
 
 
 def ways_in(cluster):
-    """Gateway, route and policies: from the outside to a port of the server."""
+    """Gateway, route and policies: the path from outside to a port of the server."""
     said = []
 
     def expect(holds, text):
@@ -250,7 +250,7 @@ def against_program(cluster, declared):
 
 
 def in_the_program(cluster):
-    """The program with the manifests' variables: it starts, probes' paths answer, metrics that are named are there."""
+    """Runs the program with the variables of the manifests: it starts, the probe paths respond, and the named metrics exist."""
     said = []
     with program.serving(cluster.variables()) as ask:
         for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
@@ -291,7 +291,7 @@ PATHS = {
 
 
 def affinity(cluster):
-    """The Lua of the policy, run by the same Lua that Envoy has: the header that is hashed is the session of the path and nothing that a client sent."""
+    """Runs the Lua filter in LuaJIT, as Envoy does: the hashed header is the session id of the path, never a value from the client."""
     said = []
     [policy], [traffic] = cluster.kind("EnvoyExtensionPolicy"), cluster.kind("BackendTrafficPolicy")
     [header] = [h["name"] for h in traffic["spec"]["loadBalancer"]["consistentHash"]["headers"]]
@@ -316,7 +316,7 @@ def affinity(cluster):
 
 
 def secrets_of(tree):
-    """Every Secret that is named anywhere."""
+    """The names of all referenced Secrets."""
     if isinstance(tree, list):
         return set().union(*map(secrets_of, tree))
     if not isinstance(tree, dict):
@@ -327,11 +327,11 @@ def secrets_of(tree):
     return own.union(*map(secrets_of, tree.values()))
 
 
-# --- a check that cannot fail is none -------------------------------------------------------------------------------------------------
+# --- tests of the checks ---------------------------------------------------------------------------------------------------------------
 
 
 def broken(objects):
-    """(what was broken, objects) of mistakes that must be seen."""
+    """(mistake, objects) for mistakes that must be found."""
     def change(kind, name, edit):
         changed = copy.deepcopy(objects)
         edit(next(o for o in changed if o["kind"] == kind and o["metadata"]["name"] == name))
@@ -362,7 +362,7 @@ def broken(objects):
 
 
 def unknown_fields(objects):
-    """Every object once more, with a field that its schema does not have."""
+    """A copy of every object with a field that its schema lacks."""
     for obj in objects:
         changed = copy.deepcopy(obj)
         place = changed.get("spec", changed)
@@ -371,14 +371,14 @@ def unknown_fields(objects):
 
 
 def check(kept):
-    """All of it; yields (what, complaints)."""
+    """Runs all checks; yields (name, messages)."""
     objects = rendered("example")
     cluster, declared = Cluster(objects), program.declared()
     for folder in ("base", "gateway", "monitoring", "valkey"):
         mine = {(o["kind"], o["metadata"]["name"].split("-")[0]) for o in rendered(folder)}
         missing = mine - {(o["kind"], o["metadata"]["name"].split("-")[0]) for o in objects}
         yield f"{folder} renders and is part of the example", [f"{m} is not" for m in missing]
-    # As the README wraps them for the operator.
+    # In the form that the README creates for the operator.
     rules = {"apiVersion": "monitoring.coreos.com/v1", "kind": "PrometheusRule", "metadata": {"name": "mlswarp"}, "spec": yaml.safe_load(open("deploy/prometheus/alerts.yaml"))}
     objects_and_rules = [*objects, rules]
     surprised = list(unknown_fields(objects_and_rules))

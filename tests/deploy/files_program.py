@@ -1,4 +1,4 @@
-"""The program as the files of deploy/ would start it: with their variables, on ports of the loopback, and with keys of a moment."""
+"""Runs the program with the variables of the files in deploy/, on loopback ports and with temporary keys."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ WAIT_SECONDS = 20.0
 
 
 def declared():
-    """Every variable that `mlswarp --help` names, and its default."""
+    """Every variable in `mlswarp --help`, with its default."""
     said = subprocess.run([PROGRAM, "--help"], check=True, capture_output=True, text=True, env=clean()).stdout
     variables = {}
     for option in re.split(r"\n(?= {2,}(?:-\w, )?--)", said):
@@ -27,7 +27,7 @@ def declared():
 
 
 def clean(variables=None):
-    """This process's environment with these variables of the program and no others."""
+    """The environment of this process with only these variables of the program."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("MLSWARP_")}
     return {**kept, "RUST_BACKTRACE": "0", **(variables or {})}
 
@@ -65,7 +65,7 @@ def serving(variables, preexec=None):
             Path(folder, "keys").write_text("test 0123456789abcdef\n")
         store = here.get("MLSWARP_STORE", "")
         here["MLSWARP_STORE"] = f"file:{folder}/sessions.db" if store.startswith("file:") else "memory"
-        # Nobody waits for it here.
+        # Not needed here.
         if "MLSWARP_DRAIN_DELAY" in here:
             here["MLSWARP_DRAIN_DELAY"] = "10ms"
         with open(f"{folder}/log", "w+") as log:

@@ -1,4 +1,4 @@
-"""The systemd unit: whether systemd takes it, how exposed it leaves the program, and whether the program serves under its filter of system calls."""
+"""Checks the systemd unit: validity, exposure level, and the program under its system call filter."""
 
 import ctypes
 import errno
@@ -12,7 +12,7 @@ import pyseccomp
 import files_program as program
 
 UNIT = "deploy/systemd/mlswarp.service"
-# systemd's own judgement, 0 to 10 (tenths of it on the command line); below 2.0 it says OK.
+# Exposure level by systemd, 0 to 10 (in tenths on the command line); below 2.0 is OK.
 EXPOSURE = 1.5
 PROT_WRITE, PROT_EXEC = 2, 4
 FAMILIES = {"AF_UNIX": 1, "AF_INET": 2, "AF_INET6": 10, "AF_NETLINK": 16}
@@ -33,7 +33,7 @@ def analyze(*arguments):
 
 
 def verified(text):
-    """What `systemd-analyze verify` says of a unit whose program is the one that was built."""
+    """The output of `systemd-analyze verify` for the unit with the built program."""
     with tempfile.TemporaryDirectory() as folder:
         unit = Path(folder, "mlswarp.service")
         unit.write_text(text.replace("/usr/local/bin/mlswarp", str(Path(program.PROGRAM).resolve())))
@@ -60,7 +60,7 @@ def calls(words):
 
 
 def allowed(text):
-    """systemd's reading of the lines in their order: the first makes it a list of what may be called, one with ~ takes away, another adds."""
+    """Evaluates the lines like systemd: the first starts a list of allowed calls, a line with ~ removes calls, others add them."""
     may = set()
     for name, value in settings(text):
         if name == "SystemCallFilter":
@@ -77,14 +77,14 @@ def filter_of(text):
 
     def take():
         taken = pyseccomp.SyscallFilter(pyseccomp.KILL_PROCESS)
-        # The program is started by this filter's own process.
+        # The process with the filter starts the program.
         for call in [*may, "execve"]:
             try:
                 if call in ("socket", "mprotect", "mmap"):
                     continue
                 taken.add_rule(pyseccomp.ALLOW, call)
             except (OSError, ValueError):
-                # Calls of other architectures.
+                # System calls of other architectures.
                 pass
         for family in families:
             taken.add_rule(pyseccomp.ALLOW, "socket", pyseccomp.Arg(0, pyseccomp.EQ, family))
@@ -104,7 +104,7 @@ def environment(text):
 
 
 def work(ask):
-    """What the program does for a living: an upload as a session, a drag, a mesh, the metrics, health."""
+    """Typical requests: an upload as a session, a drag, a mesh, metrics, health."""
     picture = Path("tests/images/chelsea.png").read_bytes()
     border = b"--x\r\nContent-Disposition: form-data; name="
     form = border + b'"image"; filename="cat.png"\r\nContent-Type: image/png\r\n\r\n' + picture + b"\r\n"
@@ -122,7 +122,7 @@ def work(ask):
 
 
 def check():
-    """All of it; yields (what, complaints)."""
+    """Runs all checks; yields (name, messages)."""
     text = Path(UNIT).read_text()
     yield "systemd takes the unit", verified(text)
     wrong = verified(text.replace("ProtectHome=yes", "ProtectHome=yes\nProtectHouse=yes"))

@@ -1,4 +1,4 @@
-"""Clients that drag, and one that uploads: each keeps a diary of what it was answered, and when."""
+"""Clients that drag, and one that uploads. Each records its responses and their times."""
 
 import http.client
 import json
@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from commands import ROOT, Failure
 from websocket import BINARY, TEXT, Closed, Refused, WebSocket
 
-# Frames a second that a hand asks for, and poses before it comes round again.
+# Frames per second of a dragging client, and poses per cycle.
 RATE, POSES = 15, 12
-# A hand that was refused tries again after so long.
+# Seconds before a rejected client retries.
 PAUSE = 0.1
 PATIENCE = 10.0
-# Servers close silent connections after ten seconds.
+# Servers close idle connections after ten seconds.
 KEPT = 5.0
 PREVIEW_WIDTH = 256
 PICTURES = ROOT / "tests" / "images"
@@ -32,7 +32,7 @@ def multipart(picture, warp):
 
 
 def reason(answer):
-    """Why, if a problem document says so."""
+    """The reason from a problem document, if there is one."""
     try:
         return json.loads(answer)["detail"]
     except (ValueError, KeyError, TypeError):
@@ -41,7 +41,7 @@ def reason(answer):
 
 @dataclass
 class Entry:
-    """One answer: `what` is `frame`, `upload`, `wrong` (another picture), `refused`, `cut` (it broke off) or `closed` (a socket)."""
+    """One response: `what` is `frame`, `upload`, `wrong` (another image), `refused`, `cut` (incomplete) or `closed` (a socket)."""
 
     what: str
     at: float
@@ -50,15 +50,15 @@ class Entry:
 
 @dataclass
 class Server:
-    """Where to ask."""
+    """The address of the service."""
 
     host: str
     port: int
     kept: threading.local = field(default_factory=threading.local)
 
     def ask(self, method, path, body=None, kind="application/json", headers=None):
-        """(status, headers, body), over the thread's connection; whatever breaks is an OSError or an HTTPException."""
-        # One that was long silent may be closed at any moment, which would say nothing.
+        """(status, headers, body), over the connection of the thread; failures are OSError or HTTPException."""
+        # A connection that was idle for long may be closed at any moment, which is not a failure.
         if getattr(self.kept, "connection", None) is None or time.monotonic() - self.kept.used > KEPT:
             self.kept.connection = http.client.HTTPConnection(self.host, self.port, timeout=PATIENCE)
         self.kept.used = time.monotonic()
@@ -79,12 +79,12 @@ class Server:
 
 
 class Hand:
-    """Drags a picture of its own by handles of its own, round and round."""
+    """Drags its own image by its own handles, in cycles."""
 
     def __init__(self, name, picture, shift):
         self.name, self.picture, self.shift = name, picture, shift
         self.session = str(uuid.uuid4())
-        # The last pose that was asked for, and the last whose picture came.
+        # The last pose sent, and the last one answered.
         self.diary, self.seq, self.answered = [], 0, 0
         self.file = (PICTURES / picture).read_bytes()
 
@@ -92,7 +92,7 @@ class Hand:
         self.diary.append(Entry(what, time.monotonic(), detail))
 
     def learn(self, lone):
-        """What each pose looks like, from a server that nothing happens to."""
+        """The expected image of each pose, from an undisturbed server."""
         width, height = self._size(lone)
         inner = [(0.3 + self.shift, 0.35), (0.65, 0.4 + self.shift), (0.5, 0.7 - self.shift)]
         corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
@@ -106,7 +106,7 @@ class Hand:
             raise Failure(f"two poses of {self.picture} look the same: nothing could be told from them")
 
     def _size(self, lone):
-        # Handles are in pixels: a session without any says how many there are.
+        # Handles are in pixels: a session without handles returns the size.
         body, kind = multipart(self.file, {"p": []})
         image = lone.json("POST", "/sessions", (201,), body, kind)["image"]
         return image["width"], image["height"]
@@ -116,7 +116,7 @@ class Hand:
         server.json("PUT", f"/sessions/{self.session}", (200, 201), body, kind)
 
     def question(self):
-        """The pose that is due."""
+        """The current pose."""
         return json.dumps({"seq": self.seq, "q": self.poses[self.seq % POSES]})
 
     def judge(self, seq, picture, plan=None):
@@ -126,7 +126,7 @@ class Hand:
 
 
 class RequestHand(Hand):
-    """By `POST /sessions/{id}/warp`, one after the other."""
+    """Drags with `POST /sessions/{id}/warp`, one request at a time."""
 
     views = 1
 
@@ -149,7 +149,7 @@ class RequestHand(Hand):
                 pass
 
     def once(self, server, session=None, headers=None):
-        """(status, is it the right picture, `Warp-Plan`) of the next pose; the session may be written in another way."""
+        """(status, whether the image is correct, `Warp-Plan`) of the next pose; the session id may be spelled differently."""
         self.seq += 1
         try:
             status, said, body = server.ask("POST", f"/sessions/{session or self.session}/warp", self.question(), headers=headers)
@@ -158,7 +158,7 @@ class RequestHand(Hand):
         return status, body in self.looks[self.seq % POSES], said["Warp-Plan"]
 
     def _ask(self, server):
-        """Whether there was an answer: what breaks off is asked again, by the same seq."""
+        """Whether there was a response: a cut-off request is repeated with the same seq."""
         try:
             status, headers, answer = server.ask("POST", f"/sessions/{self.session}/warp", self.question())
         except (OSError, http.client.HTTPException) as error:
@@ -173,9 +173,9 @@ class RequestHand(Hand):
 
 
 class SocketHand(Hand):
-    """By the drag socket; opens another one when it is closed, as the page does."""
+    """Drags with the socket; reopens it when it is closed, like the page."""
 
-    # Previews, and the whole picture whenever the hand seems to rest.
+    # Previews, and the full image when the pointer rests.
     views = 2
 
     def open(self, server, more=""):
@@ -186,7 +186,7 @@ class SocketHand(Hand):
         for seq, pose in enumerate(self.poses):
             line.send(json.dumps({"seq": seq, "q": pose}).encode())
             seen, full = set(), False
-            # The preview, and when the hand has rested a while, the whole.
+            # The preview, and the full image after a pause.
             while len(seen) < self.views or not full:
                 kind, message = line.receive(time.monotonic() + PATIENCE) or (None, b"")
                 if kind is None:
@@ -241,7 +241,7 @@ class SocketHand(Hand):
 
 
 class Uploader:
-    """Uploads a small picture about once a second, by POST and by PUT in turn, and remembers what it was promised."""
+    """Uploads a small image about once per second, alternating POST and PUT, and records the confirmed sessions."""
 
     name = "uploads"
 

@@ -1,4 +1,4 @@
-"""One container of the image: small, locked up, healthy, obedient."""
+"""One container of the image: size, isolation, health, settings."""
 
 import http.client
 import json
@@ -12,18 +12,18 @@ from commands import Failure, free_port, say, text, where
 from images import IMAGE
 from pictures import decode_png, moved_share, photograph
 
-# A stop that takes longer than this would be ended by force: `docker stop` waits ten seconds.
+# A slower stop would be killed: `docker stop` waits ten seconds.
 STOP_SECONDS = 9.0
 READY_SECONDS = 20.0
 HEALTHY_SECONDS = 30.0
-# Far above the program, far below any base with a distribution in it.
+# Far above the size of the program, far below any base image with a distribution.
 IMAGE_BYTES = 40_000_000
 # The share of pixels that a warp must have moved.
 MOVED_SHARE = 0.01
 
 
 class Container:
-    """A container of the image on the host's loopback, as locked up as a cluster would; removed at the end."""
+    """A container of the image on the loopback of the host, isolated like in a cluster; removed at the end."""
 
     def __init__(self, engine, *options, **environment):
         self.engine, self.port = engine, free_port()
@@ -58,7 +58,7 @@ class Container:
             connection.close()
 
     def wait_ready(self):
-        """Seconds from the program's start to the first 200 of /readyz."""
+        """Seconds from the start of the program to the first 200 of /readyz."""
         deadline = time.monotonic() + READY_SECONDS
         while self.get("/readyz") != 200:
             if time.monotonic() > deadline:
@@ -69,7 +69,7 @@ class Container:
         return (ready - datetime.fromisoformat(started).replace(tzinfo=timezone.utc)).total_seconds()
 
     def warp(self, photograph, spec):
-        """(status, content type, body) of a warp, asked for with curl as a user would."""
+        """(status, content type, body) of a warp requested with curl."""
         with tempfile.TemporaryDirectory(prefix="mlswarp-answer-") as place:
             body = Path(place) / "body"
             printed = text(
@@ -92,7 +92,7 @@ def check_image(engine, check):
     check("there is no shell in it", shell.returncode == 127, f"exit {shell.returncode}")
     nobody = engine("run", "--rm", "--network=host", "--env", f"MLSWARP_LISTEN=127.0.0.1:{free_port()}", IMAGE, "health", check=False)
     check("`health` says no where nobody listens", nobody.returncode == 1, f"exit {nobody.returncode}")
-    # As it is, it would let everybody in: it says what to do instead.
+    # Without keys it refuses to start, and prints the alternatives.
     refused = engine("run", "--rm", "--network=none", IMAGE, check=False)
     said = refused.stderr.decode(errors="replace")
     check("without a key it does not start", refused.returncode == 2, f"exit {refused.returncode}")

@@ -1,4 +1,4 @@
-"""The images: bases made of what Debian and this machine have, and deploy/Dockerfile upon them."""
+"""The images: base images made from Debian and this machine, and deploy/Dockerfile on top of them."""
 
 import contextlib
 import hashlib
@@ -18,7 +18,7 @@ IMAGE = "mlswarp-test/mlswarp"
 
 
 def has(engine, tag):
-    """Whether the image is there; if not, its older likes go."""
+    """Whether the image exists; if not, removes older versions."""
     if engine("image", "inspect", tag, check=False).returncode == 0:
         return True
     for stale in engine.text("image", "ls", "--quiet", tag.partition(":")[0]).split():
@@ -28,7 +28,7 @@ def has(engine, tag):
 
 @contextlib.contextmanager
 def planted(name):
-    """An empty tree for an image, for as long as it takes to fill it."""
+    """A temporary empty tree for an image."""
     tree = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=CACHE))
     try:
         yield tree
@@ -47,7 +47,7 @@ def take(engine, tree, tag, *settings):
 
 
 def builder_image(engine):
-    """The base of the compiling stage: Debian with a C toolchain, and this machine's Rust and cargo settings."""
+    """The base of the build stage: Debian with a C toolchain, and the Rust and cargo settings of this machine."""
     given = os.environ.get("MLSWARP_TEST_BUILDER")
     if given:
         return given
@@ -76,7 +76,7 @@ def builder_image(engine):
             run(*AS_ROOT, "cp", "-a", sysroot / "bin/rustc", sysroot / "bin/cargo", rust / "bin")
             run(*AS_ROOT, "cp", "-a", *(p for p in (sysroot / "lib").iterdir() if ".so" in p.name), rust / "lib")
             run(*AS_ROOT, "cp", "-a", sysroot / "lib/rustlib" / target, rust / "lib/rustlib")
-            # What lets cargo reach its registry here has to hold in there too.
+            # Copy the network settings of cargo.
             for file, place in ((certificates, "etc/ssl/certs/"), (settings, "usr/local/cargo/")):
                 if file.is_file():
                     run(*AS_ROOT, "cp", "-L", file, tree / place)
@@ -121,7 +121,7 @@ def services_image(engine):
 
 
 def build(engine, tag=IMAGE, *options):
-    """deploy/Dockerfile as it stands; on the host's network, as the builder has no other."""
+    """Builds deploy/Dockerfile unchanged, on the network of the host."""
     base = builder_image(engine)
     proxies = [n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")]
     arguments = [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
@@ -132,7 +132,7 @@ def build(engine, tag=IMAGE, *options):
 
 
 def program(engine, place, tag=IMAGE):
-    """The program of an image, taken out of it: static, so it runs here as it does there."""
+    """Copies the program out of an image; it is static, so it runs here too."""
     name = engine.text("create", tag)
     try:
         engine("cp", f"{name}:/mlswarp", place)

@@ -1,4 +1,4 @@
-"""A name server on the loopback, in the place of Docker's: names of services, each with the addresses that its containers have now."""
+"""A DNS server on the loopback that replaces Docker's: service names with the current addresses of their containers."""
 
 import contextlib
 import random
@@ -10,7 +10,7 @@ from commands import AS_ROOT, Failure, run
 
 A, IN = 1, 1
 NAME_ERROR = 3
-# Binds the address and hands the socket to whoever started it, at its standard input.
+# Binds the address and passes the socket to its parent, on standard input.
 BIND = """
 import socket, sys
 bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -29,7 +29,7 @@ class Names:
 
     @staticmethod
     def _bind():
-        """Resolvers ask port 53, which takes root to bind: of one of the sixteen million addresses of the loopback, nobody else needs it."""
+        """Resolvers use port 53, which only root can bind; a loopback address of its own avoids conflicts."""
         for _ in range(20):
             network = f"127.{random.randint(64, 250)}.{random.randint(1, 250)}"
             ours, theirs = socket.socketpair()
@@ -73,8 +73,8 @@ class Names:
         addresses = self.addresses.get(".".join(labels))
         found = [a for a in addresses or [] if kind == A]
         status = NAME_ERROR if addresses is None else 0
-        # An answer, recursion available; the question, the answers, no authority, nothing beside.
+        # Header: response, recursion available; one question, the answers, no authority, no additional records.
         head = question[:2] + bytes([0x81, 0x80 | status]) + b"".join(n.to_bytes(2, "big") for n in (1, len(found), 0, 0))
-        # Each: the name of the question, an address, for a second.
+        # Each answer: the name of the question, an address, TTL of one second.
         records = b"".join(b"\xc0\x0c" + bytes([0, A, 0, IN, 0, 0, 0, 1, 0, 4]) + socket.inet_aton(a) for a in found)
         return head + question[12 : at + 5] + records

@@ -1,4 +1,4 @@
-"""deploy/nginx/nginx.conf: what nginx itself says of it, and a drag through it while a replica is killed."""
+"""Tests deploy/nginx/nginx.conf: its syntax, and drags through it while a replica is killed."""
 
 import json
 import re
@@ -14,7 +14,7 @@ FILE = ROOT / "deploy" / "nginx" / "nginx.conf"
 
 
 def derived(stage, listen, replicas):
-    """The file with addresses of this test in the place of its own, and places where everybody may write."""
+    """The file with the addresses of this test, and writable directories."""
     text = FILE.read_text()
     for old, new, times in (
         (r"listen 127\.0\.0\.1:8080", lambda _: f"listen {listen}", 1),
@@ -47,7 +47,7 @@ def check_nginx(stage):
         running.enter_context(server)
         server.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
 
-        # Enough of them that either replica has some.
+        # Enough sessions for both replicas.
         hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
         for hand in hands:
             hand.learn(Server(names.address(21), 8080))

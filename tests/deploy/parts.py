@@ -1,4 +1,4 @@
-"""The parts of the test, in their order, and what they share."""
+"""The parts of the test in order, and their shared state."""
 
 import hashlib
 import os
@@ -20,7 +20,7 @@ from images import IMAGE, build, program, services_image
 
 @dataclass
 class Stage:
-    """What the parts stand upon."""
+    """The shared state of the parts."""
 
     engine: Engine
     check: Checks
@@ -41,7 +41,7 @@ def check_image(stage):
 
 
 def check_again(stage):
-    """Built from nothing, the program has the same bytes. Minutes, so only in the long form or when asked for."""
+    """A build without cache gives the same bytes. It takes minutes, so it runs only in the long form or on request."""
     other = f"{IMAGE}-again"
     build(stage.engine, other, "--no-cache")
     try:

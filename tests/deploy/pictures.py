@@ -1,11 +1,11 @@
-"""PNG pictures, decoded by other means than the program's."""
+"""PNG images, decoded independently of the program."""
 
 import contextlib
 import zlib
 
 from commands import ROOT, Failure
 
-# A pixel counts as moved when a channel differs by more than what rounding could explain.
+# A pixel counts as moved if a channel differs by more than rounding errors.
 MOVED_LEVEL = 8
 
 
@@ -54,13 +54,13 @@ def decode_png(data):
 
 
 def moved_share(one, other):
-    """The share of pixels that differ visibly, of two pictures of one size."""
+    """The share of visibly different pixels of two images of equal size."""
     moved = sum(any(abs(a - b) > MOVED_LEVEL for a, b in zip(one[i : i + 4], other[i : i + 4])) for i in range(0, len(one), 4))
     return moved / (len(one) // 4)
 
 
 def photograph():
-    """The lightest photograph of the tests, so that decoding it here is quick."""
+    """The smallest photograph of the tests, for fast decoding."""
     pictures = sorted((ROOT / "tests/images").glob("*.png"), key=lambda p: p.stat().st_size)
     for picture in pictures:
         with contextlib.suppress(Failure):

@@ -1,4 +1,4 @@
-"""Programs started on the machine itself, beside the containers; ended by whoever started them."""
+"""Programs that run on the machine beside the containers; the caller ends them."""
 
 import contextlib
 import os
@@ -43,7 +43,7 @@ class Process:
             self.process.wait()
 
     def processor_seconds(self):
-        """What it and those that it started have used of the processors."""
+        """Processor time of the program and its children."""
         total = 0.0
         for pid in (self.process.pid, *self._children()):
             with contextlib.suppress(OSError):
@@ -60,7 +60,7 @@ class Process:
         return int(next(line for line in lines if line.startswith("VmRSS:")).split()[1]) * 1024
 
     def wait(self, works, what):
-        """Until it works: `works()` says so, and may fail as connections do."""
+        """Waits until `works()` succeeds; it may raise connection errors."""
         deadline = time.monotonic() + READY_SECONDS
         while True:
             with contextlib.suppress(OSError):
@@ -80,7 +80,7 @@ def replica(name, stage, address, port=8080, **environment):
 
 
 def redis(stage):
-    """(the process, its address for `--store`): a store that several replicas share."""
+    """(process, address for `--store`) of a shared store."""
     port = free_port()
     command = [where("redis-server"), "--port", port, "--bind", "127.0.0.1", "--save", "", "--dir", stage.scratch]
     started = Process("redis", stage.scratch, command)
@@ -89,7 +89,7 @@ def redis(stage):
 
 
 def haproxy(stage, names, address, replicas):
-    """deploy/haproxy/haproxy.cfg as it stands, when it has so many replicas."""
+    """deploy/haproxy/haproxy.cfg unchanged, ready with this number of replicas."""
     started = Process(
         "haproxy", stage.scratch, [where("haproxy"), "-f", ROOT / "deploy/haproxy/haproxy.cfg"],
         PROXY_LISTEN=f"{address}:8080", PROXY_METRICS_LISTEN=f"{address}:8404", PROXY_REPLICAS="mlswarp:8080", PROXY_DNS=f"{names.server}:53",

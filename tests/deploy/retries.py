@@ -1,4 +1,4 @@
-"""How often deploy/haproxy and deploy/nginx ask: replicas that are made here, and die over requests, say how many of them one request has reached."""
+"""Retries of deploy/haproxy and deploy/nginx: test replicas that crash on requests count how many of them a request has reached."""
 
 import contextlib
 import http.client
@@ -17,15 +17,15 @@ from nginx import derived
 from processes import Process, haproxy
 
 REPLICAS, CLIENTS, QUESTIONS, DEATHS = 4, 4, 10, 8
-# Seconds for which a killed one is away, and for which it is there again.
+# Seconds for which a killed replica is down, and up again.
 AWAY, BACK = 0.4, 0.6
-# Between a head and its body, as clients send them that write both by themselves.
+# Pause between a head and its body, for clients that send them separately.
 BREATH = 0.05
 DEADLY = "whoever reads this dies"
 
 
 class Replica:
-    """Answers whatever it is asked, unless a body is deadly to it: then it says nothing, and the connection ends."""
+    """Answers every request, unless the body is deadly: then it closes the connection without a response."""
 
     def __init__(self, address, deadly):
         self.address, self.deadly, self.lock, self.lines = address, deadly, threading.Lock(), set()
@@ -36,13 +36,13 @@ class Replica:
         return self
 
     def __exit__(self, *_):
-        """As a kill does it: listener and connections are gone at once, and what comes then is reset."""
+        """Like a kill: closes the listener and all connections at once; later connections are reset."""
         with self.lock:
             gone, self.lines = self.lines, set()
         for line in (self.listener, *gone):
             with contextlib.suppress(OSError):
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                # Wakes whoever waits for it.
+                # Wakes waiting threads.
                 line.shutdown(socket.SHUT_RDWR)
             line.close()
 
@@ -63,7 +63,7 @@ class Replica:
                     length = int(value) if name.lower() == b"content-length" else length
                 if self.deadly(self.address, reader.read(length)):
                     break
-                # Long enough that a kill meets some.
+                # Long enough for a kill to interrupt some.
                 time.sleep(0.002)
                 line.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}")
         with self.lock:
@@ -71,7 +71,7 @@ class Replica:
 
 
 def pose(front, body):
-    """(status, headers, body) of a request for a session of its own, over a connection of its own, whose body follows its head."""
+    """(status, headers, body) of a request for a new session on a new connection; the body is sent after the head."""
     connection = http.client.HTTPConnection(front.host, front.port, timeout=PATIENCE)
     connection.putrequest("POST", f"/sessions/{uuid.uuid4()}/warp")
     connection.putheader("Content-Type", "application/json")
@@ -89,7 +89,7 @@ def question(more):
 
 
 def check_retries(stage):
-    # Which replicas each deadly body has reached.
+    # The replicas that each deadly body has reached.
     met, lock = {}, threading.Lock()
 
     def deadly(address, body):
@@ -116,7 +116,7 @@ def check_deadly(check, front, met):
         status, headers, said = pose(front, body)
         problem = json.loads(said)
         told = (status, headers["Content-Type"], headers["Retry-After"], problem["status"], problem["code"])
-        # Not `overloaded`, after which clients ask again by themselves.
+        # Not `overloaded`, which clients retry automatically.
         if told != (502, "application/problem+json", "1", 502, "internal") or len(set(met[body])) != 2 or len(met[body]) != 2:
             unlike.append((told, met[body]))
     check("retries: a request over which replicas die is sent to two of them, and refused", not unlike, unlike[:2] or f"{QUESTIONS} of them")
@@ -130,7 +130,7 @@ def check_nginx(stage, names, met):
     place = derived(stage, f"{front.host}:8080", [f"{address}:8080" for address in names.addresses["mlswarp"]])
     with Process("nginx", stage.scratch, [where("nginx"), "-e", "stderr", "-c", place, "-g", "daemon off;"]) as server:
         server.wait(lambda: front.ask("GET", "/")[0] == 200, "an answer")
-        # All by one connection, so to one worker, which might keep what it opens for them.
+        # All on one connection, so by one worker, which might keep its upstream connections.
         for _ in range(8 * REPLICAS):
             front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question([]))
         body = question(DEADLY)
@@ -140,7 +140,7 @@ def check_nginx(stage, names, met):
 
 
 def check_kills(check, front, replicas):
-    """Hands ask without a pause, and replicas go and come."""
+    """Clients send requests without pause while replicas stop and start."""
     refused, answered, stop = [], [], threading.Event()
 
     def ask():

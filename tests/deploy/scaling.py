@@ -11,7 +11,7 @@ from hands import PICTURES, Server, multipart
 from names import Names
 from processes import haproxy, redis, replica
 
-# Sessions on each replica, connections of the load, seconds of each measurement.
+# Sessions per replica, connections of the load, seconds per measurement.
 SESSIONS, CONNECTIONS, SECONDS = 8, 8, 5
 MOST_SESSIONS = 200
 REST = [[380, 130], [250, 400], [0, 0], [512, 0], [0, 512], [512, 512]]
@@ -46,7 +46,7 @@ def check_scaling(stage):
 def measure(stage, names, addresses, rates):
     names.addresses["mlswarp"] = addresses
     with ExitStack() as running:
-        # Shared: what the proxy sends to the second on the ring, because the first has more than its share, must be known there.
+        # A shared store: requests that bounded load moves to the second replica need the session there.
         shared, store = redis(stage)
         running.enter_context(shared)
         environment = {"MLSWARP_WORKERS": "1", "MLSWARP_DRAG_WAIT": "30s", "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_STORE": store}
@@ -72,19 +72,19 @@ def measure(stage, names, addresses, rates):
 
 
 def upload(front, replicas):
-    """Paths of as many sessions on each replica, whose plans are warm."""
+    """Paths of equally many warm sessions on each replica."""
     paths, made, picture = [[] for _ in replicas], 0, (PICTURES / "astronaut.png").read_bytes()
     while any(len(own) < SESSIONS for own in paths):
         if made == MOST_SESSIONS:
             raise Failure("the proxy did not bring sessions to every replica")
         made += 1
-        # Handles of their own: equal ones would share a plan.
+        # Different handles, because equal ones would share a plan.
         path, rest = f"/sessions/{uuid.uuid4()}", [[100 + made, 120], *REST]
         front.json("PUT", path, (201,), *multipart(picture, {"p": rest}))
-        # At home it is warm since the upload.
+        # Its own replica is warm since the upload.
         plans = [server.ask("POST", f"{path}/warp", json.dumps({"q": rest}))[1]["Warp-Plan"] for server in replicas]
         home = plans.index("hit")
         if len(paths[home]) < SESSIONS:
             paths[home].append(path)
-    # In turn, so that both have work at any moment.
+    # Alternating, so that both replicas always have work.
     return [path for each in zip(*paths) for path in each]

@@ -1,4 +1,4 @@
-"""deploy/compose.yaml, started by docker-compose: the containers, and where each can be asked."""
+"""deploy/compose.yaml, run by docker-compose: the containers and their addresses."""
 
 import contextlib
 import json
@@ -12,9 +12,9 @@ from images import IMAGE
 
 HEALTHY_SECONDS = 60.0
 COMPOSE = ROOT / "deploy" / "compose.yaml"
-# What Debian has no package of.
+# Services without a Debian package.
 WITHOUT = ["grafana"]
-# The last number of each one's address.
+# The last number of each address.
 PROXY, STORE, PROMETHEUS, REPLICAS = 3, 4, 5, (11, 12, 13)
 
 
@@ -41,7 +41,7 @@ class Stack:
         self.proxy = Server(self.addresses["proxy"], 8080)
 
     def compose(self, *arguments, file=None, **options):
-        """docker-compose in the project's own directory, so that the files beside compose.yaml are found."""
+        """Runs docker-compose in the directory of compose.yaml, so that relative paths work."""
         host = [f"DOCKER_HOST={self.engine.host[1]}"] if self.engine.host else []
         place = ("--project-directory", COMPOSE.parent, "--project-name", self.project, "--file", file or self.file)
         return run(*self.engine.prefix, "env", *host, where("docker-compose"), "--ansi", "never", *place, *arguments, **options)
@@ -57,7 +57,7 @@ class Stack:
         self.compose("down", "--volumes", "--timeout", "5", check=False)
 
     def start(self):
-        """All of it but the third replica."""
+        """Starts everything except the third replica."""
         with timed("starting the stack"):
             self.compose("up", "--detach", "--no-build", *self.addresses, *list(self.replicas)[:2])
             self.names.addresses["mlswarp"] = list(self.replicas.values())[:2]
@@ -82,7 +82,7 @@ class Stack:
             time.sleep(0.2)
 
     def wait_balanced(self, replicas):
-        """Until the proxy sends requests to so many."""
+        """Waits until the proxy uses this number of replicas."""
         deadline = time.monotonic() + HEALTHY_SECONDS
         figures = Server(self.addresses["proxy"], 8404)
         while (count := int(metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"'))) != replicas:
@@ -101,7 +101,7 @@ class Stack:
 
 
 def metric(server, name, *labels):
-    """The sum of a metric's samples that have these labels."""
+    """The sum of the samples of a metric with these labels."""
     status, _, body = server.ask("GET", "/metrics")
     if status != 200:
         raise Failure(f"/metrics of {server.host} answered {status}")

@@ -1,4 +1,4 @@
-"""How soon the program is ready after its start, and what it holds while nobody asks."""
+"""The time from start to readiness, and the idle memory."""
 
 import socket
 import statistics

@@ -1,4 +1,4 @@
-"""What the clients' diaries say of each chapter of the story: printed, and judged."""
+"""Evaluates and prints the records of the clients for each event."""
 
 import time
 from collections import Counter
@@ -14,7 +14,7 @@ WITHOUT_STORE = (SILENT, SPEAKS, ANEW)
 
 @dataclass
 class Chapter:
-    """From one event to the next: what each client wrote meanwhile."""
+    """The records of each client between two events."""
 
     name: str
     begun: float
@@ -32,7 +32,7 @@ class Chapter:
 
 
 class Story:
-    """What happened, and when."""
+    """The events and their times."""
 
     def __init__(self):
         self.events = []
@@ -72,7 +72,7 @@ def judge_chapter(check, chapter, facts):
     name, refused, closed = chapter.name, chapter.all("refused"), chapter.all("closed")
     silent = [client for client, part in chapter.parts.items() if client != "uploads" and not any(e.what == "frame" for e in part)]
     check(f"{name}: every hand goes on", not silent, silent)
-    # What a killed replica had begun to answer cannot be answered by another: the status is with the client already. It asks again.
+    # A response that a killed replica has begun cannot be completed by another one: the client already has the status. It repeats the request.
     if name != KILLED:
         check(f"{name}: no answer breaks off", not chapter.all("cut"), chapter.all("cut")[:3])
     if name in WITHOUT_STORE:

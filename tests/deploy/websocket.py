@@ -1,4 +1,4 @@
-"""The client's side of a WebSocket (RFC 6455), as much of it as a drag needs."""
+"""A minimal WebSocket client (RFC 6455) for drags."""
 
 import base64
 import os
@@ -11,7 +11,7 @@ WENT_AWAY = 1006
 
 
 class Closed(Exception):
-    """The connection has ended; `code` says how."""
+    """The connection is closed; `code` is the close code."""
 
     def __init__(self, code):
         super().__init__(code)
@@ -19,7 +19,7 @@ class Closed(Exception):
 
 
 class Refused(Exception):
-    """The upgrade was answered by something else."""
+    """The upgrade was rejected."""
 
     def __init__(self, status, headers):
         super().__init__(status)
@@ -67,7 +67,7 @@ class WebSocket:
             raise Closed(WENT_AWAY) from None
 
     def receive(self, until):
-        """The next message, (kind, bytes), or None when there is none until that moment."""
+        """The next message as (kind, bytes), or None after the deadline."""
         while True:
             while (frame := self._frame()) is None:
                 if not select.select([self.socket], [], [], max(0.0, until - time.monotonic()))[0]:
@@ -80,14 +80,14 @@ class WebSocket:
                 self.close()
                 raise Closed(int.from_bytes(payload[:2], "big") or WENT_AWAY)
             else:
-                # A message may come in several frames; its kind stands in the first.
+                # A message may consist of several frames; the first has its kind.
                 kind, before = self.begun or (kind, b"")
                 self.begun = None if last else (kind, before + payload)
                 if last:
                     return kind, before + payload
 
     def _frame(self):
-        """A whole frame of what has come, (last of its message, kind, bytes), or None. Servers do not mask."""
+        """A complete received frame as (final, kind, bytes), or None. Servers do not mask."""
         if len(self.buffer) < 2:
             return None
         length, at = self.buffer[1] & 127, 2

@@ -2,7 +2,7 @@
 
 import os
 
-# Before Playwright reads it: nothing is downloaded, the browser is Debian's.
+# Set before the import of Playwright: no download, the browser is Debian's.
 os.environ["PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD"] = "1"
 
 import pytest
@@ -34,7 +34,7 @@ def server():
 
 @pytest.fixture
 def visits(browser, server):
-    """Makes visits; at the end none of them may have had trouble."""
+    """Creates visits; at the end none may have errors."""
     made = []
 
     def visit(of=server, browser=browser, **options):
@@ -60,5 +60,5 @@ def picture(tmp_path_factory):
 
 @pytest.fixture
 def opened(visit, picture):
-    """The page with the three discs and no handle."""
+    """The page with three discs and no handles."""
     return visit.open(picture)

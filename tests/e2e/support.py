@@ -1,4 +1,4 @@
-"""What the browser tests share: the program as a process, a visit of the page, what is seen of it."""
+"""Shared parts of the browser tests: the program as a process, a visit of the page, and its screenshots."""
 
 import http.client
 import io
@@ -22,10 +22,10 @@ KEPT = HERE.parent / "artefacts" / "e2e"
 PHOTOGRAPHS = HERE.parent / "images"
 PROGRAM = os.environ["MLSWARP_PROGRAM"]
 
-# No test asserts speed: this is when something is taken for hung.
+# No test asserts speed: this is the time after which something counts as hung.
 DEADLINE = 60.0
 
-# Debian's Chromium without what reaches for a network of its own; WebGL on the processor.
+# Debian's Chromium without background network requests; WebGL on the CPU.
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
@@ -33,11 +33,11 @@ FLAGS = [
 ]
 
 
-# What the browser says of a drag socket that does not open.
+# The browser's message for a drag socket that does not open.
 SOCKET = re.compile("WebSocket connection to .* failed")
 
 class Server:
-    """The program on a loopback port of its own. It keeps the port when it is started again, with an empty store."""
+    """The program on a loopback port. After a restart it has the same port and an empty store."""
 
     def __init__(self, *flags):
         self.flags = flags
@@ -63,13 +63,13 @@ class Server:
                 time.sleep(0.02)
 
     def kill(self):
-        """The machine goes away: connections break, sessions are gone."""
+        """Simulates a crash: connections break and sessions are lost."""
         self.process.kill()
         self.process.wait()
         self.log.close()
 
     def stop(self):
-        """The ordinary end, which must be one: no panic, status 0."""
+        """Stops the program, which must exit with 0 and without a panic."""
         if self.log.closed:
             return
         self.process.send_signal(signal.SIGTERM)
@@ -81,7 +81,7 @@ class Server:
         assert b"panicked" not in Path(self.log.name).read_bytes(), self.log.name
 
     def ask(self, method, path, value=None):
-        """A request that has nothing to do with the browser."""
+        """A request without the browser."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE)
         try:
             body = None if value is None else json.dumps(value)
@@ -94,7 +94,7 @@ class Server:
 
 
 class Visit:
-    """One person at the page: a browser context of its own and what went wrong in it."""
+    """One user of the page: a separate browser context, and its errors."""
 
     def __init__(self, browser, server, *, query="", path="", expects=(), **options):
         self.server = server
@@ -112,12 +112,12 @@ class Visit:
         self.body("[data-webgl]")
 
     def _asked(self, request):
-        """Nothing but the service is asked for anything."""
+        """Records requests to other hosts."""
         if not request.url.startswith((f"{self.server.address}/", "blob:", "data:")):
             self.trouble.append(f"asked for {request.url}")
 
     def _said(self, message):
-        """The browser reports every refused request as an error; a test that provokes one says so by `expects`."""
+        """Records errors. The browser reports every rejected request as an error; a test announces those that it causes with `expects`."""
         refused = re.search(r"Failed to load resource: (?:the server responded with a status of (\d+)|net::(ERR_\w+))", message.text)
         if refused and (refused[1] or refused[2]) in self.expected:
             return
@@ -127,16 +127,16 @@ class Visit:
             self.trouble.append(f"{message.type}: {message.text}")
 
     def expects(self, *refusals):
-        """Statuses, network errors or patterns of messages that a test provokes."""
+        """Expected statuses, network errors or patterns of messages."""
         self.expected.update(refusals)
 
     def close(self):
         self.context.close()
 
-    # What the page says of itself
+    # Observable state of the page
 
     def body(self, selector):
-        """Waits until the body's attributes are as a CSS selector says."""
+        """Waits until the attributes of the body match a CSS selector."""
         try:
             self.page.wait_for_selector(f"body{selector}", state="attached")
         except playwright.sync_api.TimeoutError as late:
@@ -151,7 +151,7 @@ class Visit:
         return self.page.evaluate("(name) => document.body.dataset[name]", name)
 
     def ready(self):
-        """Waits for the server's PNG of the newest pose, and tells the page's state."""
+        """Waits for the server's PNG of the newest pose; returns the state of the page."""
         self.body("[data-state=ready][data-source=png]")
         data = self.data
         assert data["shown"] == data["revision"] and data["problem"] == "", data
@@ -163,7 +163,7 @@ class Visit:
     # Opening
 
     def open(self, picture):
-        """A picture file through the chooser."""
+        """Opens a picture by the file chooser."""
         self.page.set_input_files("#file", picture)
         self.body("[data-state=ready]")
         return self
@@ -173,26 +173,26 @@ class Visit:
         self.ready()
         return self
 
-    # Hands
+    # Input
 
     def at(self, x, y):
-        """Where a place of the picture lies on the page, CSS px."""
+        """Position of a picture position on the page, CSS px."""
         data, box = self.data, self.page.locator("#stage").bounding_box()
         pan = [float(c) for c in data["pan"].split(",")]
         zoom = float(data["zoom"])
         return box["x"] + pan[0] + zoom * x, box["y"] + pan[1] + zoom * y
 
     def click(self, x, y, **options):
-        """At a place of the picture."""
+        """Clicks at a picture position."""
         self.page.mouse.click(*self.at(x, y), **options)
 
     def drag(self, *places, steps=6):
-        """Along places of the picture, from the first to the last, and lets go."""
+        """Drags along picture positions and releases."""
         self.press(*places, steps=steps)
         self.page.mouse.up()
 
     def press(self, *places, steps=6):
-        """The same without letting go."""
+        """The same without the release."""
         spots = [self.at(*place) for place in places]
         self.page.mouse.move(*spots[0])
         self.page.mouse.down()
@@ -201,7 +201,7 @@ class Visit:
 
     @contextmanager
     def without_pictures(self):
-        """Holds the server's pictures back: what is seen meanwhile is what follows the hand."""
+        """Delays the server's pictures, so that the live preview is visible."""
         held = []
         self.page.route("**/sessions/*/warp", lambda route: held.append(route))
         yield
@@ -213,41 +213,41 @@ class Visit:
         for key in presses:
             self.page.keyboard.press(key)
 
-    # What there is
+    # Results
 
     def warp(self):
-        """The handles as the page saves them."""
+        """The handles as saved by the page."""
         return json.loads(self.saved("save-handles")[1])
 
     def posed(self, handle, vertex=None):
-        """Where a handle is drawn, picture px."""
+        """Position of a handle, picture px."""
         node = self.page.locator(f"#handle-{handle}" + ("" if vertex is None else f"-{vertex}"))
         return float(node.get_attribute("data-x")), float(node.get_attribute("data-y"))
 
     def saved(self, button):
-        """What a button downloads: its name and its bytes."""
+        """Name and bytes of the download of a button."""
         with self.page.expect_download() as download:
             self.page.click(f"#{button}")
         return download.value.suggested_filename, Path(download.value.path()).read_bytes()
 
     def copied(self, button):
-        """What a button puts on the clipboard."""
+        """The text that a button copies."""
         self.page.click(f"#{button}")
         self.page.wait_for_selector("#toast.seen")
         return self.page.evaluate("navigator.clipboard.readText()")
 
     def of_server(self, **output):
-        """What the server itself answers to the pose that the page has: its response."""
+        """The response of the server to the current pose of the page."""
         warp = self.warp()
         body = {"q": warp["q"], **({"output": output} if output else {})}
         answer = self.server.ask("POST", f"/sessions/{self['session']}/warp", body)
         assert answer.status == 200, answer.body
         return answer
 
-    # What is seen
+    # Screenshots
 
     def look(self):
-        """The picture as it is seen on the stage, without the handles and bars on it."""
+        """The visible picture on the stage, without handles and bars."""
         over = "#handles, #work > :not(#stage), main > :not(#work)"
         fade = f"(opacity) => document.querySelectorAll('{over}').forEach((node) => (node.style.opacity = opacity))"
         self.page.evaluate(fade, "0")
@@ -257,7 +257,7 @@ class Visit:
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
 
     def keep(self, name):
-        """A screenshot of the whole page among the artefacts."""
+        """Saves a screenshot of the page in the artefacts."""
         return self.page.screenshot(path=KEPT / f"{name}.png")
 
 
@@ -275,13 +275,13 @@ class Look:
         return self.image.getpixel(tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y))))
 
     def mask(self, name):
-        """255 where a colour of `discs` prevails."""
+        """255 where a colour of `discs` dominates."""
         bands = dict(zip(("red", "green", "blue"), self.image.split()))
         wanted = bands.pop(name)
         return ImageChops.subtract(wanted, ImageChops.lighter(*bands.values())).point(lambda more: 255 if more > 90 else 0)
 
     def centre(self, name):
-        """The middle of everything of a colour, picture px."""
+        """The centroid of a colour, picture px."""
         mask = self.mask(name)
         box = mask.getbbox()
         assert box, f"nothing {name} is seen"
@@ -293,17 +293,17 @@ class Look:
         return (x - self.pan[0]) / self.zoom, (y - self.pan[1]) / self.zoom
 
     def differs(self, other):
-        """How many pixels differ visibly from another look."""
+        """Number of pixels that differ visibly from another look."""
         red, green, blue = ImageChops.difference(self.image, other.image).split()
         return sum(ImageChops.lighter(ImageChops.lighter(red, green), blue).histogram()[13:])
 
 
-# Places of the discs in the picture that `discs` draws.
+# Positions of the discs in the picture of `discs`.
 RED, GREEN, BLUE = (100, 100), (320, 90), (200, 220)
 
 
 def discs(path, size=(400, 300)):
-    """Three coloured discs on grey: where a place of the picture has gone is seen by where its disc is."""
+    """Three coloured discs on grey: the position of a disc shows the displacement."""
     image = Image.new("RGB", size, (200, 200, 200))
     draw = ImageDraw.Draw(image)
     for (x, y), colour in ((RED, (230, 20, 20)), (GREEN, (20, 170, 20)), (BLUE, (20, 40, 230))):
@@ -313,12 +313,12 @@ def discs(path, size=(400, 300)):
 
 
 def near(a, b, within):
-    """Whether two places are as near as that, px."""
+    """Whether the distance of two positions is below a limit, px."""
     return max(abs(m - n) for m, n in zip(a, b, strict=True)) <= within
 
 
 class Fingers:
-    """Touches as the screen reports them, which the browser turns into pointer events."""
+    """Touch input, which the browser converts to pointer events."""
 
     def __init__(self, visit):
         self.visit = visit
@@ -330,20 +330,20 @@ class Fingers:
         self.session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def put(self, **spots):
-        """Fingers come down, by name, one after another."""
+        """Touches down, by name, in sequence."""
         for name, spot in spots.items():
             self.down[ord(name[0])] = spot
             self._send("touchStart")
 
     def move(self, steps=6, **spots):
-        """Fingers move together."""
+        """Moves touches simultaneously."""
         begun = {name: self.down[ord(name[0])] for name in spots}
         for step in range(1, steps + 1):
             for name, spot in spots.items():
                 a = begun[name]
                 self.down[ord(name[0])] = tuple(p + (q - p) * step / steps for p, q in zip(a, spot))
             self._send("touchMove")
-        # The browser hands moves to the page with its frames.
+        # The browser delivers move events once per frame.
         self.visit.page.evaluate("new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
 
     def lift(self, *names):
@@ -352,7 +352,7 @@ class Fingers:
             self._send("touchEnd")
 
     def take_away(self):
-        """What the system does when it wants the touch for itself."""
+        """A touch cancelled by the system."""
         self.down = {}
         self._send("touchCancel")
 

@@ -1,4 +1,4 @@
-"""Whoever comes can use it: axe finds nothing serious in any state, targets are large enough, words reach those who do not see."""
+"""Accessibility: no serious findings of axe in any state, large enough targets, announcements for screen readers."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The contract as a page: everything that `/openapi.json` lists is seen, nothing is asked of another host, and it can be tried."""
+"""The API reference page: it shows every operation of `/openapi.json`, sends no requests to other hosts, and can send requests."""
 
 import json
 import re
@@ -19,7 +19,7 @@ def locked():
 
 @pytest.fixture
 def docs(browser):
-    """Opens the page; at the end nothing may have gone wrong in the browser, and nobody else may have been asked."""
+    """Opens the page; at the end there must be no browser errors and no requests to other hosts."""
     contexts, trouble = [], []
 
     def opened(server, **options):

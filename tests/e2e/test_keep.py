@@ -1,4 +1,4 @@
-"""Nothing is lost: over a reload, in a new tab, when the session has ended, when the server was started anew."""
+"""Persistence: over a reload, in a new tab, after the session has expired, after a restart of the server."""
 
 import pytest
 
@@ -71,7 +71,7 @@ def test_a_server_that_was_started_anew_is_given_the_picture_again(visits, pictu
         visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", SOCKET)
         server.kill()
         server.start()
-        # The browser has the file; nobody is asked for anything.
+        # The browser has the file; no request is needed.
         visit.page.reload()
         assert whole(visit) == before
         assert visit["session"] != session
@@ -91,7 +91,7 @@ def test_a_session_that_has_ended_is_opened_again_while_one_works(bent):
 
 
 def test_two_tabs_at_one_session_both_get_their_pictures(bent):
-    """Each of them numbers its requests; the one that is overtaken asks anew."""
+    """Each tab numbers its requests; the superseded one sends its request again."""
     bent.expects("409")
     second = bent.context.new_page()
     second.goto(bent.address)
@@ -107,7 +107,7 @@ def test_two_tabs_at_one_session_both_get_their_pictures(bent):
 
 
 def test_a_tab_whose_session_got_other_handles_elsewhere_goes_on_with_its_own(bent):
-    """The socket refuses its pose in the middle of a drag: nobody has to do anything about it."""
+    """The socket rejects a pose during a drag: the page recovers without user action."""
     bent.expects("422")
     second = bent.context.new_page()
     second.goto(bent.address)

@@ -36,9 +36,9 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     visit.page.on("request", lambda request: asked.append(request.url))
     visit.page.set_input_files("#file", picture)
     visit.body("[data-problem=unauthorized]")
-    assert visit.text("problem-title") == "This server wants a key" and visit.text("problem-detail") == ""
+    assert visit.text("problem-title") == "API key required" and visit.text("problem-detail") == ""
     visit.page.click("#problem-action")
-    # By its name, with the keyboard; what is no key is told here, a wrong one by the server.
+    # By its label, with the keyboard. The page rejects an invalid key, the server a wrong one.
     field = visit.page.get_by_label("Key", exact=True)
     assert field.get_attribute("type") == "password"
     field.fill("short")
@@ -62,7 +62,7 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     secret = base64.urlsafe_b64encode(KEY.encode()).decode().rstrip("=")
     for url in asked + [socket.url for socket in sockets] + [visit.page.url]:
         assert KEY not in url and secret not in url
-    # What is taken along has a variable in its place.
+    # Exported commands contain a variable instead of the key.
     png = visit.saved("download")[1]
     line = visit.copied("copy-curl")
     assert '-H "Authorization: Bearer $MLSWARP_KEY"' in line and KEY not in line

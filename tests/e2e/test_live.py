@@ -1,4 +1,4 @@
-"""How poses travel while the hand moves: the drag socket or requests, with WebGL and without."""
+"""Live poses during a drag: by socket or by requests, with and without WebGL."""
 
 import json
 
@@ -85,7 +85,7 @@ def test_a_page_without_the_socket_asks_for_meshes(visits, picture):
     asked = []
     visit.page.on("request", lambda request: asked.append(request.url))
     visit.press(RED, (140, 130))
-    # One holds the hand still; where the server is slow the picture at rest may come before a mesh does.
+    # The pointer is still: on a slow server the full picture may arrive before a mesh.
     visit.body(f"[data-moving=true][data-shown='{visit['revision']}']")
     assert near(visit.look().centre("red"), (140, 130), 2.5)
     visit.page.mouse.up()

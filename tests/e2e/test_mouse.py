@@ -1,4 +1,4 @@
-"""The picture and its handles by mouse. What is seen is read back from pixels."""
+"""Picture and handles by mouse. Results are read from pixels."""
 
 import io
 import json
@@ -271,7 +271,7 @@ def test_a_path_ends_by_a_double_click_or_by_its_button(opened):
     assert opened.page.locator("#handle-0 ~ [data-handle='0'][data-vertex]").count() == 3
     for place in ((60, 240), (150, 210), (260, 240), (330, 200)):
         opened.click(*place)
-    assert opened.text("draft-text") == "Path: 4 places"
+    assert opened.text("draft-text") == "Path: 4 points"
     opened.page.click("#draft-finish")
     opened.body("[data-handles='2'][data-draft='0']").ready()
     assert [len(path) for path in opened.warp()["p"]] == [3, 4]

@@ -1,4 +1,4 @@
-"""How a picture comes in: a sample, a file that is picked, dropped or pasted; what is seen while it is sent."""
+"""Opening a picture: a sample, a picked, dropped or pasted file; the progress of an upload."""
 
 import base64
 import io

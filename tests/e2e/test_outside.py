@@ -1,4 +1,4 @@
-"""What is drawn where the picture does not reach: nothing, its edge, one colour. The same in what follows the hand and in the server's picture."""
+"""The content outside the warped picture: transparent, extended edge, solid colour. The same in the live preview and in the server's picture."""
 
 import io
 import json

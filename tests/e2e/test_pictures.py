@@ -1,4 +1,4 @@
-"""Five pictures of the page for people to look at. MLSWARP_BLESS=1 keeps them in `pictures/`; a run without it leaves its own among the artefacts."""
+"""Five screenshots of the page for review. MLSWARP_BLESS=1 updates them in `pictures/`; otherwise they are only in the artefacts."""
 
 import io
 import os

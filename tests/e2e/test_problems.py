@@ -1,4 +1,4 @@
-"""What goes wrong is told in clear words, with what to do about it, and leaves what was there."""
+"""Problems have a clear message with advice, and leave the open picture unchanged."""
 
 import json
 
@@ -8,7 +8,7 @@ from support import BLUE, GREEN, RED, SOCKET, Server, discs, near
 
 
 def told(visit, code):
-    """Waits for a problem and gives its words; whoever does not see is told as well."""
+    """Waits for a problem and returns its texts, which are also announced to screen readers."""
     visit.body(f"[data-problem='{code}']")
     alert = visit.page.get_by_role("alert")
     assert alert.is_visible()
@@ -25,7 +25,7 @@ def test_a_text_that_is_called_a_picture(visit, tmp_path):
     (tmp_path / "notes.png").write_text("Not a picture at all.\n" * 20)
     visit.page.set_input_files("#file", tmp_path / "notes.png")
     title, _, advice = told(visit, "unsupported_format")
-    assert title == "This is not a picture that can be read here"
+    assert title == "Unsupported file format"
     assert all(format in advice for format in ("PNG", "JPEG", "WebP"))
     assert visit["state"] == "empty" and visit.page.locator("#pick").is_visible()
     visit.page.click("#problem-close")
@@ -50,7 +50,7 @@ def test_a_picture_that_was_cut_off(opened, picture, tmp_path):
     opened.page.set_input_files("#file", cut)
     title, _, _ = told(opened, "bad_image")
     assert title == "The picture cannot be read"
-    # What was open still is.
+    # The open picture is unchanged.
     assert (opened["handles"], opened["state"]) == ("1", "ready")
     opened.page.click("#problem-close")
     opened.drag(RED, (120, 120))
@@ -66,7 +66,7 @@ def test_a_picture_of_too_many_pixels(visits, picture, tmp_path):
         visit.expects("413")
         visit.page.set_input_files("#file", picture)
         title, detail, _ = told(visit, "too_large")
-        assert title == "That is too large for this server" and "100000" in detail.replace(",", "").replace(" ", "")
+        assert title == "Too large for this server" and "100000" in detail.replace(",", "").replace(" ", "")
         visit.open(discs(tmp_path / "small.png", (330, 260)))
     finally:
         server.stop()
@@ -108,12 +108,12 @@ def test_two_handles_that_contradict_each_other(pinned):
         pinned.ready()
         type_number(pinned, f"p-1-0-{axis}", number)
     title, detail, advice = told(pinned, "contradictory_handles")
-    assert title == "Two handles want different things"
+    assert title == "Two handles contradict each other"
     assert "1 and 2" in detail and "1 and 2" in advice
     assert pinned["state"] == "error"
     marked = pinned.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
     assert marked == ["handle-0", "handle-1"] and pinned.page.locator("tr[data-fault]").count() == 2
-    # The last good picture is still seen; nobody is left alone with it.
+    # The last good picture is still shown, with an action.
     assert pinned["source"] == "png" and pinned["shown"] != pinned["revision"] and before.image.size == pinned.look().image.size
     pinned.keep("problem-contradictory")
     assert pinned.page.locator("#problem-action").inner_text() == "Undo"
@@ -156,13 +156,13 @@ def test_a_server_that_goes_away_and_comes_back(visits, picture):
         server.kill()
         visit.drag(RED, (140, 130))
         title, _, advice = told(visit, "network")
-        assert title == "The server does not answer" and "safe" in advice
+        assert title == "The server does not respond" and "safe" in advice
         visit.keep("problem-network")
-        # One works on meanwhile; nothing is lost.
+        # Editing continues; nothing is lost.
         visit.drag(BLUE, (220, 240))
         assert near(visit.posed(2), (220, 240), 0.6)
         server.start()
-        # By itself: no button is pressed. The store is empty, so the picture is sent once more.
+        # Automatically, without a click. The store is empty, so the picture is uploaded again.
         visit.ready()
         assert visit["session"] != first and visit["handles"] == "3"
         assert near(visit.look().centre("red"), (140, 130), 2.5) and near(visit.look().centre("blue"), (220, 240), 2.5)
@@ -196,8 +196,8 @@ def test_a_server_that_is_full(visits, picture):
         visit.expects("503")
         visit.page.set_input_files("#file", picture)
         title, _, _ = told(visit, "overloaded")
-        assert title == "The server has its hands full"
-        # The one who came first is not disturbed.
+        assert title == "The server is busy"
+        # The first client is not affected.
         taken.click(*RED)
         taken.ready()
     finally:
@@ -217,7 +217,7 @@ def test_a_link_that_leads_nowhere(visits, picture, fragment, code, refusal):
 
 
 def test_every_code_of_the_contract_has_words(visit):
-    """The codes that the served document names, asked of the page's own table."""
+    """Every code of the served OpenAPI document has texts in the page."""
     document = json.loads(visit.server.ask("GET", "/openapi.json").body)
     codes = set(find_codes(document))
     assert len(codes) > 15, codes
@@ -225,9 +225,9 @@ def test_every_code_of_the_contract_has_words(visit):
     silent = []
     for code in sorted(codes):
         said = visit.page.evaluate("(code) => words.problemWords({ code, title: '', detail: '' })", code)
-        if not said["title"] or not said["advice"] or said["title"] == "That was refused":
+        if not said["title"] or not said["advice"] or said["title"] == "Request rejected":
             silent.append(code)
-    # What this page never provokes needs no words of its own: it sends no such request.
+    # Codes that the requests of this page never cause need no texts.
     assert not set(silent) - {
         "malformed_request", "method_not_allowed", "not_acceptable", "not_found", "not_supported", "unknown_field", "superseded", "folded",
         "unsupported_media_type", "upgrade_required",

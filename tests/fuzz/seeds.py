@@ -161,7 +161,7 @@ def one_frame(still):
 
 
 def bits(*fields):
-    """Numbers of so many bits each, the lowest first."""
+    """Numbers with this number of bits each, lowest first."""
     number = place = 0
     for value, count in fields:
         number |= value << place

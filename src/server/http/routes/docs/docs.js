@@ -1,4 +1,4 @@
-// Draws the contract of this very server. Nothing else is asked for: no validator, no fonts, no examples from elsewhere.
+// Shows the API document of this server. Nothing is loaded from other hosts: no validator, no fonts.
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const follow = () => document.documentElement.classList.toggle("dark-mode", dark.matches);
 follow();
@@ -11,7 +11,7 @@ window.ui = SwaggerUIBundle({
   docExpansion: "list",
   defaultModelsExpandDepth: 0,
   displayRequestDuration: true,
-  // A key is kept by this tab's memory alone, and goes with "Try it out" to this server alone.
+  // The key stays in the memory of this tab and is sent only to this server, by "Try it out".
   persistAuthorization: false,
   validatorUrl: null,
 });
