@@ -1,12 +1,12 @@
-//! The program: `mlswarp` serves, `mlswarp warp` bends one picture offline, `mlswarp health` asks a running server.
-//! Exit codes: 0 done, 1 failed, 2 the command line or the environment has mistakes.
+//! The program: `mlswarp` serves, `mlswarp warp` warps one picture offline, `mlswarp health` asks a running server.
+//! Exit codes: 0 success, 1 failure, 2 mistakes in the command line or the environment.
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-#[expect(unsafe_code, reason = "the C library is asked to give memory back")]
+#[expect(unsafe_code, reason = "malloc_trim of the C library")]
 mod malloc_trim;
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 mod malloc_trim {
-    /// Other allocators give memory back by themselves.
+    /// Other allocators return memory by themselves.
     pub(crate) const fn start() {}
 }
 
@@ -22,10 +22,10 @@ use mlswarp_server::observe;
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(said) => {
-            // Help and the version are printed the same way; there is nobody to tell when that fails.
-            let _ = said.print();
-            return ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(2));
+        Err(error) => {
+            // Also help and the version.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
     let command = cli.command.unwrap_or(Command::Serve);
@@ -53,7 +53,7 @@ fn run(command: Command, config: Config) -> ExitCode {
                 eprintln!("{summary}");
                 Ok(())
             }
-            Err(problem) => Err(warp::complaint(&problem)),
+            Err(problem) => Err(warp::error_message(&problem)),
         }),
     }
 }

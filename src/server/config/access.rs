@@ -112,9 +112,9 @@ pub(crate) struct AccessArgs {
     shutdown_grace: String,
 }
 
-/// Text that is never shown.
+/// An option that may contain a key or a password; it is never shown.
 #[derive(Clone, Default)]
-struct Secret(String);
+pub(super) struct Secret(pub(super) String);
 
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -1,9 +1,8 @@
 //! Where sessions live, and how many.
 
-use std::fmt;
-
 use clap::Args;
 
+use super::access::Secret;
 use super::{Mistakes, units, whole};
 use crate::store::{Bounds, StoreUrl};
 
@@ -23,22 +22,6 @@ pub(crate) struct StoreArgs {
     /// may hold itself is its `maxmemory`.)
     #[arg(long, env = "MLSWARP_STORE_BYTES", value_name = "SIZE", default_value = "1GiB", global = true)]
     store_bytes: String,
-}
-
-/// A text that may hold a password: it is not shown.
-#[derive(Clone)]
-struct Secret(String);
-
-impl From<String> for Secret {
-    fn from(text: String) -> Self {
-        Self(text)
-    }
-}
-
-impl fmt::Debug for Secret {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("..")
-    }
 }
 
 /// Where sessions live, and how many.

@@ -1,5 +1,4 @@
-//! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order. The parser keeps what it has not yet
-//! understood, as much as there is: so it is fed a frame at a time, and no more before it has come to something.
+//! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -12,16 +11,16 @@ use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
 use bytes::Bytes;
 use http_body::Frame;
 
-use super::body::{BodyBuffer, ReadError, media_type, read_problem, too_large};
-use crate::app::App;
-use crate::client::Client;
+use super::body::{BodyBuffer, ReadError, read_problem, too_large};
+use super::headers::media_type;
+use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
 use crate::problem::{Code, Problem};
 
-/// What the parser may keep of which nothing has come: the head of a part, and what lies before the first.
-const HEADS: u64 = 16 << 10;
-/// What it takes with that: a frame before, a frame after, and room to grow.
-const PARSER: u64 = 128 << 10;
+/// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
+const MAX_OVERHEAD: u64 = 16 << 10;
+/// Memory of the parser: that, a frame before, a frame after, and capacity to grow.
+const PARSER_BYTES: u64 = 128 << 10;
 
 /// The two parts.
 #[derive(Debug)]
@@ -32,25 +31,25 @@ pub(crate) struct Upload {
     pub(crate) warp: Bytes,
 }
 
-/// The request has a multipart body.
 pub(crate) fn is_multipart(request: &Request) -> bool {
-    media_type(request).as_deref() == Some("multipart/form-data")
+    media_type(request.headers()).as_deref() == Some("multipart/form-data")
 }
 
-/// Reads both parts. The whole body is limited before this; `warp` has a limit of its own.
-pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Result<Upload, Problem> {
+/// Reads both parts. The limit of the whole body is checked before; `warp` has a limit of its own.
+pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes multipart/form-data with the parts `image` and `warp`"));
     }
-    // The guard around every body has the limit; axum's own default is below it.
+    // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
-    let _parser = app.reserve_for(Purpose::Upload, &app.request_share(client), PARSER)?;
-    let unread = Unread::default();
-    let request = request.map(|body| Body::new(FrameGate { body, unread: unread.clone(), fed: false }));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|e| malformed(e.body_text()))?;
+    let Caller { app, client } = caller;
+    let _parser = app.reserve_for(Purpose::Upload, &app.request_share(*client), PARSER_BYTES)?;
+    let buffered = Arc::new(AtomicU64::new(0));
+    let request = request.map(|body| Body::new(FrameGate { body, buffered: Arc::clone(&buffered), has_new_frame: false }));
+    let mut parts = Multipart::from_request(request, &()).await.map_err(|error| malformed(error.body_text()))?;
     let (mut image, mut warp) = (None, None);
-    while let Some(part) = parts.next_field().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
-        unread.begin();
+    while let Some(part) = parts.next_field().await.map_err(unreadable)? {
+        buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
         let (slot, limit) = match name.as_str() {
             "image" => (&mut image, u64::MAX),
@@ -63,7 +62,7 @@ pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Res
         if slot.is_some() {
             return Err(malformed(format!("the part `{name}` comes twice")));
         }
-        *slot = Some(part_bytes(app, client, part, limit, &unread).await?);
+        *slot = Some(read_part(caller, part, limit, &buffered).await?);
     }
     match (image, warp) {
         (Some(image), Some(warp)) => Ok(Upload { image, warp }),
@@ -77,35 +76,30 @@ fn malformed(detail: impl Into<String>) -> Problem {
     Problem::new(Code::MalformedRequest, detail)
 }
 
-async fn part_bytes(app: &App, client: Client, mut part: Field<'_>, limit: u64, unread: &Unread) -> Result<Bytes, Problem> {
-    let mut read = BodyBuffer::new(app, client, Purpose::Upload)?;
-    while let Some(chunk) = part.chunk().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
-        unread.begin();
-        let length = read.len() + chunk.len() as u64;
+fn unreadable(error: axum::extract::multipart::MultipartError) -> Problem {
+    read_problem(&error, "the multipart body could not be read")
+}
+
+async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload)?;
+    while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
+        buffered.store(0, Ordering::Relaxed);
+        let length = buffer.len() + chunk.len() as u64;
         if length > limit {
             return Err(too_large("warp_json_bytes", limit, length));
         }
-        read.push(&chunk)?;
+        buffer.push(&chunk)?;
     }
-    Ok(read.fit())
+    Ok(buffer.finish_exact())
 }
 
-/// Bytes that the parser was fed since something came of them.
-#[derive(Clone, Default)]
-struct Unread(Arc<AtomicU64>);
-
-impl Unread {
-    fn begin(&self) {
-        self.0.store(0, Ordering::Relaxed);
-    }
-}
-
-/// A body that is handed over a frame at a time, as long as something comes of it.
+/// Passes frames to the multipart parser one at a time, and fails when the parser buffers too much: it keeps everything that it cannot parse yet.
 struct FrameGate {
     body: Body,
-    unread: Unread,
-    /// The parser has a frame that it has not looked at: it asks until there is none.
-    fed: bool,
+    /// Bytes passed to the parser since its last result.
+    buffered: Arc<AtomicU64>,
+    /// The parser has a frame that it has not looked at; it polls until there is none.
+    has_new_frame: bool,
 }
 
 impl HttpBody for FrameGate {
@@ -113,18 +107,17 @@ impl HttpBody for FrameGate {
     type Error = axum::Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        let this = &mut *self;
-        if std::mem::take(&mut this.fed) {
+        if std::mem::take(&mut self.has_new_frame) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if this.unread.0.load(Ordering::Relaxed) > HEADS {
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: HEADS }))));
+        if self.buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: MAX_OVERHEAD }))));
         }
-        let frame = ready!(Pin::new(&mut this.body).poll_frame(cx));
+        let frame = ready!(Pin::new(&mut self.body).poll_frame(cx));
         if let Some(data) = frame.as_ref().and_then(|frame| frame.as_ref().ok()).and_then(Frame::data_ref) {
-            this.unread.0.fetch_add(data.len() as u64, Ordering::Relaxed);
-            this.fed = true;
+            self.buffered.fetch_add(data.len() as u64, Ordering::Relaxed);
+            self.has_new_frame = true;
         }
         Poll::Ready(frame)
     }

@@ -1,5 +1,4 @@
-//! The host that a request names: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and one that this listener
-//! serves.
+//! The check of a request's host: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and served by this listener.
 
 use axum::extract::Request;
 use axum::http::Version;
@@ -8,23 +7,23 @@ use axum::http::header::HOST;
 use crate::auth::hosts::{Authority, Host, Hosts};
 use crate::problem::{Code, Problem};
 
-/// Health checks name the host in any way, and the answers hold nothing of anybody.
+/// Health checks send any host, and the responses hold no user data.
 const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
-/// Most characters of a host that a problem repeats.
-const REPEATED: usize = 100;
+/// Maximum number of a host's characters in a problem.
+const MAX_QUOTED: usize = 100;
 
-/// Checks the host. `served`: the hosts that the listener serves; none: all.
+/// Checks the host. `served`: the hosts that the listener serves; none: any host.
 ///
 /// # Errors
 /// [`Code::MalformedRequest`], [`Code::Misdirected`].
 pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Problem> {
-    let host = named(request)?;
+    let host = host(request)?;
     let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else { return Ok(()) };
     if host.as_ref().is_some_and(|host| served.allow(host)) {
         return Ok(());
     }
     let host = match host {
-        Some(Host::Name(name)) => name.chars().take(REPEATED).collect(),
+        Some(Host::Name(name)) => name.chars().take(MAX_QUOTED).collect(),
         _ => "no host".to_owned(),
     };
     let detail =
@@ -32,8 +31,8 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
     Err(Problem::new(Code::Misdirected, format!("{detail}: {host}")))
 }
 
-/// The host of the target where it has one, otherwise that of the `Host` header.
-fn named(request: &Request) -> Result<Option<Host>, Problem> {
+/// The host of the target if it has one, otherwise of the `Host` header.
+fn host(request: &Request) -> Result<Option<Host>, Problem> {
     let malformed = |detail: &str| Problem::new(Code::MalformedRequest, detail);
     let mut fields = request.headers().get_all(HOST).iter();
     let field = match (fields.next(), fields.next()) {

@@ -1,5 +1,4 @@
-//! Problems as answers. A handler's problem travels in the answer's extensions; [`finish`] writes its document when the request's id is at
-//! hand, and gives every other refusal (axum's own, a layer's) the document of its status.
+//! Problem documents as responses. A handler's problem travels in the response's extensions; [`finish`] writes the document with the request's id.
 
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{HeaderValue, StatusCode};
@@ -15,7 +14,7 @@ impl IntoResponse for Problem {
     }
 }
 
-/// Writes the problem document of every answer that is not a success.
+/// Writes the problem document of a response that is not a success. Errors without a problem, such as axum's, get the one of their status.
 pub(crate) fn finish(response: Response, request_id: &str) -> Response {
     let status = response.status();
     if !status.is_client_error() && !status.is_server_error() {
