@@ -1,15 +1,15 @@
 //! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order.
 
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::task::{Context, Poll, ready};
+use std::task::{Poll, ready};
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::extract::multipart::Field;
 use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
 use bytes::Bytes;
-use http_body::Frame;
+use futures_util::StreamExt as _;
+use futures_util::stream::poll_fn;
 
 use super::body::{BodyBuffer, ReadError, read_problem, too_large};
 use super::headers::media_type;
@@ -45,7 +45,7 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
     let Caller { app, client } = caller;
     let _parser = app.reserve_for(Purpose::Upload, &app.request_share(*client), PARSER_BYTES)?;
     let buffered = Arc::new(AtomicU64::new(0));
-    let request = request.map(|body| Body::new(FrameGate { body, buffered: Arc::clone(&buffered), has_new_frame: false }));
+    let request = request.map(|body| gated(body, Arc::clone(&buffered)));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|error| malformed(error.body_text()))?;
     let (mut image, mut warp) = (None, None);
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
@@ -93,40 +93,25 @@ async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &
     Ok(buffer.finish_exact())
 }
 
-/// Passes frames to the multipart parser one at a time, and fails when the parser buffers too much: it keeps everything that it cannot parse yet.
-struct FrameGate {
-    body: Body,
-    /// Bytes passed to the parser since its last result.
-    buffered: Arc<AtomicU64>,
-    /// The parser has a frame that it has not looked at; it polls until there is none.
-    has_new_frame: bool,
-}
-
-impl HttpBody for FrameGate {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        if std::mem::take(&mut self.has_new_frame) {
+/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot parse
+/// yet. `buffered`: bytes passed to the parser since its last result.
+fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
+    let mut frames = body.into_data_stream();
+    // The parser polls until nothing is ready, and only then looks at what it has.
+    let mut has_new_frame = false;
+    Body::from_stream(poll_fn(move |cx| {
+        if std::mem::take(&mut has_new_frame) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if self.buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
+        if buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
             return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: MAX_OVERHEAD }))));
         }
-        let frame = ready!(Pin::new(&mut self.body).poll_frame(cx));
-        if let Some(data) = frame.as_ref().and_then(|frame| frame.as_ref().ok()).and_then(Frame::data_ref) {
-            self.buffered.fetch_add(data.len() as u64, Ordering::Relaxed);
-            self.has_new_frame = true;
+        let frame = ready!(frames.poll_next_unpin(cx));
+        if let Some(Ok(data)) = &frame {
+            buffered.fetch_add(data.len() as u64, Ordering::Relaxed);
+            has_new_frame = true;
         }
         Poll::Ready(frame)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> http_body::SizeHint {
-        self.body.size_hint()
-    }
+    }))
 }

@@ -32,29 +32,22 @@ mod platform {
 
 #[cfg(not(unix))]
 mod platform {
-    use std::future::pending;
     use std::io;
 
-    /// A group of signals: Ctrl-C, or none.
-    pub(crate) enum Signals {
-        CtrlC,
-        None,
-    }
+    /// Ctrl-C.
+    pub(crate) struct Signals;
 
     impl Signals {
         pub(crate) fn stop() -> io::Result<Self> {
-            Ok(Self::CtrlC)
+            Ok(Self)
         }
 
         pub(crate) fn reload() -> io::Result<Self> {
-            Ok(Self::None)
+            Err(io::ErrorKind::Unsupported.into())
         }
 
         pub(crate) async fn recv(&mut self) {
-            match self {
-                Self::CtrlC => drop(tokio::signal::ctrl_c().await),
-                Self::None => pending().await,
-            }
+            let _ = tokio::signal::ctrl_c().await;
         }
     }
 }

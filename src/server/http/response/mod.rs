@@ -2,15 +2,16 @@
 
 pub(crate) mod problem;
 
-use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Poll, ready};
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
+use futures_util::stream::poll_fn;
 use http_body::Frame;
+use http_body_util::StreamBody;
 use mlswarp::warp::Report;
 use tokio::sync::mpsc::UnboundedReceiver;
 
@@ -71,7 +72,7 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
             if trailers {
                 headers.insert(TRAILER, HeaderValue::from_static("server-timing"));
             }
-            Body::new(StripBody { strips, trailers, ended: false })
+            strip_body(strips, trailers)
         }
     };
     (headers, body).into_response()
@@ -90,41 +91,29 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     texts.collect::<Vec<_>>().join(", ")
 }
 
-/// The body of a picture that is still being drawn.
-struct StripBody {
-    strips: UnboundedReceiver<Piece>,
-    trailers: bool,
-    ended: bool,
-}
-
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error("the picture was not finished")]
 struct Unfinished;
 
-impl HttpBody for StripBody {
-    type Data = Bytes;
-    type Error = Unfinished;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Unfinished>>> {
-        if self.ended {
+/// The body of a picture that is still being drawn.
+fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
+    let mut ended = false;
+    Body::new(StreamBody::new(poll_fn(move |cx| {
+        if ended {
             return Poll::Ready(None);
         }
-        let piece = ready!(self.strips.poll_recv(cx));
-        self.ended = !matches!(piece, Some(Piece::Bytes(_)));
+        let piece = ready!(strips.poll_recv(cx));
+        ended = !matches!(piece, Some(Piece::Bytes(_)));
         Poll::Ready(match piece {
             Some(Piece::Bytes(bytes)) => Some(Ok(Frame::data(bytes))),
             Some(Piece::End(cost)) => {
-                let trailers = || HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
-                self.trailers.then(|| Ok(Frame::trailers(trailers())))
+                let timing = || HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
+                trailers.then(|| Ok(Frame::trailers(timing())))
             }
             // The status was sent already: only a broken connection tells the client.
             None => Some(Err(Unfinished)),
         })
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.ended
-    }
+    })))
 }
 
 /// A JSON value.

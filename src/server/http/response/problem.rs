@@ -32,17 +32,8 @@ pub(crate) fn finish(response: Response, request_id: &str) -> Response {
     Response::from_parts(head, problem.to_json(Some(request_id)).to_string().into())
 }
 
+/// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.
 fn of_status(status: StatusCode) -> Problem {
-    let code = match status {
-        StatusCode::NOT_FOUND => Code::NotFound,
-        StatusCode::METHOD_NOT_ALLOWED => Code::MethodNotAllowed,
-        StatusCode::NOT_ACCEPTABLE => Code::NotAcceptable,
-        StatusCode::REQUEST_TIMEOUT => Code::Timeout,
-        StatusCode::PAYLOAD_TOO_LARGE => Code::TooLarge,
-        StatusCode::UNSUPPORTED_MEDIA_TYPE => Code::UnsupportedMediaType,
-        StatusCode::SERVICE_UNAVAILABLE => Code::Overloaded,
-        status if status.is_client_error() => Code::MalformedRequest,
-        _ => Code::Internal,
-    };
+    let code = if status.is_client_error() { Code::MalformedRequest } else { Code::Internal };
     Problem::new(code, status.canonical_reason().unwrap_or("refused"))
 }

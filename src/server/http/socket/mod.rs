@@ -2,7 +2,6 @@
 //! the connection and the drag.
 
 pub(crate) mod handshake;
-pub(crate) mod metered;
 pub(crate) mod websocket;
 
 use std::pin::pin;

@@ -4,7 +4,9 @@
 use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -15,8 +17,8 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::{CloseCode, Data, O
 use tokio_tungstenite::tungstenite::protocol::frame::{CloseFrame, Frame};
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error, Message, Utf8Bytes};
+use tokio_util::io::InspectReader;
 
-use super::metered::Metered;
 use crate::http::connection::transport::Transport;
 
 /// Maximum size of a fragment, which is the buffer that a picture is copied through.
@@ -25,6 +27,8 @@ const FRAGMENT: usize = 128 << 10;
 const WRITE_BUFFER: usize = 16 << 10;
 /// Bytes that the frame heads of a message may add to it: hundreds of fragments.
 const FRAME_HEADS: usize = 4 << 10;
+/// Bytes of a client's control frame before its payload: 2 bytes and the mask.
+const CONTROL_HEAD: usize = 6;
 /// Maximum size of a read; poses are small.
 const READ_BUFFER: usize = 16 << 10;
 /// Length of the queue from which on nothing is read from the client.
@@ -55,10 +59,15 @@ pub(crate) enum Event {
     Ended(Ending),
 }
 
+/// A transport that counts the bytes that are read.
+type CountingTransport = InspectReader<Transport, Box<dyn FnMut(&[u8]) + Send>>;
+
 /// A WebSocket.
-#[derive(Debug)]
 pub(crate) struct WebSocketConnection {
-    socket: WebSocketStream<Metered<Transport>>,
+    socket: WebSocketStream<CountingTransport>,
+    /// Bytes read since the last whole message. tungstenite's limit counts payloads alone, and permits any number of empty fragments.
+    unread: Arc<AtomicUsize>,
+    max_unread: usize,
     queue: VecDeque<Message>,
     /// Sent before a close if no picture is half sent.
     before_close: Option<Message>,
@@ -77,9 +86,22 @@ impl WebSocketConnection {
             .max_write_buffer_size(2 * (WRITE_BUFFER + FRAGMENT))
             .max_message_size(Some(max_message))
             .max_frame_size(Some(max_message));
-        let stream = Metered::new(transport, max_message.saturating_add(FRAME_HEADS));
-        let socket = WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await;
-        Self { socket, queue: VecDeque::new(), before_close: None, is_flushed: true, blocked_since: None, last_written: Instant::now() }
+        let unread = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&unread);
+        let count = move |bytes: &[u8]| {
+            counter.fetch_add(bytes.len(), Ordering::Relaxed);
+        };
+        let stream: CountingTransport = InspectReader::new(transport, Box::new(count));
+        Self {
+            socket: WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await,
+            unread,
+            max_unread: max_message.saturating_add(FRAME_HEADS),
+            queue: VecDeque::new(),
+            before_close: None,
+            is_flushed: true,
+            blocked_since: None,
+            last_written: Instant::now(),
+        }
     }
 
     pub(crate) fn send_text(&mut self, text: String) {
@@ -136,24 +158,27 @@ impl WebSocketConnection {
             if self.queue.len() >= MAX_QUEUE {
                 return Poll::Pending;
             }
-            let next = ready!(Pin::new(&mut self.socket).poll_next(cx));
-            Poll::Ready(self.event(next))
+            match Pin::new(&mut self.socket).poll_next(cx) {
+                Poll::Ready(next) => Poll::Ready(self.event(next)),
+                Poll::Pending if self.unread.load(Ordering::Relaxed) >= self.max_unread => Poll::Ready(Event::Ended(TOO_LARGE)),
+                Poll::Pending => Poll::Pending,
+            }
         })
         .await
     }
 
     fn event(&mut self, next: Option<Result<Message, Error>>) -> Event {
-        let meter = self.socket.get_mut();
-        match &next {
-            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => meter.control(payload),
-            Some(Ok(_)) => meter.message(),
-            _ => {}
-        }
+        let counted = match &next {
+            // Control frames come between the fragments of a message and do not count.
+            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => CONTROL_HEAD + payload.len(),
+            _ => usize::MAX,
+        };
+        let unread = self.unread.load(Ordering::Relaxed);
+        self.unread.store(unread.saturating_sub(counted), Ordering::Relaxed);
         Event::Ended(match next {
             Some(Ok(Message::Text(text))) => return Event::Text(text),
             Some(Ok(Message::Binary(_) | Message::Frame(_))) => return Event::Binary,
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Event::Ping,
-            Some(Err(Error::Io(_))) if meter.is_exhausted() => TOO_LARGE,
             Some(Err(Error::Capacity(_))) => TOO_LARGE,
             Some(Err(Error::Utf8(_))) => Ending::Close(CloseCode::Invalid, "a text message is UTF-8"),
             Some(Err(Error::Protocol(_))) => Ending::Close(CloseCode::Protocol, "not the WebSocket protocol"),
@@ -202,7 +227,7 @@ impl WebSocketConnection {
             // tungstenite has queued the reply to a client's close.
             self.is_flushed = false;
             poll_fn(|cx| self.poll_write(cx)).await.ok();
-            let stream = &mut self.socket.get_mut().stream;
+            let stream = self.socket.get_mut();
             stream.shutdown().await.ok();
             // Closing with unread bytes would reset the connection and lose the last message.
             let (mut scratch, mut discarded) = ([0; 4096], 0);
