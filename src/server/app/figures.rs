@@ -108,7 +108,7 @@ impl App {
     }
 
     fn write_doors(&self, sheet: &mut Sheet<'_>) -> fmt::Result {
-        let places = self.0.access.places();
+        let places = self.0.access.connections();
         sheet.gauge("connections", "Connections that are open", &one(places.open() as u64))?;
         sheet.counter("connections_refused", "Connections that were closed at once because there were too many", &one(places.refused()))
     }

@@ -13,7 +13,7 @@ pub enum Origins {
 }
 
 impl Origins {
-    /// Reads `*` or a comma-separated list of origins as browsers send them: a scheme, a host, and a port unless it is the scheme's default.
+    /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the port unless it is the default.
     ///
     /// # Errors
     /// The first entry that is not an origin.

@@ -1,5 +1,5 @@
-//! API keys and their owners. A key belongs to a name, and sessions belong to the name, so that a key can be replaced without losing sessions.
-//! Only digests of keys are kept.
+//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced without losing sessions. Only digests are
+//! kept.
 
 use std::fmt;
 
@@ -96,8 +96,8 @@ impl Keys {
         self.0.is_empty()
     }
 
-    /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time, and the
-    /// owner is selected without a branch.
+    /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
+    /// and the owner is selected without a branch.
     #[must_use]
     pub fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();

@@ -44,7 +44,7 @@ impl AccessControl {
 
     /// The limiter of connections.
     #[must_use]
-    pub const fn places(&self) -> &ConnectionLimiter {
+    pub const fn connections(&self) -> &ConnectionLimiter {
         &self.connections
     }
 

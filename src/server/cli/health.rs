@@ -1,4 +1,4 @@
-//! `mlswarp health`: asks a running server `GET /readyz`, over a blocking socket with deadlines. With TLS, it trusts the configured certificate.
+//! `mlswarp health`: sends `GET /readyz` to a running server. With TLS, it trusts the configured certificate alone.
 
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};

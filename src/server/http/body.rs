@@ -76,8 +76,8 @@ impl WaitsForClient {
     }
 }
 
-/// A body with a limit and a deadline. When it is dropped early, its rest is read and discarded for as long again: a client that sends all of its
-/// body before it reads finds the response instead of a reset connection.
+/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded for as long again, so that a client which
+/// sends its whole body before it reads finds the response instead of a reset connection.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,

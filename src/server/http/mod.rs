@@ -1,7 +1,7 @@
-//! HTTP: the routers and their middleware. Every response that is not a success is a problem document, except for request heads that hyper rejects.
+//! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
 //!
-//! The order from the outside in: `middleware::apply` (every request), `authenticate` (routes that need a key), `check_admission` (uploads: rejects
-//! before the body is read when the queue is full), and the handlers.
+//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `check_admission` (uploads: rejects them before the
+//! body is read when the queue is full), and its handler.
 
 mod accept;
 pub(crate) mod assets;
@@ -21,7 +21,6 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, any, get, post, put};
 
-use middleware::MiddlewareState;
 pub use middleware::authentication::Access;
 use middleware::authentication::{Caller, authenticate};
 
@@ -65,7 +64,7 @@ pub fn router(app: App) -> Router {
         let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
         router = router.route(path, route);
     }
-    with_fallbacks(router, MiddlewareState::of_service(&app)).with_state(app)
+    middleware::apply(with_fallbacks(router), &app, app.config().access.hosts(app.config().listen))
 }
 
 /// Metrics and health, without keys, for the ops listener.
@@ -74,17 +73,18 @@ fn ops_router(app: &App) -> Router {
         .route("/healthz", get(routes::service::healthz))
         .route("/readyz", get(routes::service::readyz))
         .route("/metrics", get(routes::service::metrics));
-    with_fallbacks(router, MiddlewareState::of_ops(app)).with_state(app.clone())
+    let listen = app.config().telemetry.metrics_listen;
+    middleware::apply(with_fallbacks(router), app, listen.and_then(|listen| app.config().access.hosts_without_keys(listen)))
 }
 
 /// Answers plain HTTP on a TLS listener.
 fn tls_required_router(app: &App) -> Router {
     let fallback = async || Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
-    middleware::apply(Router::new().fallback(fallback), MiddlewareState::of_any_host(app)).with_state(app.clone())
+    middleware::apply(Router::new().fallback(fallback), app, None)
 }
 
-fn with_fallbacks(router: Router<App>, state: MiddlewareState) -> Router<App> {
-    middleware::apply(router.fallback(not_found).method_not_allowed_fallback(method_not_allowed), state)
+fn with_fallbacks(router: Router<App>) -> Router<App> {
+    router.fallback(not_found).method_not_allowed_fallback(method_not_allowed)
 }
 
 /// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.

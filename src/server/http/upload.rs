@@ -93,8 +93,8 @@ async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &
     Ok(buffer.finish_exact())
 }
 
-/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot parse
-/// yet. `buffered`: bytes passed to the parser since its last result.
+/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot
+/// parse yet. `buffered`: bytes passed to the parser since its last result.
 fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
     let mut frames = body.into_data_stream();
     // The parser polls until nothing is ready, and only then looks at what it has.

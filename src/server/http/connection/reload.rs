@@ -1,4 +1,4 @@
-//! Reloading of keys, certificate and private key while the server runs: after a change, which is looked for every second, and after SIGHUP.
+//! Reloads keys, certificate and private key while the server runs: after a change of their files, and after SIGHUP.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -87,7 +87,7 @@ impl Connections {
             router: router(app.clone()),
             tls_required: tls_required_router(app),
             tls,
-            limiter: app.access().places().clone(),
+            limiter: app.access().connections().clone(),
             is_ops: false,
         }
     }

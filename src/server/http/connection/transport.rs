@@ -59,8 +59,8 @@ impl WriteTimeoutStream {
         &self.socket
     }
 
-    /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of the buffer is free, which a slow client may not
-    /// reach within the timeout; so the write is also retried on a timer.
+    /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of the buffer is free, which a slow client
+    /// may not reach within the timeout; so the write is also retried on a timer.
     fn poll_blocked(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let Some(timeout) = self.timeout else { return Poll::Pending };
         let pause = timeout / RETRIES;

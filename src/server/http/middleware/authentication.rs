@@ -1,5 +1,5 @@
-//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser cannot give a WebSocket a header, so its key
-//! travels as a subprotocol that is offered beside `mlswarp`, never in the address.
+//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser cannot give a WebSocket a header, so
+//! its key travels as a subprotocol that is offered beside `mlswarp`, never in the address.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;

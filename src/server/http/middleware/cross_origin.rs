@@ -44,11 +44,11 @@ pub(super) fn cors_layer(origins: &Origins) -> Option<CorsLayer> {
     Some(names.expose_headers(RESPONSE_HEADERS.map(HeaderName::from_static)))
 }
 
-/// Rejects requests by which a page of another site would change something. A browser sends them and only hides the response; on a server without
-/// keys they would open sessions for any site that a user visits.
+/// Rejects requests by which a page of another site would change something. A browser sends them and only hides the response; on a server
+/// without keys they would open sessions for any site that a user visits.
 ///
-/// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it rejects pages of this server behind a proxy that
-/// sends `Host: bend.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
+/// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it rejects pages of this server behind a
+/// proxy that sends `Host: bend.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
 pub(super) fn check(config: &AccessConfig, request: &Request) -> Result<(), Problem> {
     let headers = request.headers();
     // Browsers send Sec-Fetch-Site to servers that they reach by TLS or on the loopback, and no script can change it (W3C Fetch Metadata).

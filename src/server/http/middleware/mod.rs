@@ -46,41 +46,21 @@ const RETRY_LATE: u32 = 1;
 /// Probes and scrapers request these all the time.
 const UNTRACED_ROUTES: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
-/// The state of the middleware, one for each listener.
-#[derive(Clone, Debug)]
-pub(crate) struct MiddlewareState {
+#[derive(Clone)]
+struct MiddlewareState {
     app: App,
-    /// The hosts that requests may name; none: any host.
     hosts: Option<Hosts>,
 }
 
-impl MiddlewareState {
-    /// For the service.
-    pub(crate) fn of_service(app: &App) -> Self {
-        Self { app: app.clone(), hosts: app.config().access.hosts(app.config().listen).cloned() }
-    }
-
-    /// For a router that rejects every request.
-    pub(crate) fn of_any_host(app: &App) -> Self {
-        Self { app: app.clone(), hosts: None }
-    }
-
-    /// For the listener for metrics and health.
-    pub(crate) fn of_ops(app: &App) -> Self {
-        let config = app.config();
-        let hosts = config.telemetry.metrics_listen.and_then(|listen| config.access.hosts_without_keys(listen));
-        Self { app: app.clone(), hosts: hosts.cloned() }
-    }
-}
-
-/// Adds the middleware to a router.
-pub(crate) fn apply(router: Router<App>, state: MiddlewareState) -> Router<App> {
-    let router = router.layer(CatchPanicLayer::custom(on_panic)).layer(from_fn_with_state(state.app.clone(), limit));
-    let router = match cross_origin::cors_layer(&state.app.config().access.cors_origin) {
+/// Completes a router by its middleware. `hosts`: the hosts that requests may name; none: any host.
+pub(crate) fn apply(router: Router<App>, app: &App, hosts: Option<&Hosts>) -> Router {
+    let router = router.layer(CatchPanicLayer::custom(on_panic)).layer(from_fn_with_state(app.clone(), limit));
+    let router = match cross_origin::cors_layer(&app.config().access.cors_origin) {
         Some(cors) => router.layer(cors),
         None => router,
     };
-    router.layer(from_fn_with_state(state, outermost))
+    let state = MiddlewareState { app: app.clone(), hosts: hosts.cloned() };
+    router.layer(from_fn_with_state(state, outermost)).with_state(app.clone())
 }
 
 /// Identifies, logs and traces a request, checks its host, and completes its response.
@@ -159,8 +139,8 @@ fn set_security_headers(app: &App, headers: &mut HeaderMap) {
 
 /// Rejects cross-origin requests, and limits the body and the time of the others.
 ///
-/// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408) from a slow server (503 with `Retry-After`), give no
-/// actual size, and do not drain the rest of a body after an early response.
+/// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408) from a slow server (503 with
+/// `Retry-After`), give no actual size, and do not drain the rest of a body after an early response.
 async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
     let (access, max_bytes) = (&app.config().access, app.config().max_body_bytes);
     cross_origin::check(access, &request)?;
@@ -211,7 +191,7 @@ mod tests {
         }
         let app = App::new(crate::config::Config::default()).unwrap();
         let router = Router::new().route("/boom", axum::routing::get(boom)).route("/well", axum::routing::get(|| async { "well" }));
-        let router = apply(router, MiddlewareState::of_service(&app)).with_state(app);
+        let router = apply(router, &app, None);
         let get =
             |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
         let response = get("/boom").await.unwrap();

@@ -1,4 +1,4 @@
-//! Problem documents as responses. A handler's problem travels in the response's extensions; [`finish`] writes the document with the request's id.
+//! Problem documents as responses. A problem travels in the response's extensions until [`finish`] writes the document.
 
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{HeaderValue, StatusCode};

@@ -99,8 +99,8 @@ fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
     json_text(held.attach(text))
 }
 
-/// Maximum length of the session object for a warp object. Strings are returned unchanged or not at all, and a bracket or a comma precedes every
-/// number of a list. A column has at most 3 numbers: 2 coordinates and a weight.
+/// Maximum length of the session object for a warp object. Strings are returned unchanged or not at all, and a bracket or a comma precedes
+/// every number of a list. A column has at most 3 numbers: 2 coordinates and a weight.
 fn max_object_length(warp: &[u8], columns: usize) -> u64 {
     let numbers = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
     (FIXED_PART + warp.len() + NUMBER * numbers.min(columns.saturating_mul(3))) as u64

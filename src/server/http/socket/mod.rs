@@ -1,5 +1,5 @@
-//! `GET /sessions/{id}/drag`: the drag socket. Errors of the request are answered before the upgrade; afterwards a task carries messages between
-//! the connection and the drag.
+//! `GET /sessions/{id}/drag`: the drag socket. Errors of the request are answered before the upgrade; afterwards a task carries messages
+//! between the connection and the drag.
 
 pub(crate) mod handshake;
 pub(crate) mod websocket;
@@ -137,7 +137,8 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
             () = drag.work() => {}
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = &mut revoked => {
-                drag.complain(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
+                let detail = "the key that has opened this socket is none of this server's any more";
+                drag.complain(None, &Problem::new(Code::Forbidden, detail));
                 while let Some(outgoing) = drag.next_outgoing() {
                     if let Outgoing::Text(text) = outgoing {
                         socket.send_before_close(text);

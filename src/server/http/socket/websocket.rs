@@ -1,5 +1,5 @@
-//! A WebSocket connection: reads whole messages, and writes from a queue. Pictures leave in fragments, so that at most one fragment is copied and
-//! each one counts as progress. One task reads and writes; neither blocks the other.
+//! A WebSocket connection: reads whole messages, and writes from a queue. Pictures leave in fragments, so that at most one fragment is
+//! copied and each one counts as progress. One task reads and writes; neither blocks the other.
 
 use std::collections::VecDeque;
 use std::future::poll_fn;
