@@ -393,7 +393,7 @@ impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
             PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_QUEUE),
-            PoolError::Panicked => Self::new(Code::Internal, "the server made a mistake; its log has more"),
+            PoolError::Panicked => Self::new(Code::Internal, "internal error"),
         }
     }
 }

@@ -74,7 +74,7 @@ impl AccessControl {
         take(self.by_address.as_ref(), Tenant::of_address(address), now)?;
         let Some(keys) = &self.keys else { return Ok(Credential::ANYBODY) };
         let keys = Arc::clone(&keys.borrow());
-        let key = key.ok_or_else(|| Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"))?;
+        let key = key.ok_or_else(|| Problem::new(Code::Unauthorized, "API key required: send `Authorization: Bearer <key>`"))?;
         let credential = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
         take(self.by_owner.as_ref(), Tenant::Key(credential.owner()), now)?;
         Ok(credential)

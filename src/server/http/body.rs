@@ -166,12 +166,12 @@ impl<'a> BodyBuffer<'a> {
         Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_share(client), REQUEST_BYTES)? })
     }
 
-    pub(crate) fn len(&self) -> u64 {
-        self.bytes.len() as u64
-    }
-
-    pub(crate) fn push(&mut self, data: &[u8]) -> Result<(), Problem> {
+    /// Appends data. The buffer may have at most `limit` bytes; `what` names the limit.
+    pub(crate) fn push(&mut self, data: &[u8], what: &'static str, limit: u64) -> Result<(), Problem> {
         let needed = self.bytes.len() + data.len();
+        if needed as u64 > limit {
+            return Err(too_large(what, limit, needed as u64));
+        }
         if needed > self.bytes.capacity() {
             let capacity = needed.max(2 * self.bytes.capacity());
             // While the bytes are moved, both allocations exist.
@@ -208,11 +208,7 @@ pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, wh
     let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose)?;
     while let Some(frame) = body.frame().await {
         if let Ok(data) = frame.map_err(|error| read_problem(&error, "the body could not be read"))?.into_data() {
-            let length = buffer.len() + data.len() as u64;
-            if length > limit {
-                return Err(too_large(what, limit, length));
-            }
-            buffer.push(&data)?;
+            buffer.push(&data, what, limit)?;
         }
     }
     Ok(buffer.finish())

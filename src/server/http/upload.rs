@@ -11,7 +11,7 @@ use bytes::Bytes;
 use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, ReadError, read_problem, too_large};
+use super::body::{BodyBuffer, ReadError, read_problem};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
@@ -84,11 +84,7 @@ async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &
     let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload)?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
-        let length = buffer.len() + chunk.len() as u64;
-        if length > limit {
-            return Err(too_large("warp_json_bytes", limit, length));
-        }
-        buffer.push(&chunk)?;
+        buffer.push(&chunk, "warp_json_bytes", limit)?;
     }
     Ok(buffer.finish_exact())
 }

@@ -101,8 +101,8 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     reloader.warn_of_readable_secrets();
     if access.has_keys_in_plain(address) {
         tracing::warn!(
-            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert and \
-             --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
+            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert \
+             and --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
         );
     }
     // Serves until this function returns.

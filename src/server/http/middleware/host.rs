@@ -34,25 +34,21 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
 /// The host of the target if it has one, otherwise of the `Host` header.
 fn host(request: &Request) -> Result<Option<Host>, Problem> {
     let malformed = |detail: &str| Problem::new(Code::MalformedRequest, detail);
+    let parse = |text: Option<&str>, name: &str| {
+        text.and_then(Authority::parse).ok_or_else(|| malformed(&format!("the {name} is not `host` or `host:port`")))
+    };
     let mut fields = request.headers().get_all(HOST).iter();
-    let field = match (fields.next(), fields.next()) {
-        (_, Some(_)) => return Err(malformed("the request has more than one Host header")),
-        (Some(field), None) => {
-            let authority = field.to_str().ok().and_then(Authority::parse);
-            Some(authority.ok_or_else(|| malformed("the Host header is not `host` or `host:port`"))?)
-        }
-        (None, None) => None,
-    };
-    let target = match request.uri().authority() {
-        Some(target) => Some(Authority::parse(target.as_str()).ok_or_else(|| malformed("the target's host is not `host` or `host:port`"))?),
-        None => None,
-    };
+    let field = fields.next().map(|field| parse(field.to_str().ok(), "Host header")).transpose()?;
+    if fields.next().is_some() {
+        return Err(malformed("the request has more than one Host header"));
+    }
+    let target = request.uri().authority().map(|target| parse(Some(target.as_str()), "target's host")).transpose()?;
     match (request.version(), &target, &field) {
         (Version::HTTP_11, _, None) => return Err(malformed("an HTTP/1.1 request needs a Host header")),
         (Version::HTTP_2, None, None) => return Err(malformed("an HTTP/2 request needs :authority or a Host header")),
         (Version::HTTP_2, Some(target), Some(field)) => {
-            let own_port = if request.uri().scheme_str() == Some("https") { 443 } else { 80 };
-            let port = |authority: &Authority| authority.port.unwrap_or(own_port);
+            let default_port = if request.uri().scheme_str() == Some("https") { 443 } else { 80 };
+            let port = |authority: &Authority| authority.port.unwrap_or(default_port);
             if target.host != field.host || port(target) != port(field) {
                 return Err(malformed(":authority and the Host header differ"));
             }

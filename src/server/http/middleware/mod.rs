@@ -167,7 +167,7 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
 
 fn on_panic(panic: Box<dyn Any + Send>) -> Response {
     tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
-    Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
+    Problem::new(Code::Internal, "internal error").into_response()
 }
 
 /// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id` accepts any id.

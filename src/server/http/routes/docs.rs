@@ -51,7 +51,7 @@ pub(crate) fn files() -> Router<App> {
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     // Unpacking takes some milliseconds, once.
     let unpacked = tokio::task::spawn_blocking(|| &*ASSETS).await;
-    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "the server made a mistake; its log has more"))?;
+    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "internal error"))?;
     find(assets, &name, &headers)
 }
 
