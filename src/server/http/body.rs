@@ -62,20 +62,6 @@ pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &
     }
 }
 
-/// Whether a request is waiting for bytes of its body, that is, for its client.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct WaitsForClient(Arc<AtomicBool>);
-
-impl WaitsForClient {
-    pub(crate) fn get(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-
-    fn set(&self, waits: bool) {
-        self.0.store(waits, Ordering::Relaxed);
-    }
-}
-
 /// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded for as long again, so that a client which
 /// sends its whole body before it reads finds the response instead of a reset connection.
 #[derive(Debug)]
@@ -86,12 +72,13 @@ pub(crate) struct LimitedBody {
     timeout: Duration,
     deadline: Pin<Box<Sleep>>,
     expects_continue: bool,
-    waits: WaitsForClient,
+    /// Whether the request is waiting for bytes of its body, that is, for its client.
+    waits: Arc<AtomicBool>,
 }
 
 impl LimitedBody {
     /// `expects_continue`: the client sends the body only after `100 Continue`, which the first read makes hyper send.
-    pub(crate) fn wrap(body: Body, limit: u64, timeout: Duration, expects_continue: bool, waits: WaitsForClient) -> Body {
+    pub(crate) fn wrap(body: Body, limit: u64, timeout: Duration, expects_continue: bool, waits: Arc<AtomicBool>) -> Body {
         if body.is_end_stream() {
             return body;
         }
@@ -112,7 +99,7 @@ impl HttpBody for LimitedBody {
             return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { timeout: this.timeout }))));
         }
         let polled = Pin::new(body).poll_frame(cx);
-        this.waits.set(polled.is_pending());
+        this.waits.store(polled.is_pending(), Ordering::Relaxed);
         let frame = ready!(polled);
         match &frame {
             None | Some(Err(_)) => this.body = None,
@@ -140,7 +127,7 @@ impl HttpBody for LimitedBody {
 
 impl Drop for LimitedBody {
     fn drop(&mut self) {
-        self.waits.set(false);
+        self.waits.store(false, Ordering::Relaxed);
         let is_withheld = self.expects_continue && self.left == self.limit;
         if let Some(mut body) = self.body.take().filter(|body| !is_withheld && !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()

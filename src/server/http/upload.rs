@@ -56,11 +56,11 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
             "warp" => (&mut warp, app.config().max_warp_json_bytes),
             _ => {
                 let name: String = name.chars().take(60).collect();
-                return Err(malformed(format!("a part is named `{name}`; the parts are `image` and `warp`")));
+                return Err(malformed(format!("unknown part `{name}`; the parts are `image` and `warp`")));
             }
         };
         if slot.is_some() {
-            return Err(malformed(format!("the part `{name}` comes twice")));
+            return Err(malformed(format!("the part `{name}` occurs twice")));
         }
         *slot = Some(read_part(caller, part, limit, &buffered).await?);
     }

@@ -182,13 +182,13 @@ async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connection
                     let connections = Arc::clone(connections);
                     tasks.spawn(async move { connections.serve(socket, peer, permit).await });
                 }
-                None => tracing::debug!(peer = %peer.ip(), "no place for another connection: it is closed"),
+                None => tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed"),
             },
             // The client has closed the connection already.
             Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset) => {}
             Err(error) => {
                 // Out of files or memory: connections wait in the backlog.
-                tracing::warn!(%error, "no connection can be taken");
+                tracing::warn!(%error, "cannot accept a connection");
                 sleep(ACCEPT_PAUSE).await;
             }
         }

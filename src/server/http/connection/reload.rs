@@ -83,20 +83,20 @@ impl Reloader {
         if let Some(keys) = self.keys.as_ref().filter(|keys| keys.file.is_some()) {
             match keys.read() {
                 Ok(new) => {
-                    tracing::info!(keys = new.len(), "keys were read again");
+                    tracing::info!(keys = new.len(), "keys reloaded");
                     self.app.access().replace_keys(new);
                 }
-                Err(mistake) => tracing::error!("keys stay as they were: {mistake}"),
+                Err(mistake) => tracing::error!("keys not reloaded: {mistake}"),
             }
         }
         if let Some((files, config)) = &self.tls {
             match files.load() {
                 Ok(new) => {
-                    tracing::info!("the certificate was read again");
+                    tracing::info!("certificate reloaded");
                     config.send_replace(new);
                 }
                 // Certificate and key are replaced one after the other; the next look finds both.
-                Err(mistake) => tracing::error!("the certificate stays as it was: {mistake}"),
+                Err(mistake) => tracing::error!("certificate not reloaded: {mistake}"),
             }
         }
         self.warn_of_readable_secrets();

@@ -203,7 +203,7 @@ impl Connections {
         match ended {
             Some(Ok(())) => {}
             Some(Err(error)) => tracing::debug!(%error, "a connection ended early"),
-            None => tracing::debug!("a connection did not end after its graceful shutdown: it is cut"),
+            None => tracing::debug!("a connection did not end after its graceful shutdown: it is closed"),
         }
     }
 

@@ -93,7 +93,7 @@ impl<F: Future<Output = ()>> Future for StreamStallTimeout<F> {
             let Some(taken) = this.progress.get() else { return Poll::Pending };
             let left = this.timeout.saturating_sub(taken.elapsed());
             if left.is_zero() {
-                tracing::debug!("a client took nothing of a stream within {:?}: it is reset", this.timeout);
+                tracing::debug!("a client read nothing of a stream for {:?}: the stream is reset", this.timeout);
                 return Poll::Ready(());
             }
             ready!(this.deadline.get_or_insert_with(|| Box::pin(sleep(left))).as_mut().poll(cx));

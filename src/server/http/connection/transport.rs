@@ -76,8 +76,8 @@ impl WriteTimeoutStream {
             if blocked.since.elapsed() >= timeout {
                 // Discards what the kernel still holds.
                 let _ = SockRef::from(&self.socket).set_linger(Some(Duration::ZERO));
-                tracing::debug!("a client took nothing within {timeout:?}: its connection is cut");
-                return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client does not take what it is sent")));
+                tracing::debug!("a client read nothing for {timeout:?}: its connection is closed");
+                return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client reads nothing")));
             }
             blocked.retry.as_mut().reset(tokio::time::Instant::now() + pause);
         }

@@ -6,6 +6,8 @@ pub(crate) mod host;
 
 use std::any::Any;
 use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use axum::Router;
@@ -22,7 +24,7 @@ use opentelemetry_sdk::propagation::TraceContextPropagator;
 use tower_http::catch_panic::CatchPanicLayer;
 use uuid::Uuid;
 
-use super::body::{LimitedBody, WaitsForClient, too_large};
+use super::body::{LimitedBody, too_large};
 use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
@@ -146,8 +148,8 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     cross_origin::check(access, &request)?;
     let length = content_length(request.headers());
     let expects_continue = request.headers().contains_key(EXPECT);
-    let waits = WaitsForClient::default();
-    let request = request.map(|body| LimitedBody::wrap(body, max_bytes, access.body_timeout, expects_continue, waits.clone()));
+    let waits = Arc::<AtomicBool>::default();
+    let request = request.map(|body| LimitedBody::wrap(body, max_bytes, access.body_timeout, expects_continue, Arc::clone(&waits)));
     if let Some(length) = length.filter(|length| *length > max_bytes) {
         return Err(too_large("body_bytes", max_bytes, length));
     }
@@ -157,7 +159,7 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
         return Ok(response);
     }
     let seconds = access.request_timeout.as_secs_f64();
-    Err(if waits.get() {
+    Err(if waits.load(Ordering::Relaxed) {
         Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
     } else {
         let detail = format!("the server did not answer within the {seconds} s that a request may take");

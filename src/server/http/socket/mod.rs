@@ -49,7 +49,7 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
                 let transport = without_write_timeout(parts.io.into_inner());
                 run(&app, credential, drag, WebSocketConnection::new(transport, parts.read_buf, max_message).await).await;
             }
-            Err(_) => tracing::error!("an upgraded connection is none of this server's"),
+            Err(_) => tracing::error!("an upgraded connection has an unknown type"),
         }
     }));
     Ok(response)
@@ -137,7 +137,7 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
             () = drag.work() => {}
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = &mut revoked => {
-                let detail = "the key that has opened this socket is none of this server's any more";
+                let detail = "the key of this socket was revoked";
                 drag.complain(None, &Problem::new(Code::Forbidden, detail));
                 while let Some(outgoing) = drag.next_outgoing() {
                     if let Outgoing::Text(text) = outgoing {
@@ -173,7 +173,7 @@ enum Action {
 /// The next deadline of a client: to read what it is sent, to acknowledge a frame, to send something or to answer a ping.
 fn next_deadline(heard: Instant, pinged: Option<Instant>, drag: &Drag, socket: &WebSocketConnection, config: &Config) -> (Instant, Action) {
     if let Some(since) = socket.blocked_since() {
-        return (since + config.socket_timeout, Action::Close("the client does not take what it is sent"));
+        return (since + config.socket_timeout, Action::Close("the client reads nothing"));
     }
     let written = socket.last_written();
     let silence = match pinged {
