@@ -46,7 +46,7 @@ fn run(command: Command, config: Config) -> ExitCode {
                 eprintln!("{summary}");
                 Ok(())
             }
-            Err(problem) => Err(warp::complaint(&problem)),
+            Err(problem) => Err(warp::error_message(&problem)),
         }),
     }
 }

@@ -76,15 +76,15 @@ async fn who_finds_no_place_is_told_at_once_and_places_come_back() {
     for _ in 0..4 {
         idle.push(TcpStream::connect(server.address).await.unwrap());
     }
-    eventually("four places are taken", || server.app.access().places().open() == 4).await;
+    eventually("four places are taken", || server.app.access().connections().open() == 4).await;
     let mut fifth = TcpStream::connect(server.address).await.unwrap();
     let _ = fifth.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
     let mut answer = Vec::new();
     let closed = tokio::time::timeout(Duration::from_secs(5), fifth.read_to_end(&mut answer)).await;
     assert!(closed.is_ok() && answer.is_empty(), "it is closed without an answer, not kept waiting");
-    assert_eq!(server.app.access().places().refused(), 1);
+    assert_eq!(server.app.access().connections().refused(), 1);
     drop(idle);
-    eventually("the places come back", || server.app.access().places().open() == 0).await;
+    eventually("the places come back", || server.app.access().connections().open() == 0).await;
     server.is_well().await;
 }
 

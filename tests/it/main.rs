@@ -16,7 +16,6 @@ mod fairness;
 mod floods;
 mod formats;
 mod golden;
-mod heads;
 mod hostile;
 mod hosts;
 mod identity;

@@ -1,8 +1,10 @@
-//! Whoever refuses (a route, a layer, the framework), the answer is a whole problem document. Only what is not HTTP at all (a head that
-//! cannot be parsed or is too long) is answered by the HTTP library, without a body.
+//! Every error is a whole problem document, whether a route, a layer or the framework rejects the request. Only heads that the HTTP library rejects
+//! are answered by the library, without a body.
 
 use reqwest::{Method, RequestBuilder};
 use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
 
 use crate::support::bombs;
 use crate::support::server::{form, header, png, problem};
@@ -261,4 +263,30 @@ fn the_contract_shows_the_documents_of_the_page() {
     let mut seen = 0;
     look(&serde_json::from_str(CONTRACT).unwrap(), &mut seen);
     assert!(seen > 20, "{seen}");
+}
+
+/// The limits of a head: 64 KiB and 100 fields.
+#[tokio::test]
+async fn heads_that_the_http_library_rejects_have_no_problem() {
+    let server = Server::start(&[]).await;
+    let fields = |count: usize| (0..count).map(|n| format!("X-{n}: 1\r\n")).collect::<String>();
+    let get = |fields: &str| format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{fields}\r\n");
+    for (head, status) in [
+        (get(&fields(97)), 200),
+        (get(&fields(99)), 431),
+        (get(&format!("X: {}\r\n", "x".repeat(60_000))), 200),
+        (get(&format!("X: {}\r\n", "x".repeat(300_000))), 431),
+        ("no head at all\r\n\r\n".to_owned(), 400),
+    ] {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        // The server may close the connection before it has read everything, which may lose its answer.
+        let sent = stream.write_all(head.as_bytes()).await;
+        let mut answer = Vec::new();
+        let read = stream.read_to_end(&mut answer).await;
+        let answer = String::from_utf8(answer).unwrap();
+        let is_lost = answer.is_empty() && head.len() > 200_000 && (sent.is_err() || read.is_err());
+        assert!(is_lost || answer.starts_with(&format!("HTTP/1.1 {status} ")), "{answer}");
+        assert!(status == 200 || is_lost || answer.ends_with("\r\n\r\n"), "{answer}");
+    }
+    server.is_well().await;
 }

@@ -89,7 +89,7 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
         in_time(body.await.unwrap(), BODY);
     }
     well.end("silent sockets, slow heads, slow bodies").await;
-    eventually("every connection is given back", || server.app.access().places().open() <= 2).await;
+    eventually("every connection is given back", || server.app.access().connections().open() <= 2).await;
 }
 
 /// A session whose picture is some megabytes, never compressed.
@@ -130,7 +130,7 @@ async fn who_takes_nothing_is_cut_and_who_takes_little_is_not() {
     slow.read_to_end(&mut rest).await.unwrap();
     assert!(rest.ends_with(b"0\r\n\r\n") && taken + rest.len() > 1600 * 1200 * 3, "the picture is whole: {}", taken + rest.len());
     // The other one has been cut long ago: its place is free, and what it reads ends early.
-    eventually("it is cut", || server.app.access().places().open() <= 2).await;
+    eventually("it is cut", || server.app.access().connections().open() <= 2).await;
     let (_, said) = closed_or_reset(nothing).await;
     assert!(said < 1600 * 1200 * 3, "{said}");
     well.end("a reader that takes nothing, one at 10 kB/s").await;
@@ -206,7 +206,7 @@ async fn http_2_without_window_falls_to_the_write_deadline() {
     while frames.next().await.is_some() {}
     assert!(began.elapsed() < 10 * (WRITE + HEADER + WRITE), "{:?}", began.elapsed());
     well.end("HTTP/2 without window").await;
-    eventually("its place is given back", || server.app.access().places().open() <= 2).await;
+    eventually("its place is given back", || server.app.access().connections().open() <= 2).await;
 }
 
 /// One byte of window for each answer, and pings: what is left of the answers does not stay.

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use futures_util::{SinkExt as _, StreamExt as _};
 use mlswarp_server::auth::tls::TlsFiles;
 use mlswarp_server::client::Client;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
@@ -105,6 +105,26 @@ async fn http_1_and_2_and_the_drag_socket_go_through_it() {
     socket.send(Message::text(json!({"seq": 7, "q": [[3, 2]]}).to_string())).await.unwrap();
     let Some(Ok(Message::Binary(frame))) = socket.next().await else { panic!("a frame") };
     assert_eq!(frame[..8], 7_u64.to_le_bytes());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn plain_http_is_told_that_tls_is_missing() {
+    let folder = Folder::new("plain");
+    let server = folder.server(&[]).await;
+    // Also a client that sends all of its picture before it reads.
+    let picture = vec![b'x'; 20_000_000];
+    let post = format!("POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Length: {}\r\n\r\n", picture.len());
+    for (head, body) in [("GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n", &[][..]), (&post, &picture)] {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        stream.write_all(head.as_bytes()).await.unwrap();
+        stream.write_all(body).await.unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).await.unwrap();
+        assert!(answer.starts_with("HTTP/1.1 400 ") && answer.contains("content-type: application/problem+json"), "{answer}");
+        let document: Value = serde_json::from_str(answer.rsplit_once("\r\n\r\n").unwrap().1).unwrap();
+        assert_eq!(document["code"], "malformed_request");
+        assert!(document["detail"].as_str().unwrap().contains("https://"), "{document}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

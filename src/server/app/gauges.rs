@@ -78,7 +78,7 @@ impl Collector for App {
         self.write_work(writer)?;
         self.write_memory(writer)?;
         self.write_store(writer)?;
-        let connections = self.0.access.places();
+        let connections = self.0.access.connections();
         writer.gauge("connections", "Connections that are open", &one(connections.open() as u64))?;
         writer.counter("connections_refused", "Connections closed at once because of a limit", &one(connections.refused()))?;
         writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.taken() as u64))?;

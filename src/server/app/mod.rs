@@ -335,7 +335,7 @@ impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
             PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY),
-            PoolError::Panicked => Self::new(Code::Internal, "internal error; the server's log has the details"),
+            PoolError::Panicked => Self::new(Code::Internal, "internal error"),
         }
     }
 }

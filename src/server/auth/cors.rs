@@ -1,9 +1,9 @@
-//! Whose pages may ask: the origins that a browser is told of, and that may open a drag socket.
+//! The origins of other sites whose pages may use this service.
 
-/// Origins of other sites whose pages may use this service.
+/// A set of origins.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Origins {
-    /// None: pages of this server alone.
+    /// None.
     #[default]
     Own,
     /// These.
@@ -13,10 +13,10 @@ pub enum Origins {
 }
 
 impl Origins {
-    /// Reads `*` or origins between commas, as browsers write them: scheme, host and a port that is not the scheme's own.
+    /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the port unless it is the default.
     ///
     /// # Errors
-    /// What is no origin.
+    /// The first entry that is not an origin.
     pub fn parse(text: &str) -> Result<Self, String> {
         let listed: Vec<&str> = text.split(',').map(str::trim).filter(|origin| !origin.is_empty()).collect();
         match listed.as_slice() {
@@ -26,7 +26,7 @@ impl Origins {
         }
     }
 
-    /// Whether pages of this origin may ask.
+    /// Whether the origin is in the set.
     #[must_use]
     pub fn has(&self, origin: &str) -> bool {
         match self {
@@ -40,14 +40,14 @@ impl Origins {
 fn checked(origin: &str) -> Result<String, String> {
     let wrong = || format!("`{origin}` is no origin such as https://bend.example or http://127.0.0.1:3000");
     let (scheme, authority) = origin.split_once("://").ok_or_else(wrong)?;
-    let own_port = match scheme {
+    let default_port = match scheme {
         "https" => ":443",
         "http" => ":80",
         _ => return Err(wrong()),
     };
     let plain = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b"-._:[]".contains(&b);
-    // Exact comparison: what a browser would never send is a mistake, not a rule that never holds.
-    if authority.is_empty() || !authority.bytes().all(plain) || authority.ends_with(own_port) {
+    // Origins are compared as text: an entry that a browser never sends is a mistake.
+    if authority.is_empty() || !authority.bytes().all(plain) || authority.ends_with(default_port) {
         return Err(wrong());
     }
     Ok(origin.to_owned())

@@ -1,17 +1,17 @@
-//! The hosts that a request may name, and the syntax of a host and its port (RFC 9110, section 4.2; RFC 3986, section 3.2.2).
+//! The syntax of a host and its port (RFC 9110, section 4.2; RFC 3986, section 3.2.2), and the hosts that a request may name.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
-/// A host as requests and the configuration name it.
+/// A host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Host {
     /// An IP literal.
     Address(IpAddr),
-    /// A name in lower case, without the dot of the root.
+    /// A name in lower case, without a trailing dot.
     Name(String),
 }
 
-/// A host and, where it is written, its port.
+/// A host with an optional port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Authority {
     /// The host.
@@ -21,7 +21,7 @@ pub struct Authority {
 }
 
 impl Authority {
-    /// Reads `host` or `host:port`. None where the text is neither.
+    /// Reads `host` or `host:port`.
     #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         let (host, port) = match text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
@@ -55,12 +55,12 @@ impl Host {
     }
 }
 
-/// Hosts that a request may name. `localhost` and IP literals are always among them: an attacker's DNS cannot answer for those.
+/// The hosts that a request may name. `localhost` and IP literals are always allowed: they are not resolved by DNS.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Hosts(Vec<Host>);
 
 impl Hosts {
-    /// Reads host names between commas.
+    /// Reads a comma-separated list of host names.
     ///
     /// # Errors
     /// The first entry that is not a host name.
@@ -73,7 +73,7 @@ impl Hosts {
         entries.map(host).collect::<Result<_, _>>().map(Self)
     }
 
-    /// Whether none is listed.
+    /// Whether the list is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()

@@ -1,5 +1,5 @@
-//! Keys: who may use the service, and whose sessions are meant. A key belongs to a name, and sessions belong to the name: while a name has two
-//! keys, one can be replaced by the other without losing a session. Of a key only its digest is kept.
+//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced without losing sessions. Only digests are
+//! kept.
 
 use std::fmt;
 
@@ -8,31 +8,36 @@ use subtle::{Choice, ConditionallySelectable as _, ConstantTimeEq as _};
 
 use crate::client::Owner;
 
-/// Fewer characters could be guessed.
-const SHORTEST: usize = 16;
-/// A longer key would not fit a request's head comfortably.
-const LONGEST: usize = 512;
-/// More keys would make every request wait for the comparison.
-const MOST: usize = 1000;
-/// Longest name.
-const LONGEST_NAME: usize = 64;
+/// Minimum length of a key, against guessing.
+const MIN_KEY: usize = 16;
+/// Maximum length of a key.
+const MAX_KEY: usize = 512;
+/// Maximum number of keys: every request is compared with all of them.
+const MAX_KEYS: usize = 1000;
+const MAX_NAME: usize = 64;
 
-/// What somebody came in by: a key, of which its digest and its owner are kept, or nothing where nobody needs one. It is good for as long as the key is.
+/// The key that a request was admitted by, or none where no keys are configured.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Credential(Option<Key>);
 
 impl Credential {
-    /// Where there are no keys.
+    /// Where no keys are configured.
     pub const ANYBODY: Self = Self(None);
+
+    /// The owner whose sessions may be used.
+    #[must_use]
+    pub fn owner(self) -> Owner {
+        self.0.map_or(Owner::ANYBODY, |key| key.owner)
+    }
 }
 
 impl fmt::Debug for Credential {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Pass({})", if self.0.is_some() { "a key" } else { "anybody" })
+        write!(f, "Credential({})", if self.0.is_some() { "a key" } else { "anybody" })
     }
 }
 
-/// Keys that are taken.
+/// The configured keys.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct Keys(Vec<Key>);
 
@@ -43,90 +48,88 @@ struct Key {
 }
 
 impl Keys {
-    /// Reads `NAME KEY` lines (or such pairs between commas); empty lines and lines that begin with `#` say nothing.
+    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and lines that begin with `#` are ignored.
     ///
     /// # Errors
-    /// The line that is wrong and why; never what it holds.
+    /// The number of the wrong line and the cause; never the key.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim_start().starts_with('#')) {
             for pair in text.split(',').map(str::trim).filter(|pair| !pair.is_empty()) {
-                let key = key(pair).map_err(|why| format!("line {line}: {why}"))?;
-                if keys.0.iter().any(|known| known.digest == key.digest) {
+                let key = parse_key(pair).map_err(|cause| format!("line {line}: {cause}"))?;
+                if keys.has(&key) {
                     return Err(format!("line {line}: the key is there already"));
                 }
                 keys.0.push(key);
             }
         }
-        if keys.0.len() > MOST {
-            return Err(format!("{} keys; at most {MOST}", keys.0.len()));
+        if keys.0.len() > MAX_KEYS {
+            return Err(format!("{} keys; at most {MAX_KEYS}", keys.0.len()));
         }
         Ok(keys)
     }
 
-    /// These and others; a key that both have keeps its place here.
+    /// These keys and others; a key that is in both keeps its owner here.
     #[must_use]
     pub fn and(mut self, others: &Self) -> Self {
-        let new = others.0.iter().filter(|key| !self.0.iter().any(|known| known.digest == key.digest));
-        let new: Vec<Key> = new.copied().collect();
-        self.0.extend(new);
+        for key in &others.0 {
+            if !self.has(key) {
+                self.0.push(*key);
+            }
+        }
         self
     }
 
-    /// How many there are.
+    fn has(&self, key: &Key) -> bool {
+        self.0.iter().any(|known| known.digest == key.digest)
+    }
+
+    /// The number of keys.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// There is none.
+    /// Whether there are no keys.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whose key it is, and what shows that it is still one. Takes as long for a wrong key as for a right one, wherever it stands and however much of it is right: digests are compared,
-    /// each in constant time, every one of them, and the owner is chosen without a branch.
+    /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
+    /// and the owner is selected without a branch.
     #[must_use]
-    pub fn look_up(&self, key: &str) -> Option<(Owner, Credential)> {
+    pub fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
-        let owner = Owner::from_bytes(owner);
-        bool::from(found).then_some((owner, Credential(Some(Key { digest, owner }))))
+        let key = Key { digest, owner: Owner::from_bytes(owner) };
+        bool::from(found).then_some(Credential(Some(key)))
     }
 
-    /// Whose key it is.
+    /// Whether the credential's key is still configured, for the same owner.
     #[must_use]
-    pub fn owner_of(&self, key: &str) -> Option<Owner> {
-        self.look_up(key).map(|(owner, _)| owner)
-    }
-
-    /// Whether the pass's key is still one of the same name's.
-    #[must_use]
-    pub fn is_valid(&self, pass: Credential) -> bool {
-        pass.0.is_none_or(|key| {
-            let Search { found, owner, .. } = self.search(&key.digest);
-            bool::from(found) && Owner::from_bytes(owner) == key.owner
-        })
+    pub fn is_valid(&self, credential: Credential) -> bool {
+        credential.0.is_none_or(|key| self.0.contains(&key))
     }
 
     fn search(&self, digest: &[u8; 32]) -> Search {
-        let nobody = Search { found: Choice::from(0), owner: [0; 16], visited: 0 };
-        self.0.iter().fold(nobody, |mut search, key| {
-            let same = key.digest.ct_eq(digest);
-            for (byte, theirs) in search.owner.iter_mut().zip(key.owner.to_bytes()) {
-                byte.conditional_assign(&theirs, same);
+        let mut search = Search { found: Choice::from(0), owner: [0; 16], visited: 0 };
+        for key in &self.0 {
+            let is_equal = key.digest.ct_eq(digest);
+            for (byte, other) in search.owner.iter_mut().zip(key.owner.to_bytes()) {
+                byte.conditional_assign(&other, is_equal);
             }
-            Search { found: search.found | same, owner: search.owner, visited: search.visited + 1 }
-        })
+            search.found |= is_equal;
+            search.visited += 1;
+        }
+        search
     }
 }
 
-/// Where a search has come to.
 struct Search {
     found: Choice,
     owner: [u8; 16],
-    /// Keys compared: all of them, whatever was found (tested).
+    /// The number of compared keys, for a test.
     visited: usize,
 }
 
@@ -136,25 +139,25 @@ impl fmt::Debug for Keys {
     }
 }
 
-fn key(pair: &str) -> Result<Key, String> {
+fn parse_key(pair: &str) -> Result<Key, String> {
     let mut words = pair.split_whitespace();
     let (Some(name), Some(key), None) = (words.next(), words.next(), words.next()) else {
         return Err("a name and a key were expected, with a space between".to_owned());
     };
-    if name.len() > LONGEST_NAME || !name.bytes().all(|b| b.is_ascii_alphanumeric() || b"._@-".contains(&b)) {
-        return Err(format!("a name has at most {LONGEST_NAME} of A-Z a-z 0-9 . _ @ -"));
+    if name.len() > MAX_NAME || !name.bytes().all(|b| b.is_ascii_alphanumeric() || b"._@-".contains(&b)) {
+        return Err(format!("a name has at most {MAX_NAME} of A-Z a-z 0-9 . _ @ -"));
     }
-    if !(SHORTEST..=LONGEST).contains(&key.len()) {
-        return Err(format!("the key has {} characters; {SHORTEST} to {LONGEST} were expected", key.len()));
+    if !(MIN_KEY..=MAX_KEY).contains(&key.len()) {
+        return Err(format!("the key has {} characters; {MIN_KEY} to {MAX_KEY} were expected", key.len()));
     }
-    // What a bearer token may hold (RFC 6750, section 2.1).
+    // The characters of a bearer token (RFC 6750, section 2.1).
     if !key.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._~+/=".contains(&b)) {
         return Err("a key has A-Z a-z 0-9 and -._~+/= only".to_owned());
     }
     Ok(Key { digest: Sha256::digest(key).into(), owner: owner_of_name(name) })
 }
 
-/// The owner that a name stands for, the same in every process.
+/// The owner of a name, the same in every process.
 fn owner_of_name(name: &str) -> Owner {
     let digest = Sha256::new().chain_update(b"mlswarp owner\0").chain_update(name).finalize();
     Owner::from_bytes(digest[..16].try_into().expect("16 of 32 bytes"))
@@ -166,6 +169,12 @@ mod tests {
 
     const ONE: &str = "0123456789abcdef";
     const TWO: &str = "fedcba9876543210";
+
+    impl Keys {
+        fn owner_of(&self, key: &str) -> Option<Owner> {
+            self.look_up(key).map(Credential::owner)
+        }
+    }
 
     #[test]
     fn keys_of_one_name_are_one_owner() {
@@ -209,15 +218,15 @@ mod tests {
     }
 
     #[test]
-    fn a_pass_is_good_for_as_long_as_its_key_is_one_of_its_name() {
+    fn a_credential_is_valid_for_as_long_as_its_key_is_one_of_its_name() {
         let keys = |text: &str| Keys::parse(text).unwrap();
-        let (owner, pass) = keys(&format!("ann {ONE}")).look_up(ONE).unwrap();
-        assert_eq!(owner, owner_of_name("ann"));
-        assert!(keys(&format!("bob {TWO}\nann {ONE}")).is_valid(pass));
+        let credential = keys(&format!("ann {ONE}")).look_up(ONE).unwrap();
+        assert_eq!(credential.owner(), owner_of_name("ann"));
+        assert!(keys(&format!("bob {TWO}\nann {ONE}")).is_valid(credential));
         for others in ["", &format!("ann {TWO}"), &format!("bob {ONE}")] {
-            assert!(!keys(others).is_valid(pass), "{others}");
+            assert!(!keys(others).is_valid(credential), "{others}");
             assert!(keys(others).is_valid(Credential::ANYBODY));
         }
-        assert_eq!(format!("{pass:?} {:?}", Credential::ANYBODY), "Pass(a key) Pass(anybody)");
+        assert_eq!(format!("{credential:?} {:?}", Credential::ANYBODY), "Credential(a key) Credential(anybody)");
     }
 }

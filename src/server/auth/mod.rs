@@ -1,10 +1,11 @@
-//! The doors: who is let in, how many, how often. No HTTP here but the name of what a request says; the layers around routes and connections ask.
+//! Access control: keys, rates and the number of connections; the syntax of hosts and origins; TLS.
 
 pub mod cors;
 pub mod hosts;
 pub mod keys;
 pub mod tls;
 
+use std::future::pending;
 use std::io::Read as _;
 use std::net::IpAddr;
 use std::path::Path;
@@ -13,88 +14,85 @@ use std::time::Instant;
 
 use tokio::sync::watch;
 
-use crate::client::{Owner, Tenant};
+use crate::client::Tenant;
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::rate_limit::RateLimit;
 use crate::problem::{Code, Problem};
 use keys::{Credential, Keys};
 
-/// What decides at the doors.
+/// Decides which requests are admitted.
 #[derive(Debug)]
 pub struct AccessControl {
-    /// None where no keys are configured.
+    /// None if no keys are configured.
     keys: Option<watch::Sender<Arc<Keys>>>,
     by_address: Option<RateLimit<Tenant>>,
     by_owner: Option<RateLimit<Tenant>>,
-    places: ConnectionLimiter,
+    connections: ConnectionLimiter,
 }
 
 impl AccessControl {
-    /// Doors as configured.
+    /// Access control with these limits.
     #[must_use]
-    pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, places: ConnectionLimiter) -> Self {
+    pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, connections: ConnectionLimiter) -> Self {
         Self {
             keys: keys.map(|keys| watch::Sender::new(Arc::new(keys))),
             by_address: rate_per_address.map(RateLimit::new),
             by_owner: rate_per_key.map(RateLimit::new),
-            places,
+            connections,
         }
     }
 
-    /// Places for connections.
+    /// The limiter of connections.
     #[must_use]
-    pub const fn places(&self) -> &ConnectionLimiter {
-        &self.places
+    pub const fn connections(&self) -> &ConnectionLimiter {
+        &self.connections
     }
 
-    /// Other keys from now on.
+    /// Replaces the keys.
     pub fn replace_keys(&self, new: Keys) {
         if let Some(keys) = &self.keys {
             keys.send_replace(Arc::new(new));
         }
     }
 
-    /// Waits until the pass is good no more.
-    pub async fn revoked(&self, pass: Credential) {
-        let revoked = async { self.keys.as_ref()?.subscribe().wait_for(|keys| !keys.is_valid(pass)).await.is_ok().then_some(()) };
-        // Without keys none can be revoked, and the sender lives as long as `self`.
-        if revoked.await.is_none() {
-            std::future::pending().await
+    /// Waits until the credential is no longer valid.
+    pub async fn revoked(&self, credential: Credential) {
+        match &self.keys {
+            // The wait cannot fail: `self` owns the sender.
+            Some(keys) => drop(keys.subscribe().wait_for(|keys| !keys.is_valid(credential)).await),
+            None => pending().await,
         }
     }
 
-    /// Whose sessions are meant by who comes from this address with this key.
+    /// The credential of a request from this address with this key.
     ///
     /// # Errors
     /// [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
-    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<(Owner, Credential), Problem> {
+    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Credential, Problem> {
         let now = Instant::now();
-        // The address first: guesses count too.
-        count(self.by_address.as_ref(), Tenant::of_address(address), now)?;
-        let Some(keys) = &self.keys else { return Ok((Owner::ANYBODY, Credential::ANYBODY)) };
+        // Before the key, so that guesses count.
+        take(self.by_address.as_ref(), Tenant::of_address(address), now)?;
+        let Some(keys) = &self.keys else { return Ok(Credential::ANYBODY) };
         let keys = Arc::clone(&keys.borrow());
-        let Some(key) = key else {
-            return Err(Problem::new(Code::Unauthorized, "this server wants a key: Authorization: Bearer KEY"));
-        };
-        let (owner, pass) = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
-        count(self.by_owner.as_ref(), Tenant::Key(owner), now)?;
-        Ok((owner, pass))
+        let key = key.ok_or_else(|| Problem::new(Code::Unauthorized, "API key required: send `Authorization: Bearer <key>`"))?;
+        let credential = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
+        take(self.by_owner.as_ref(), Tenant::Key(credential.owner()), now)?;
+        Ok(credential)
     }
 }
 
-/// Takes one of whoever asks.
-fn count(rates: Option<&RateLimit<Tenant>>, who: Tenant, now: Instant) -> Result<(), Problem> {
-    let Some(Err(seconds)) = rates.map(|rates| rates.take(who, now)) else { return Ok(()) };
-    Err(Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds))
+fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Result<(), Problem> {
+    let too_fast = |seconds| Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds);
+    rate.map_or(Ok(()), |rate| rate.take(tenant, now)).map_err(too_fast)
 }
 
-/// A small file.
+/// Reads a small file.
 ///
 /// # Errors
-/// It cannot be read, or is larger than `most` bytes.
-pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, String> {
+/// It cannot be read, or has more than `limit` bytes.
+pub fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let file = std::fs::File::open(path).map_err(|e| e.to_string())?;
-    file.take(most + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-    if bytes.len() as u64 > most { Err(format!("larger than {most} bytes")) } else { Ok(bytes) }
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+    if bytes.len() as u64 > limit { Err(format!("larger than {limit} bytes")) } else { Ok(bytes) }
 }

@@ -1,4 +1,4 @@
-//! TLS: the certificate and its key from files, and the client sides by which the program asks itself, and a collector.
+//! TLS: the server's certificate and key, and the TLS clients of the health check and of the exporter of traces.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,61 +10,61 @@ use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use tokio_rustls::rustls::{CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, ServerConfig, SignatureScheme};
 
-/// HTTP/2, by its name in the handshake.
+/// The ALPN name of HTTP/2.
 pub const H2: &[u8] = b"h2";
 const HTTP_1_1: &[u8] = b"http/1.1";
-/// Largest file.
-const MOST: u64 = 1 << 20;
+/// Maximum size of a file.
+const MAX_FILE: u64 = 1 << 20;
 
-/// Where certificate and key lie, both PEM.
+/// The files of the certificate and its key, both PEM.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
-    /// The server's certificate, then those that lead to a root.
+    /// The server's certificate, then its chain.
     pub cert: PathBuf,
     /// Its private key.
     pub key: PathBuf,
 }
 
 impl TlsFiles {
-    /// Reads both; each time anew.
+    /// Reads both files.
     ///
     /// # Errors
-    /// The file and why.
+    /// The file and the cause.
     pub fn load(&self) -> Result<Arc<ServerConfig>, String> {
         let chain = certificates(&self.cert)?;
-        let key = PrivateKeyDer::from_pem_slice(&read(&self.key)?).map_err(|e| told(&self.key, &format!("no private key in PEM: {e}")))?;
-        let fits = |e: Error| format!("{} and {} do not go together: {e}", self.cert.display(), self.key.display());
+        let key = read(&self.key)?;
+        let key = PrivateKeyDer::from_pem_slice(&key).map_err(|e| mistake(&self.key, &format!("no private key in PEM: {e}")))?;
+        let mismatch = |e: Error| format!("{} and {} do not go together: {e}", self.cert.display(), self.key.display());
         let mut config = ServerConfig::builder_with_provider(provider())
             .with_safe_default_protocol_versions()
             .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, key))
-            .map_err(fits)?;
+            .map_err(mismatch)?;
         config.alpn_protocols = vec![H2.to_vec(), HTTP_1_1.to_vec()];
         Ok(Arc::new(config))
     }
 
-    /// The client side of one who knows this certificate and takes no other, whoever has signed it and for whatever name.
+    /// A client that trusts this certificate alone, whatever its issuer and its names.
     ///
     /// # Errors
-    /// The file and why.
+    /// The file and the cause.
     pub fn trusting_it_alone(&self) -> Result<Arc<ClientConfig>, String> {
-        let own = certificates(&self.cert)?.swap_remove(0);
-        let verifier = Arc::new(ThisOne { own, provider: provider() });
+        let certificate = certificates(&self.cert)?.swap_remove(0);
+        let verifier = Arc::new(PinnedCertificate { certificate, provider: provider() });
         let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
         Ok(Arc::new(builder.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth()))
     }
 }
 
-/// The client side of one who trusts whom this system trusts (or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`), for HTTP/1.1.
+/// A client for HTTP/1.1 that trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
 ///
 /// # Errors
 /// There are no roots.
 pub fn trusting_the_systems_roots() -> Result<Arc<ClientConfig>, String> {
     let found = rustls_native_certs::load_native_certs();
     let mut roots = RootCertStore::empty();
-    let (taken, _) = roots.add_parsable_certificates(found.certs);
-    if taken == 0 {
-        let why = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
-        return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"));
+    if roots.add_parsable_certificates(found.certs).0 == 0 {
+        let cause = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
+        return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{cause}"));
     }
     let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
     let mut config = builder.with_root_certificates(roots).with_no_client_auth();
@@ -76,29 +76,29 @@ fn provider() -> Arc<CryptoProvider> {
     Arc::new(ring::default_provider())
 }
 
-fn told(path: &Path, why: &impl fmt::Display) -> String {
-    format!("{}: {why}", path.display())
+fn mistake(path: &Path, cause: &impl fmt::Display) -> String {
+    format!("{}: {cause}", path.display())
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, String> {
-    crate::auth::read_bounded(path, MOST).map_err(|why| told(path, &why))
+    super::read_bounded(path, MAX_FILE).map_err(|cause| mistake(path, &cause))
 }
 
-/// At least one.
+/// The certificates of a file, at least one.
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, String> {
     let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&read(path)?).collect();
-    let chain = chain.map_err(|e| told(path, &format!("no certificate in PEM: {e}")))?;
-    if chain.is_empty() { Err(told(path, &"no certificate in PEM")) } else { Ok(chain) }
+    let chain = chain.map_err(|e| mistake(path, &format!("no certificate in PEM: {e}")))?;
+    if chain.is_empty() { Err(mistake(path, &"no certificate in PEM")) } else { Ok(chain) }
 }
 
-/// Takes one certificate, byte for byte; that its key signs the handshake is checked as ever.
+/// Accepts one certificate, byte for byte. The signature of the handshake is verified as usual.
 #[derive(Debug)]
-struct ThisOne {
-    own: CertificateDer<'static>,
+struct PinnedCertificate {
+    certificate: CertificateDer<'static>,
     provider: Arc<CryptoProvider>,
 }
 
-impl ServerCertVerifier for ThisOne {
+impl ServerCertVerifier for PinnedCertificate {
     fn verify_server_cert(
         &self,
         end_entity: &CertificateDer<'_>,
@@ -107,7 +107,7 @@ impl ServerCertVerifier for ThisOne {
         _: &[u8],
         _: UnixTime,
     ) -> Result<ServerCertVerified, Error> {
-        if *end_entity == self.own {
+        if *end_entity == self.certificate {
             return Ok(ServerCertVerified::assertion());
         }
         Err(Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))

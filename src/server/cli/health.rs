@@ -1,8 +1,7 @@
-//! `mlswarp health`: asks `GET /readyz` of the server at the listen address, or at that of its metrics where it has one, over a plain socket with a deadline. For health checks of
-//! containers: no shell, no HTTP client, no runtime. Where the server speaks TLS, its own certificate is the one that is taken.
+//! `mlswarp health`: sends `GET /readyz` to a running server. With TLS, it trusts the configured certificate alone.
 
 use std::io::{self, Read, Write};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
 use std::time::Duration;
 
 use tokio_rustls::rustls::pki_types::ServerName;
@@ -10,23 +9,23 @@ use tokio_rustls::rustls::{ClientConnection, StreamOwned};
 
 use crate::config::Config;
 
-/// Longest wait for each of connecting, asking and answering.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// Timeout of connecting, of each write and of each read.
+const TIMEOUT: Duration = Duration::from_secs(3);
 /// Enough for a status line.
 const STATUS_LINE: usize = 64;
 
 /// Whether the server can take work now.
 ///
 /// # Errors
-/// It cannot be reached, or says no.
+/// It cannot be reached, or is not ready.
 pub fn ask(config: &Config) -> io::Result<()> {
-    let watched = config.telemetry.metrics_listen;
-    let address = reachable(watched.unwrap_or(config.listen));
-    let stream = TcpStream::connect_timeout(&address, PATIENCE)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
-    // There nobody speaks TLS, and no crowd of clients keeps this one out.
-    let Some(files) = config.auth.tls.as_ref().filter(|_| watched.is_none()) else { return ask_over(stream, address) };
+    // The ops listener has no TLS and connections of its own.
+    let ops = config.telemetry.metrics_listen;
+    let address = reachable(ops.unwrap_or(config.listen));
+    let stream = TcpStream::connect_timeout(&address, TIMEOUT)?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.set_write_timeout(Some(TIMEOUT))?;
+    let Some(files) = config.auth.tls.as_ref().filter(|_| ops.is_none()) else { return ask_over(stream, address) };
     let client = files.trusting_it_alone().map_err(io::Error::other)?;
     let connection = ClientConnection::new(client, ServerName::IpAddress(address.ip().into())).map_err(io::Error::other)?;
     ask_over(StreamOwned::new(connection, stream), address)
@@ -43,14 +42,12 @@ fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()
     Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status))))
 }
 
-/// An address that means "all of them" is asked on the loopback.
-fn reachable(listen: SocketAddr) -> SocketAddr {
-    let ip = match listen.ip() {
-        IpAddr::V4(ip) if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
-        IpAddr::V6(ip) if ip.is_unspecified() => IpAddr::V6(Ipv6Addr::LOCALHOST),
-        ip => ip,
-    };
-    SocketAddr::new(ip, listen.port())
+/// The address, or the loopback in place of an unspecified address.
+fn reachable(mut listen: SocketAddr) -> SocketAddr {
+    if listen.ip().is_unspecified() {
+        listen.set_ip(if listen.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });
+    }
+    listen
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The subcommands that are not the server: one warp offline, and a health check.
+//! The subcommands beside the server.
 
 pub mod health;
 pub mod warp;

@@ -1,56 +1,55 @@
-//! Content negotiation: which of the forms that are written here the client would rather have (RFC 9110, section 12.5.1).
+//! Content negotiation by `Accept` (RFC 9110, section 12.5.1).
 
 use axum::http::HeaderMap;
 use axum::http::header::ACCEPT;
 use mlswarp::codec::Format;
 
+use super::headers::elements;
 use crate::problem::{Code, Problem};
 use crate::wire::formats::Formats;
 
-/// The index of the media type among `offers` that the client wants most; the first of them where it wants several equally, or says nothing.
+/// The index of the media type among `offers` that the client prefers; of equal ones the first.
 ///
 /// # Errors
-/// 406 when it takes none.
+/// 406 if it accepts none.
 pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
-    let wanted = wanted(headers, offers);
-    let best = (0..N).fold(0, |best, index| if wanted[index] > wanted[best] { index } else { best });
+    let weights = weights(headers, offers);
+    let best = (0..N).fold(0, |best, index| if weights[index] > weights[best] { index } else { best });
     let none = || Problem::new(Code::NotAcceptable, format!("this answer is written as {}; Accept takes none of these", offers.join(", ")));
-    if wanted[best] > 0.0 { Ok(best) } else { Err(none()) }
+    if weights[best] > 0.0 { Ok(best) } else { Err(none()) }
 }
 
-/// Which picture formats the client takes.
+/// The picture formats that the client accepts.
 ///
 /// # Errors
-/// 406 when it takes none.
+/// 406 if it accepts none.
 pub(crate) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
-    Formats::new(wanted(headers, Format::ALL.map(Format::media_type)))
+    Formats::new(weights(headers, Format::ALL.map(Format::media_type)))
 }
 
-/// How much each of the media types is wanted.
-fn wanted<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
-    let ranges = headers.get_all(ACCEPT).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).map(str::trim);
-    // A list may hold empty elements (RFC 9110, section 5.6.1); a header without any other is one that is absent.
-    let ranges: Vec<&str> = ranges.filter(|range| !range.is_empty()).collect();
+/// The weight of each media type. Without any range, all are accepted.
+fn weights<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
+    let ranges: Vec<&str> = elements(headers, ACCEPT).collect();
     if ranges.is_empty() {
         return [1.0; N];
     }
-    // The most specific range decides: `image/png;q=0, */*` takes no PNG.
-    offers
-        .map(|offer| ranges.iter().filter_map(|range| quality(range, offer)).max_by_key(|(specific, _)| *specific).map_or(0.0, |(_, q)| q))
+    // The most specific range decides: `image/png;q=0, */*` excludes PNG.
+    let weight = |offer| ranges.iter().filter_map(|range| weight(range, offer)).max_by_key(|(precision, _)| *precision);
+    offers.map(|offer| weight(offer).map_or(0.0, |(_, weight)| weight))
 }
 
-/// How closely a range names the media type, and how much it is wanted; `None` when it names something else.
-fn quality(range: &str, offer: &str) -> Option<(u8, f32)> {
+/// How precisely a range names the media type, and its weight; `None` if it names another one.
+fn weight(range: &str, offer: &str) -> Option<(u8, f32)> {
     let mut pieces = range.split(';').map(str::trim);
     let name = pieces.next()?.to_ascii_lowercase();
-    let specific = match name.as_str() {
+    let precision = match name.as_str() {
         "*/*" | "*" => 0,
         name if name == offer => 2,
         name if name.strip_suffix("/*").is_some_and(|kind| offer.split('/').next() == Some(kind)) => 1,
         _ => return None,
     };
     let q = pieces.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q="))).map_or(Some(1.0), |q| q.trim().parse().ok());
-    Some((specific, q.filter(|q: &f32| !q.is_nan()).map_or(1.0, |q| q.clamp(0.0, 1.0))))
+    Some((precision, q.filter(|q: &f32| !q.is_nan()).map_or(1.0, |q| q.clamp(0.0, 1.0))))
 }
 
 #[cfg(test)]

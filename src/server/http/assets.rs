@@ -1,10 +1,9 @@
-//! `GET /` and `GET /page/{file}`: the drag page, compiled in. It is served whole or as 304; it loads nothing from elsewhere, and the policy
-//! below holds it to that. `page/README.md` lists what in it may be relied on.
+//! `GET /` and `GET /page/{file}`: the embedded drag page. Its content security policy permits nothing from other sites.
 
 use std::sync::LazyLock;
 
 use axum::Router;
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
@@ -15,6 +14,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::app::App;
 use crate::config::Config;
+use crate::http::headers::elements;
 use crate::problem::{Code, Problem};
 use crate::store::StoreUrl;
 
@@ -24,7 +24,7 @@ pub(crate) const HTML: &str = "text/html; charset=utf-8";
 pub(crate) const CSS: &str = "text/css; charset=utf-8";
 pub(crate) const JS: &str = "text/javascript; charset=utf-8";
 const INDEX: &str = include_str!("../../web/index.html");
-/// Where the index says what this server takes, so that the page can say so before an upload.
+/// The placeholder in the index for the server's limits, which the page checks before an upload.
 const LIMITS: &str = "{limits}";
 
 macro_rules! assets {
@@ -36,9 +36,9 @@ macro_rules! assets {
 static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS,
-        "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "main.js" JS,
-        "mesh.js" JS, "open.js" JS, "outside.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS, "samples.js" JS, "share.js" JS, "state.js" JS,
-        "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
+        "access.js" JS, "actions.js" JS, "api.js" JS, "edits.js" JS, "grid.js" JS, "handles.js" JS, "keep.js" JS, "keys.js" JS,
+        "live.js" JS, "main.js" JS, "mesh.js" JS, "open.js" JS, "outside.js" JS, "paint.js" JS, "panel.js" JS, "pointer.js" JS,
+        "samples.js" JS, "share.js" JS, "state.js" JS, "sync.js" JS, "table.js" JS, "view.js" JS, "words.js" JS,
         "icon.svg" "image/svg+xml",
         "cat.jpg" "image/jpeg", "portrait.jpg" "image/jpeg", "rocket.jpg" "image/jpeg", "horse.webp" "image/webp",
         "cat-before.webp" "image/webp", "cat-after.webp" "image/webp", "horse-before.webp" "image/webp", "horse-after.webp" "image/webp",
@@ -64,39 +64,41 @@ impl Asset {
         Self { media: HeaderValue::from_static(media), bytes, tag: HeaderValue::try_from(tag).expect("hex is visible ASCII") }
     }
 
-    pub(crate) fn answer(&self, asked: &HeaderMap) -> Response {
+    /// The file, or 304 if the client has it.
+    pub(crate) fn response(&self, request: &HeaderMap) -> Response {
         let headers = [
             (ETAG, self.tag.clone()),
             (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
             (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
         ];
-        if is_known(asked, &self.tag) {
+        // Tags are compared weakly (RFC 9110, section 13.1.2).
+        let is_known = |tag: &str| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == self.tag;
+        if elements(request, IF_NONE_MATCH).any(is_known) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
         }
         (headers, [(CONTENT_TYPE, self.media.clone())], self.bytes.clone()).into_response()
     }
 }
 
-/// `If-None-Match` names the tag (RFC 9110, section 13.1.2: compared weakly).
-fn is_known(asked: &HeaderMap, tag: &HeaderValue) -> bool {
-    let tags = asked.get_all(IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
-    tags.map(str::trim).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
-}
-
-/// The page's routes: no part of the contract, so the OpenAPI document does not have them.
+/// The page's routes, which are not part of the contract.
 pub(crate) fn routes(app: &App) -> Router<App> {
     let index = Asset::new(HTML, Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)));
-    Router::new().route("/", get(async move |headers: HeaderMap| index.answer(&headers))).route("/page/{file}", get(file))
+    Router::new().route("/", get(async move |headers: HeaderMap| index.response(&headers))).route("/page/{file}", get(file))
 }
 
-async fn file(State(_): State<App>, Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    match ASSETS.iter().find(|(known, _)| *known == name) {
-        Some((_, asset)) => Ok(asset.answer(&headers)),
+async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    find(&*ASSETS, &name, &headers)
+}
+
+/// Serves one of a page's files.
+pub(crate) fn find(files: &[(&str, Asset)], name: &str, headers: &HeaderMap) -> Result<Response, Problem> {
+    match files.iter().find(|(known, _)| *known == name) {
+        Some((_, asset)) => Ok(asset.response(headers)),
         None => Err(Problem::new(Code::NotFound, format!("the page has no file {name}"))),
     }
 }
 
-/// `name=number ...`: bytes, pixels, pixels, seconds, and 1 where pictures are kept in memory alone.
+/// `name=number ...`: bytes, pixels, pixels, seconds, and 1 if pictures are kept in memory only.
 fn limits(config: &Config) -> String {
     let image = config.limits().image;
     format!(

@@ -1,5 +1,4 @@
-//! Request bodies behind a limit and one deadline for the whole of them. A body that is dropped before its end is drained, for as long again and
-//! into nothing, so that a client which writes first and reads later finds the answer instead of a broken connection, however large its body is.
+//! Request bodies: a limit and a deadline for the whole body, and buffers whose memory is reserved before they grow.
 
 use std::future::Future as _;
 use std::pin::Pin;
@@ -10,12 +9,13 @@ use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
 use axum::extract::Request;
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use bytes::Bytes;
 use http_body::Frame;
 use http_body_util::BodyExt as _;
-use tokio::time::{Sleep, sleep};
+use tokio::time::{Sleep, sleep, timeout};
 
+use super::headers::{content_length, media_type};
+use super::middleware::authentication::Caller;
 use crate::app::App;
 use crate::client::Client;
 use crate::limits::memory::{Purpose, Reservation};
@@ -24,24 +24,13 @@ use crate::problem::{Code, Problem};
 /// Why a body ended early.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(crate) enum ReadError {
-    /// More bytes than the limit.
     #[error("the body is larger than {limit} bytes")]
-    TooLarge {
-        /// The limit.
-        limit: u64,
-    },
-    /// What a multipart body says beside its parts.
+    TooLarge { limit: u64 },
+    /// The parts of a multipart body are not counted.
     #[error("the heads of the parts, and what lies between the parts, are longer than {limit} bytes")]
-    PartOverheadTooLarge {
-        /// The limit.
-        limit: u64,
-    },
-    /// Not whole in time.
-    #[error("the body was not whole within {} s", .within.as_secs_f64())]
-    TooSlow {
-        /// The deadline.
-        within: Duration,
-    },
+    PartOverheadTooLarge { limit: u64 },
+    #[error("the body was not whole within {} s", .timeout.as_secs_f64())]
+    TooSlow { timeout: Duration },
 }
 
 impl From<ReadError> for Problem {
@@ -64,51 +53,37 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
     Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; at most {limit}")).limit(what, limit, actual)
 }
 
-/// What went wrong while a body was read; `doing` says what it was read for.
-pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), doing: &str) -> Problem {
-    let mut cause = Some(error);
-    while let Some(error) = cause {
-        if let Some(ours) = error.downcast_ref::<ReadError>() {
-            return (*ours).into();
-        }
-        cause = error.source();
-    }
-    Problem::new(Code::MalformedRequest, format!("{doing}: {error}"))
-}
-
-/// Whether a request waits for bytes of its body, that is, for its client.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Waiting(Arc<AtomicBool>);
-
-impl Waiting {
-    pub(crate) fn is_for_client(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-
-    fn set(&self, is_for_client: bool) {
-        self.0.store(is_for_client, Ordering::Relaxed);
+/// The problem of a failed read: a [`ReadError`] among the causes, or a malformed body with `context`.
+pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &str) -> Problem {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    match causes.filter_map(|error| error.downcast_ref::<ReadError>()).next() {
+        Some(error) => (*error).into(),
+        None => Problem::new(Code::MalformedRequest, format!("{context}: {error}")),
     }
 }
 
-/// A body with a limit and a deadline.
+/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded for as long again, so that a client which
+/// sends its whole body before it reads finds the response instead of a reset connection.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,
     left: u64,
     limit: u64,
-    within: Duration,
+    timeout: Duration,
     deadline: Pin<Box<Sleep>>,
-    waiting: Waiting,
+    expects_continue: bool,
+    /// Whether the request is waiting for bytes of its body, that is, for its client.
+    waits: Arc<AtomicBool>,
 }
 
 impl LimitedBody {
-    /// `waits`: the client asked for permission first (`Expect: 100-continue`); there is nothing to drain.
-    pub(crate) fn wrap(body: Body, limit: u64, within: Duration, waits: bool, waiting: Waiting) -> Body {
+    /// `expects_continue`: the client sends the body only after `100 Continue`, which the first read makes hyper send.
+    pub(crate) fn wrap(body: Body, limit: u64, timeout: Duration, expects_continue: bool, waits: Arc<AtomicBool>) -> Body {
         if body.is_end_stream() {
             return body;
         }
-        let guard = Self { body: Some(body), left: limit, limit, within, deadline: Box::pin(sleep(within)), waiting };
-        if waits { Body::new(ExpectContinueBody(guard)) } else { Body::new(guard) }
+        let deadline = Box::pin(sleep(timeout));
+        Body::new(Self { body: Some(body), left: limit, limit, timeout, deadline, expects_continue, waits })
     }
 }
 
@@ -121,21 +96,21 @@ impl HttpBody for LimitedBody {
         let Some(body) = &mut this.body else { return Poll::Ready(None) };
         if this.deadline.as_mut().poll(cx).is_ready() {
             this.body = None;
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { within: this.within }))));
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { timeout: this.timeout }))));
         }
         let polled = Pin::new(body).poll_frame(cx);
-        this.waiting.set(polled.is_pending());
+        this.waits.store(polled.is_pending(), Ordering::Relaxed);
         let frame = ready!(polled);
         match &frame {
             None | Some(Err(_)) => this.body = None,
             Some(Ok(frame)) => {
-                let read = frame.data_ref().map_or(0, |data| data.len() as u64);
-                if read > this.left {
-                    // Dropping `self` drains what is left of the body.
+                let length = frame.data_ref().map_or(0, |data| data.len() as u64);
+                let Some(left) = this.left.checked_sub(length) else {
+                    // The body stays: it is drained when `self` is dropped.
                     this.left = 0;
                     return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooLarge { limit: this.limit }))));
-                }
-                this.left -= read;
+                };
+                this.left = left;
             }
         }
         Poll::Ready(frame)
@@ -152,61 +127,21 @@ impl HttpBody for LimitedBody {
 
 impl Drop for LimitedBody {
     fn drop(&mut self) {
-        self.waiting.set(false);
-        if let Some(body) = self.body.take().filter(|body| !body.is_end_stream())
+        self.waits.store(false, Ordering::Relaxed);
+        let is_withheld = self.expects_continue && self.left == self.limit;
+        if let Some(mut body) = self.body.take().filter(|body| !is_withheld && !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
-            runtime.spawn(drain(body, self.within));
+            let limit = self.timeout;
+            runtime.spawn(timeout(limit, async move { while let Some(Ok(_)) = body.frame().await {} }));
         }
     }
 }
 
-async fn drain(mut body: Body, within: Duration) {
-    let read = async { while let Some(Ok(_)) = body.frame().await {} };
-    // Whether it ended or was given up, the body is dropped now.
-    let _ = tokio::time::timeout(within, read).await;
-}
+/// Memory of a request beside its body: its head, its task, its stream.
+const REQUEST_BYTES: u64 = 16 << 10;
 
-/// A guarded body whose client sends nothing before it is told to.
-#[derive(Debug)]
-struct ExpectContinueBody(LimitedBody);
-
-impl HttpBody for ExpectContinueBody {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.0).poll_frame(cx)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.0.is_end_stream()
-    }
-
-    fn size_hint(&self) -> http_body::SizeHint {
-        self.0.size_hint()
-    }
-}
-
-impl Drop for ExpectContinueBody {
-    fn drop(&mut self) {
-        // Reading would give the permission.
-        if self.0.left == self.0.limit {
-            self.0.body = None;
-        }
-    }
-}
-
-/// The media type of the body, lower case, without parameters.
-pub(crate) fn media_type(request: &Request) -> Option<String> {
-    let text = request.headers().get(CONTENT_TYPE)?.to_str().ok()?;
-    Some(text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
-}
-
-/// What a request takes beside its body while that is read: its head, its task, its stream.
-const BESIDE: u64 = 16 << 10;
-
-/// Bytes that grow as they arrive; their memory is in the account before they are kept.
+/// A growing buffer. Its memory is reserved before it is allocated.
 pub(crate) struct BodyBuffer<'a> {
     app: &'a App,
     bytes: Vec<u8>,
@@ -215,66 +150,53 @@ pub(crate) struct BodyBuffer<'a> {
 
 impl<'a> BodyBuffer<'a> {
     pub(crate) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
-        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_quota(client), BESIDE)? })
+        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_quota(client), REQUEST_BYTES)? })
     }
 
-    pub(crate) fn len(&self) -> u64 {
-        self.bytes.len() as u64
-    }
-
-    pub(crate) fn push(&mut self, data: &[u8]) -> Result<(), Problem> {
+    /// Appends data. The buffer may have at most `limit` bytes; `what` names the limit.
+    pub(crate) fn push(&mut self, data: &[u8], what: &'static str, limit: u64) -> Result<(), Problem> {
         let needed = self.bytes.len() + data.len();
+        if needed as u64 > limit {
+            return Err(too_large(what, limit, needed as u64));
+        }
         if needed > self.bytes.capacity() {
-            let room = needed.max(2 * self.bytes.capacity());
-            // Both copies are there while it moves.
-            self.app.reserve_more(&mut self.held, room as u64)?;
-            self.bytes.reserve_exact(room - self.bytes.len());
-            self.held.shrink_to(BESIDE + self.bytes.capacity() as u64);
+            let capacity = needed.max(2 * self.bytes.capacity());
+            // While the bytes are moved, both allocations exist.
+            self.app.reserve_more(&mut self.held, capacity as u64)?;
+            self.bytes.reserve_exact(capacity - self.bytes.len());
+            self.held.shrink_to(REQUEST_BYTES + self.bytes.capacity() as u64);
         }
         self.bytes.extend_from_slice(data);
         Ok(())
     }
 
-    /// As they are; a buffer that grew is up to twice as large as what it holds.
+    /// The bytes in the buffer as it is, which may be twice as large.
     pub(crate) fn finish(mut self) -> Bytes {
         self.held.shrink_to(self.bytes.capacity() as u64);
         self.held.attach(self.bytes)
     }
 
-    /// Exactly: a session keeps them for minutes.
-    pub(crate) fn fit(mut self) -> Bytes {
+    /// The bytes in a buffer of their size, for a session to keep.
+    pub(crate) fn finish_exact(mut self) -> Bytes {
         self.bytes.shrink_to_fit();
         self.finish()
     }
 }
 
-/// A JSON body of at most `limit` bytes. A drag's is read for its frame: it is not kept out by uploads.
-pub(crate) async fn json(
-    app: &App,
-    client: Client,
-    request: Request,
-    purpose: Purpose,
-    what: &'static str,
-    limit: u64,
-) -> Result<Bytes, Problem> {
-    if media_type(&request).as_deref() != Some("application/json") {
+/// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads from blocking the bodies of drags.
+pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+    if media_type(request.headers()).as_deref() != Some("application/json") {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
     }
-    let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
-    if let Some(length) = length.filter(|n| *n > limit) {
+    if let Some(length) = content_length(request.headers()).filter(|length| *length > limit) {
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut read = BodyBuffer::new(app, client, purpose)?;
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose)?;
     while let Some(frame) = body.frame().await {
-        let frame = frame.map_err(|e| read_problem(&e, "the body could not be read"))?;
-        if let Ok(data) = frame.into_data() {
-            let length = read.len() + data.len() as u64;
-            if length > limit {
-                return Err(too_large(what, limit, length));
-            }
-            read.push(&data)?;
+        if let Ok(data) = frame.map_err(|error| read_problem(&error, "the body could not be read"))?.into_data() {
+            buffer.push(&data, what, limit)?;
         }
     }
-    Ok(read.finish())
+    Ok(buffer.finish())
 }

@@ -1,39 +1,37 @@
-//! HTTP: routes, and the layers around them. Every answer that is not a success is a problem document, whoever refused
-//! (also of heads that are none: `server/heads.rs`; of HTTP/2 only those that have become requests).
+//! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
 //!
-//! From the outside in: `fence` (request id, body limits and deadline, panics, the request's own deadline, problem documents, what browsers are
-//! told, one log line a request), then `keyed` on every route that is not open (key, rate, whose sessions are meant), then `shed` on the routes
-//! that upload (a full queue answers before a body is read), then the handlers.
+//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `check_admission` (uploads: rejects them before the
+//! body is read when the queue is full), and its handler.
 
 mod accept;
 pub(crate) mod assets;
 mod body;
 pub mod connection;
+mod headers;
 pub(crate) mod middleware;
 pub(crate) mod response;
 mod routes;
 mod socket;
 mod upload;
 
+use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, any, get, post, put};
-use axum::{Extension, Router};
 
-use middleware::Fence;
-pub use middleware::keyed::Access;
+pub use middleware::authentication::Access;
+use middleware::authentication::{Caller, authenticate};
 
 use crate::app::App;
-use crate::client::Client;
 use crate::problem::{Code, Problem};
 
-/// Every route of the contract and who may use it; the OpenAPI document lists the same (tested). The page's files are not of it, and open.
+/// The routes of the contract and who may use them; a test compares them with the OpenAPI document. The page's files are not among them.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
-    let scraped = if app.config().auth.open_metrics { Open } else { Keyed };
-    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), shed));
+    let metrics_access = if app.config().auth.open_metrics { Open } else { Keyed };
+    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), check_admission));
     vec![
         ("/warp", Keyed, post(routes::warp::warp)),
         ("/sessions", Keyed, uploads(post(routes::sessions::create))),
@@ -44,10 +42,10 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
         ("/points", Keyed, uploads(post(routes::points::once))),
-        ("/healthz", Open, get(routes::health::alive)),
-        ("/readyz", Open, get(routes::health::ready)),
-        ("/metrics", scraped, get(routes::metrics::text)),
-        ("/openapi.json", Open, get(routes::openapi::document)),
+        ("/healthz", Open, get(routes::service::healthz)),
+        ("/readyz", Open, get(routes::service::readyz)),
+        ("/metrics", metrics_access, get(routes::service::metrics)),
+        ("/openapi.json", Open, get(routes::service::openapi)),
         ("/docs", Open, get(routes::docs::page)),
         ("/problems/{code}", Open, get(routes::problems::section)),
     ]
@@ -61,42 +59,45 @@ pub fn paths(app: &App) -> Vec<(&'static str, Access)> {
 
 /// The service.
 pub fn router(app: App) -> Router {
-    routes(&app)
-        .into_iter()
-        .map(|(path, access, route)| match access {
-            Access::Open => (path, route),
-            Access::Keyed => (path, route.layer(from_fn_with_state(app.clone(), middleware::keyed::keyed))),
-        })
-        .fold(assets::routes(&app).merge(routes::docs::files()), |router, (path, route)| router.route(path, route))
-        .fallback(no_such_route)
-        .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(Fence::of_service(&app), middleware::fence))
-        .with_state(app)
+    let mut router = assets::routes(&app).merge(routes::docs::files());
+    for (path, access, route) in routes(&app) {
+        let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
+        router = router.route(path, route);
+    }
+    middleware::apply(with_fallbacks(router), &app, app.config().auth.hosts(app.config().listen))
 }
 
-/// What those who watch the service may ask on a listener of their own, without a key.
-fn watched(app: App) -> Router {
-    Router::new()
-        .route("/healthz", get(routes::health::alive))
-        .route("/readyz", get(routes::health::ready))
-        .route("/metrics", get(routes::metrics::text))
-        .fallback(no_such_route)
-        .method_not_allowed_fallback(no_such_method)
-        .layer(from_fn_with_state(Fence::of_watchers(&app), middleware::fence))
-        .with_state(app)
+/// Metrics and health, without keys, for the ops listener.
+fn ops_router(app: &App) -> Router {
+    let router = Router::new()
+        .route("/healthz", get(routes::service::healthz))
+        .route("/readyz", get(routes::service::readyz))
+        .route("/metrics", get(routes::service::metrics));
+    let listen = app.config().telemetry.metrics_listen;
+    middleware::apply(with_fallbacks(router), app, listen.and_then(|listen| app.config().auth.hosts_without_keys(listen)))
 }
 
-/// Refuses an upload at once, before its body is read, when there is no place for it. A drag is small; the queue itself decides about it.
-async fn shed(State(app): State<App>, Extension(client): Extension<Client>, request: Request, next: Next) -> Result<Response, Problem> {
-    app.require_queue_place(client)?;
+/// Answers plain HTTP on a TLS listener.
+fn tls_required_router(app: &App) -> Router {
+    let fallback = async || Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
+    middleware::apply(Router::new().fallback(fallback), app, None)
+}
+
+fn with_fallbacks(router: Router<App>) -> Router<App> {
+    router.fallback(not_found).method_not_allowed_fallback(method_not_allowed)
+}
+
+/// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.
+async fn check_admission(State(app): State<App>, caller: Caller, request: Request, next: Next) -> Result<Response, Problem> {
+    app.require_queue_place(caller.client)?;
     Ok(next.run(request).await)
 }
 
-async fn no_such_route(uri: Uri) -> Problem {
+async fn not_found(uri: Uri) -> Problem {
     Problem::new(Code::NotFound, format!("nothing is served at {}", uri.path()))
 }
 
 /// axum adds `Allow`.
-async fn no_such_method(method: Method, uri: Uri) -> Problem {
+async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
     Problem::new(Code::MethodNotAllowed, format!("{method} is not served at {}; see Allow", uri.path()))
 }

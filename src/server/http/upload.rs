@@ -1,27 +1,26 @@
-//! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order. The parser keeps what it has not yet
-//! understood, as much as there is: so it is fed a frame at a time, and no more before it has come to something.
+//! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order.
 
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::task::{Context, Poll, ready};
+use std::task::{Poll, ready};
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::extract::multipart::Field;
 use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
 use bytes::Bytes;
-use http_body::Frame;
+use futures_util::StreamExt as _;
+use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, ReadError, media_type, read_problem, too_large};
-use crate::app::App;
-use crate::client::Client;
+use super::body::{BodyBuffer, ReadError, read_problem};
+use super::headers::media_type;
+use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
 use crate::problem::{Code, Problem};
 
-/// What the parser may keep of which nothing has come: the head of a part, and what lies before the first.
-const HEADS: u64 = 16 << 10;
-/// What it takes with that: a frame before, a frame after, and room to grow.
-const PARSER: u64 = 128 << 10;
+/// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
+const MAX_OVERHEAD: u64 = 16 << 10;
+/// Memory of the parser: that, a frame before, a frame after, and capacity to grow.
+const PARSER_BYTES: u64 = 128 << 10;
 
 /// The two parts.
 #[derive(Debug)]
@@ -32,38 +31,38 @@ pub(crate) struct Upload {
     pub(crate) warp: Bytes,
 }
 
-/// The request has a multipart body.
 pub(crate) fn is_multipart(request: &Request) -> bool {
-    media_type(request).as_deref() == Some("multipart/form-data")
+    media_type(request.headers()).as_deref() == Some("multipart/form-data")
 }
 
-/// Reads both parts. The whole body is limited before this; `warp` has a limit of its own.
-pub(crate) async fn read(app: &App, client: Client, mut request: Request) -> Result<Upload, Problem> {
+/// Reads both parts. The limit of the whole body is checked before; `warp` has a limit of its own.
+pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
         return Err(Problem::new(Code::UnsupportedMediaType, "this route takes multipart/form-data with the parts `image` and `warp`"));
     }
-    // The guard around every body has the limit; axum's own default is below it.
+    // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
-    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(client), PARSER)?;
-    let unread = Unread::default();
-    let request = request.map(|body| Body::new(FrameGate { body, unread: unread.clone(), fed: false }));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|e| malformed(e.body_text()))?;
+    let Caller { app, client } = caller;
+    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
+    let buffered = Arc::new(AtomicU64::new(0));
+    let request = request.map(|body| gated(body, Arc::clone(&buffered)));
+    let mut parts = Multipart::from_request(request, &()).await.map_err(|error| malformed(error.body_text()))?;
     let (mut image, mut warp) = (None, None);
-    while let Some(part) = parts.next_field().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
-        unread.begin();
+    while let Some(part) = parts.next_field().await.map_err(unreadable)? {
+        buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
         let (slot, limit) = match name.as_str() {
             "image" => (&mut image, u64::MAX),
             "warp" => (&mut warp, app.config().max_warp_json_bytes),
             _ => {
                 let name: String = name.chars().take(60).collect();
-                return Err(malformed(format!("a part is named `{name}`; the parts are `image` and `warp`")));
+                return Err(malformed(format!("unknown part `{name}`; the parts are `image` and `warp`")));
             }
         };
         if slot.is_some() {
-            return Err(malformed(format!("the part `{name}` comes twice")));
+            return Err(malformed(format!("the part `{name}` occurs twice")));
         }
-        *slot = Some(part_bytes(app, client, part, limit, &unread).await?);
+        *slot = Some(read_part(caller, part, limit, &buffered).await?);
     }
     match (image, warp) {
         (Some(image), Some(warp)) => Ok(Upload { image, warp }),
@@ -77,63 +76,38 @@ fn malformed(detail: impl Into<String>) -> Problem {
     Problem::new(Code::MalformedRequest, detail)
 }
 
-async fn part_bytes(app: &App, client: Client, mut part: Field<'_>, limit: u64, unread: &Unread) -> Result<Bytes, Problem> {
-    let mut read = BodyBuffer::new(app, client, Purpose::Upload)?;
-    while let Some(chunk) = part.chunk().await.map_err(|e| read_problem(&e, "the multipart body could not be read"))? {
-        unread.begin();
-        let length = read.len() + chunk.len() as u64;
-        if length > limit {
-            return Err(too_large("warp_json_bytes", limit, length));
-        }
-        read.push(&chunk)?;
+fn unreadable(error: axum::extract::multipart::MultipartError) -> Problem {
+    read_problem(&error, "the multipart body could not be read")
+}
+
+async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload)?;
+    while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
+        buffered.store(0, Ordering::Relaxed);
+        buffer.push(&chunk, "warp_json_bytes", limit)?;
     }
-    Ok(read.fit())
+    Ok(buffer.finish_exact())
 }
 
-/// Bytes that the parser was fed since something came of them.
-#[derive(Clone, Default)]
-struct Unread(Arc<AtomicU64>);
-
-impl Unread {
-    fn begin(&self) {
-        self.0.store(0, Ordering::Relaxed);
-    }
-}
-
-/// A body that is handed over a frame at a time, as long as something comes of it.
-struct FrameGate {
-    body: Body,
-    unread: Unread,
-    /// The parser has a frame that it has not looked at: it asks until there is none.
-    fed: bool,
-}
-
-impl HttpBody for FrameGate {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        let this = &mut *self;
-        if std::mem::take(&mut this.fed) {
+/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot
+/// parse yet. `buffered`: bytes passed to the parser since its last result.
+fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
+    let mut frames = body.into_data_stream();
+    // The parser polls until nothing is ready, and only then looks at what it has.
+    let mut has_new_frame = false;
+    Body::from_stream(poll_fn(move |cx| {
+        if std::mem::take(&mut has_new_frame) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
-        if this.unread.0.load(Ordering::Relaxed) > HEADS {
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: HEADS }))));
+        if buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
+            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: MAX_OVERHEAD }))));
         }
-        let frame = ready!(Pin::new(&mut this.body).poll_frame(cx));
-        if let Some(data) = frame.as_ref().and_then(|frame| frame.as_ref().ok()).and_then(Frame::data_ref) {
-            this.unread.0.fetch_add(data.len() as u64, Ordering::Relaxed);
-            this.fed = true;
+        let frame = ready!(frames.poll_next_unpin(cx));
+        if let Some(Ok(data)) = &frame {
+            buffered.fetch_add(data.len() as u64, Ordering::Relaxed);
+            has_new_frame = true;
         }
         Poll::Ready(frame)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> http_body::SizeHint {
-        self.body.size_hint()
-    }
+    }))
 }

@@ -1,12 +1,10 @@
-//! The listener and its end. Connections have tasks of their own (`connection.rs`); every wait for a client has an end. SIGTERM and Ctrl-C stop
-//! asking for newcomers, then accepting them, let requests finish for the grace period, and end the server; a second one leaves them a moment. Keys and certificate are read again when their files change.
+//! The listener: accepts connections, reloads keys and certificate, and drains after SIGTERM or Ctrl-C. A second signal shortens the drain.
 
-mod heads;
 pub(crate) mod reload;
 pub(crate) mod serve;
+mod signals;
 pub(crate) mod stream_stall;
 pub(crate) mod transport;
-pub(crate) mod write_timeout;
 
 use std::future::Future;
 use std::io;
@@ -17,39 +15,39 @@ use std::time::Duration;
 use thiserror::Error;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-
-use reload::Reloader;
-use serve::Connections;
-pub(crate) use transport::Transport;
+use tokio::time::{sleep, timeout};
 
 use crate::app::{App, NotStarted};
 use crate::auth::tls::TlsFiles;
 use crate::config::Config;
+use reload::Reloader;
+use serve::Connections;
+use signals::Signals;
 
-/// Longest time for drag sockets to close when the service stops, and then for the last traces to leave.
-const FAREWELL: Duration = Duration::from_secs(3);
-/// What is left of all of that, the grace included, to whoever is told a second time.
+/// Maximum time for drag sockets to close after the grace, and then for the store and the exporter of traces to finish.
+const FINISH: Duration = Duration::from_secs(3);
+/// Maximum time for all of the shutdown after a second signal.
 const HURRY: Duration = Duration::from_secs(1);
-/// Pause when the operating system has no room for another connection.
-const NO_ROOM: Duration = Duration::from_millis(100);
-/// Files beside connections: the runtime's, the store's, the log, those who watch.
+/// Pause after the operating system has refused another connection.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// Open files beside connections: of the runtime, the store, the log and the ops listener.
 const OTHER_FILES: u64 = 256;
 
 /// Why the server did not start, or ended.
 #[derive(Debug, Error)]
 pub enum ServeError {
-    /// The address is not free, or not ours.
+    /// The address cannot be bound.
     #[error("cannot listen on {address}: {source}")]
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
-    /// No threads, or no store.
+    /// The application could not start.
     #[error("{0}")]
     NotStarted(#[from] NotStarted),
-    /// The certificate or its key.
+    /// The certificate or its key cannot be used.
     #[error("{0}")]
     Tls(String),
     /// The runtime or the listener failed.
@@ -57,7 +55,7 @@ pub enum ServeError {
     Io(#[from] io::Error),
 }
 
-/// Serves until a signal, on a runtime of its own.
+/// Serves until a signal, on its own runtime.
 ///
 /// # Errors
 /// See [`ServeError`].
@@ -69,138 +67,131 @@ pub fn run(config: Config) -> Result<(), ServeError> {
         let stop = stop_signal(&app)?;
         serve(app, listener, stop).await
     });
-    // What still runs belongs to clients that have been cut off.
+    // Only tasks of clients that were cut off are left.
     runtime.shutdown_timeout(Duration::from_millis(100));
     ended
 }
 
-/// Binds, before anything else is started.
+/// Binds an address.
 ///
 /// # Errors
 /// [`ServeError::Listen`].
 pub fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
-    let bind = || {
-        let listener = TcpListener::bind(address)?;
-        listener.set_nonblocking(true)?;
-        Ok(listener)
-    };
-    bind().map_err(|source| ServeError::Listen { address, source })
+    let listener = TcpListener::bind(address).and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
+    listener.map_err(|source| ServeError::Listen { address, source })
 }
 
-/// Serves on a bound socket until `stop` ends, then drains.
+/// Serves on a bound socket until `stop` completes, then drains.
 ///
 /// # Errors
 /// The listener failed, or the certificate cannot be read.
 pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
-    let config = app.config().clone();
-    let (access, timeouts) = (&config.auth, config.timeouts);
+    let (access, work, timeouts) = (&app.config().auth, app.config().work, app.config().timeouts);
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let watchers = config.telemetry.metrics_listen.map(listen).transpose()?;
-    raise_open_files(config.clients.max_connections);
+    let ops_listener = app.config().telemetry.metrics_listen.map(listen).transpose()?;
+    raise_open_files(app.config().clients.max_connections);
     let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
     let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
-    let reread = Reloader::new(&app, tls);
+    let reloader = Reloader::new(&app, tls);
     let scheme = if access.tls.is_some() { "https" } else { "http" };
-    let work = config.work;
-    tracing::info!(
-        workers = work.workers,
-        queue = work.queue(),
-        memory = work.memory_bytes,
-        keys = reread.keys(),
-        "listening on {scheme}://{address}"
-    );
-    reread.warn_of_readable_secrets();
+    let keys = access.keys.as_ref().map_or(0, |keys| keys.all.len());
+    tracing::info!(workers = work.workers, queue = work.queue(), memory = work.memory_bytes, keys, "listening on {scheme}://{address}");
+    reloader.warn_of_readable_secrets();
     if access.has_keys_in_plain(address) {
         tracing::warn!(
-            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert and \
-             --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
+            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert \
+             and --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
         );
     }
-    // Until this function ends, whatever becomes of the others.
-    let _watched = watchers.map(|listener| watched(&app, listener)).transpose()?;
+    // Serves until this function returns.
+    let _ops = ops_listener.map(|listener| serve_ops(&app, listener)).transpose()?;
     let mut tasks = JoinSet::new();
-    let left = async {
+    let leaving = async {
         stop.await;
         app.leave();
         if !timeouts.drain_delay.is_zero() {
             tracing::info!(delay = ?timeouts.drain_delay, "leaving: not ready any more, still serving");
-            tokio::select! {
-                () = tokio::time::sleep(timeouts.drain_delay) => {}
-                () = app.hurrying() => {}
-            }
+            unless(app.hurrying(), sleep(timeouts.drain_delay)).await;
         }
     };
     tokio::select! {
         () = accept(&listener, &connections, &mut tasks) => {}
-        () = reread.run() => {}
-        () = left => {}
+        () = reloader.run() => {}
+        () = leaving => {}
     }
     drop(listener);
     tracing::info!(grace = ?timeouts.shutdown_grace, connections = tasks.len(), "stopping");
     app.stop();
-    let ending = async {
-        let all_ended = async { while tasks.join_next().await.is_some() {} };
-        // Those that go on after the grace are cut off.
-        let _ = tokio::time::timeout(timeouts.shutdown_grace, all_ended).await;
+    let draining = async {
+        // What has not ended after the grace is aborted.
+        let _ = timeout(timeouts.shutdown_grace, async { while tasks.join_next().await.is_some() {} }).await;
         tasks.abort_all();
-        // Drag sockets are no longer of these tasks; each says that it closes and waits for no one.
-        let _ = tokio::time::timeout(FAREWELL, app.sockets_closed()).await;
+        // Drag sockets have tasks of their own.
+        let _ = timeout(FINISH, app.sockets_closed()).await;
         if let Some(tracer) = app.tracer() {
-            tracer.shutdown(FAREWELL).await;
+            tracer.shutdown(FINISH).await;
         }
     };
     let hurried = async {
         app.hurrying().await;
-        tokio::time::sleep(HURRY).await;
+        sleep(HURRY).await;
     };
-    tokio::select! {
-        () = ending => {}
-        () = hurried => tracing::warn!("told twice to stop: what has not ended within {HURRY:?} is cut off"),
+    if unless(hurried, draining).await.is_none() {
+        tracing::warn!("told twice to stop: what has not ended within {HURRY:?} is cut off");
     }
     tracing::info!("stopped");
     Ok(())
 }
 
-/// Answers those who watch the service, on a listener of their own, for as long as what comes back is kept.
-fn watched(app: &App, listener: TcpListener) -> io::Result<JoinSet<()>> {
+/// Runs `work` to its end, or until `stop` completes first.
+async fn unless<T>(stop: impl Future<Output = ()>, work: impl Future<Output = T>) -> Option<T> {
+    tokio::select! {
+        biased;
+        done = work => Some(done),
+        () = stop => None,
+    }
+}
+
+/// Serves metrics and health on their own listener, until the returned task is dropped.
+fn serve_ops(app: &App, listener: TcpListener) -> io::Result<JoinSet<()>> {
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let connections = Arc::new(Connections::of_watchers(app));
+    let connections = Arc::new(Connections::ops(app));
     tracing::info!("metrics and health on http://{address}");
     let mut task = JoinSet::new();
     task.spawn(async move { accept(&listener, &connections, &mut JoinSet::new()).await });
     Ok(task)
 }
 
-/// Takes connections, one task each, for ever.
+/// Accepts connections forever, one task each.
 async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connections>, tasks: &mut JoinSet<()>) {
     loop {
-        let (socket, peer) = tokio::select! {
-            accepted = listener.accept() => match accepted {
-                Ok(accepted) => accepted,
-                // One that has left already.
-                Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset) => continue,
-                Err(error) => {
-                    // No file or no memory is left for another: it waits in the backlog until there is.
-                    tracing::warn!(%error, "no connection can be taken");
-                    tokio::time::sleep(NO_ROOM).await;
-                    continue;
-                }
-            },
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
             Some(_) = tasks.join_next() => continue,
         };
-        let Some(place) = connections.place(peer.ip()) else {
-            tracing::debug!(peer = %peer.ip(), "no place for another connection: it is closed");
-            continue;
-        };
-        let connections = Arc::clone(connections);
-        tasks.spawn(async move { connections.serve(socket, peer, place).await });
+        match accepted {
+            Ok((socket, peer)) => match connections.admit(peer.ip()) {
+                Some(permit) => {
+                    let connections = Arc::clone(connections);
+                    tasks.spawn(async move { connections.serve(socket, peer, permit).await });
+                }
+                None => tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed"),
+            },
+            // The client has closed the connection already.
+            Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset) => {}
+            Err(error) => {
+                // Out of files or memory: connections wait in the backlog.
+                tracing::warn!(%error, "cannot accept a connection");
+                sleep(ACCEPT_PAUSE).await;
+            }
+        }
     }
 }
 
-/// Every connection is an open file. A soft limit that is too low is raised as far as the hard one allows.
+/// Raises the soft limit of open files to what the connections need, as far as the hard limit allows.
 fn raise_open_files(connections: usize) {
     #[cfg(unix)]
     {
@@ -218,45 +209,14 @@ fn raise_open_files(connections: usize) {
     }
 }
 
-/// Ends at SIGTERM or Ctrl-C, listens from the moment it is made, and afterwards for a second one, which hurries. A third is nothing more.
+/// Completes at the first signal to stop. A second signal hurries; further ones do nothing.
 fn stop_signal(app: &App) -> io::Result<impl Future<Output = ()> + Send + 'static> {
-    let (mut signals, app) = (Signals::new()?, app.clone());
+    let (mut signals, app) = (Signals::stop()?, app.clone());
     Ok(async move {
-        signals.next().await;
+        signals.recv().await;
         tokio::spawn(async move {
-            signals.next().await;
+            signals.recv().await;
             app.hurry();
         });
     })
-}
-
-/// SIGTERM and Ctrl-C.
-struct Signals {
-    #[cfg(unix)]
-    terminate: tokio::signal::unix::Signal,
-    #[cfg(unix)]
-    interrupt: tokio::signal::unix::Signal,
-}
-
-impl Signals {
-    fn new() -> io::Result<Self> {
-        #[cfg(unix)]
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self {
-            #[cfg(unix)]
-            terminate: signal(SignalKind::terminate())?,
-            #[cfg(unix)]
-            interrupt: signal(SignalKind::interrupt())?,
-        })
-    }
-
-    async fn next(&mut self) {
-        #[cfg(unix)]
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
-        #[cfg(not(unix))]
-        let _ = tokio::signal::ctrl_c().await;
-    }
 }

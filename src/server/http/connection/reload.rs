@@ -1,5 +1,4 @@
-//! Files that may change while the server runs: keys, certificate and its key. They are looked at every second, and at once after SIGHUP. What
-//! cannot be read then leaves everything as it was, and the log says so.
+//! Reloads keys, certificate and private key while the server runs: after a change of their files, and after SIGHUP.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,72 +7,56 @@ use std::time::{Duration, SystemTime};
 use tokio::sync::watch;
 use tokio_rustls::rustls::ServerConfig;
 
+use super::signals::Signals;
+use super::unless;
 use crate::app::App;
 use crate::auth::tls::TlsFiles;
 use crate::config::KeysConfig;
 
-/// How often files are looked at.
+/// Pause between two looks at the files.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Permissions of other users to read and to write.
+/// Permission bits by which other users read and write.
 const OTHERS: u32 = 0o006;
 
-/// What tells a file from what it was.
-type Look = Option<(SystemTime, u64)>;
+/// Modification time and size of a file.
+type Stamp = Option<(SystemTime, u64)>;
 
 pub(crate) struct Reloader {
     app: App,
     keys: Option<KeysConfig>,
     tls: Option<(TlsFiles, watch::Sender<Arc<ServerConfig>>)>,
-    seen: Vec<Look>,
+    stamps: Vec<Stamp>,
 }
 
 impl Reloader {
     pub(crate) fn new(app: &App, tls: Option<watch::Sender<Arc<ServerConfig>>>) -> Self {
         let access = &app.config().auth;
-        let mut reread = Self { app: app.clone(), keys: access.keys.clone(), tls: access.tls.clone().zip(tls), seen: Vec::new() };
-        reread.seen = looks(&reread.files());
-        reread
+        let mut reloader = Self { app: app.clone(), keys: access.keys.clone(), tls: access.tls.clone().zip(tls), stamps: Vec::new() };
+        reloader.stamps = reloader.stamps();
+        reloader
     }
 
-    /// How many keys there are.
-    pub(crate) fn keys(&self) -> usize {
-        self.keys.as_ref().map_or(0, |keys| keys.all.len())
-    }
-
-    /// Looks, for ever.
+    /// Reloads forever.
     pub(crate) async fn run(mut self) {
-        let files = self.files();
-        let mut hangup = hangup();
+        let mut hangup = Signals::reload().ok();
+        let mut hung_up = async || match &mut hangup {
+            Some(signals) => signals.recv().await,
+            None => std::future::pending().await,
+        };
         loop {
-            let forced = tokio::select! {
-                () = tokio::time::sleep(PAUSE) => false,
-                () = hangup.recv() => true,
+            let is_forced = unless(hung_up(), tokio::time::sleep(PAUSE)).await.is_none();
+            // A file system may block. The task fails only when the runtime ends.
+            self = match tokio::task::spawn_blocking(move || self.check(is_forced)).await {
+                Ok(reloader) => reloader,
+                Err(_) => return,
             };
-            if files.is_empty() {
-                continue;
-            }
-            let paths = files.clone();
-            // A file system may be slow; the only error is that the runtime ends.
-            let Ok(looks) = tokio::task::spawn_blocking(move || looks(&paths)).await else { return };
-            if forced || looks != self.seen {
-                self.seen = looks;
-                self = match tokio::task::spawn_blocking(move || self.read()).await {
-                    Ok(read) => read,
-                    Err(_) => return,
-                };
-            }
         }
     }
 
-    fn files(&self) -> Vec<PathBuf> {
-        let keys = self.keys.iter().filter_map(|keys| keys.file.clone());
-        keys.chain(self.tls.iter().flat_map(|(files, _)| [files.cert.clone(), files.key.clone()])).collect()
-    }
-
-    /// Says which files of secrets other users of the machine can read or write. (A group may: Kubernetes mounts secrets for one.)
+    /// Warns of files with secrets that other users can read or write. Access by the group is usual: Kubernetes mounts secrets so.
     pub(crate) fn warn_of_readable_secrets(&self) {
-        let keys = self.keys.iter().filter_map(|keys| keys.file.as_deref());
-        for path in keys.chain(self.tls.iter().map(|(files, _)| files.key.as_path())) {
+        let key = self.tls.iter().map(|(files, _)| &files.key);
+        for path in self.keys.iter().filter_map(|keys| keys.file.as_ref()).chain(key) {
             if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
                 let path = path.display();
                 tracing::warn!("other users can read or write {path} (mode {mode:03o}), which holds secrets: run chmod o-rwx {path}");
@@ -81,24 +64,39 @@ impl Reloader {
         }
     }
 
-    fn read(self) -> Self {
+    fn stamps(&self) -> Vec<Stamp> {
+        let stamp = |path: &PathBuf| {
+            let metadata = std::fs::metadata(path).ok()?;
+            Some((metadata.modified().ok()?, metadata.len()))
+        };
+        let keys = self.keys.iter().filter_map(|keys| keys.file.as_ref());
+        keys.chain(self.tls.iter().flat_map(|(files, _)| [&files.cert, &files.key])).map(stamp).collect()
+    }
+
+    /// Reloads the files if one has changed. A file that cannot be used leaves everything as it was.
+    fn check(mut self, is_forced: bool) -> Self {
+        let stamps = self.stamps();
+        if stamps.is_empty() || (stamps == self.stamps && !is_forced) {
+            return self;
+        }
+        self.stamps = stamps;
         if let Some(keys) = self.keys.as_ref().filter(|keys| keys.file.is_some()) {
             match keys.read() {
                 Ok(new) => {
-                    tracing::info!(keys = new.len(), "keys were read again");
+                    tracing::info!(keys = new.len(), "keys reloaded");
                     self.app.access().replace_keys(new);
                 }
-                Err(mistake) => tracing::error!("keys stay as they were: {mistake}"),
+                Err(mistake) => tracing::error!("keys not reloaded: {mistake}"),
             }
         }
         if let Some((files, config)) = &self.tls {
             match files.load() {
                 Ok(new) => {
-                    tracing::info!("the certificate was read again");
+                    tracing::info!("certificate reloaded");
                     config.send_replace(new);
                 }
-                // A certificate is replaced before its key, or after it; a second later both are there.
-                Err(mistake) => tracing::error!("the certificate stays as it was: {mistake}"),
+                // Certificate and key are replaced one after the other; the next look finds both.
+                Err(mistake) => tracing::error!("certificate not reloaded: {mistake}"),
             }
         }
         self.warn_of_readable_secrets();
@@ -106,7 +104,7 @@ impl Reloader {
     }
 }
 
-/// The permissions of a file, where there are such.
+/// The permission bits of a file, where the system has them.
 fn mode(path: &Path) -> Option<u32> {
     #[cfg(unix)]
     {
@@ -117,34 +115,5 @@ fn mode(path: &Path) -> Option<u32> {
     {
         let _ = path;
         None
-    }
-}
-
-fn looks(files: &[PathBuf]) -> Vec<Look> {
-    let look = |path: &PathBuf| {
-        let about = std::fs::metadata(Path::new(path)).ok()?;
-        Some((about.modified().ok()?, about.len()))
-    };
-    files.iter().map(look).collect()
-}
-
-/// SIGHUP, where there is such a thing.
-struct Hangup(#[cfg(unix)] Option<tokio::signal::unix::Signal>);
-
-fn hangup() -> Hangup {
-    #[cfg(unix)]
-    return Hangup(tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup()).ok());
-    #[cfg(not(unix))]
-    Hangup()
-}
-
-impl Hangup {
-    async fn recv(&mut self) {
-        #[cfg(unix)]
-        if let Some(signal) = &mut self.0 {
-            signal.recv().await;
-            return;
-        }
-        std::future::pending().await
     }
 }

@@ -1,10 +1,11 @@
-//! One connection from its first byte to its end, every step of it within a time: the TLS handshake or the first bytes, which tell the version;
-//! the head; the body (`body.rs`); the answer (`steady.rs`, `streams.rs`); and what lies between two requests.
+//! One connection: the choice of its protocol, its HTTP settings, and its end. Every step has a deadline.
 
 use std::convert::Infallible;
+use std::future::{Future, pending};
 use std::io;
 use std::mem::MaybeUninit;
 use std::net::{IpAddr, SocketAddr};
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -12,7 +13,6 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
-use axum::http::header::EXPECT;
 use axum::http::{Request, Response};
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
@@ -22,285 +22,232 @@ use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
-use super::heads::{HEAD, Heads, Turns, counted};
 use super::stream_stall::{Streams, with_stall_timeout};
-use super::transport::Transport;
-use super::write_timeout::WriteTimeoutStream;
+use super::transport::{Transport, WriteTimeoutStream};
+use super::unless;
 use crate::app::App;
 use crate::auth::tls::H2;
-use crate::config::{AuthConfig, Timeouts};
-use crate::http::body::{LimitedBody, Waiting};
-use crate::http::middleware::refused;
-use crate::http::{router, watched};
+use crate::config::Timeouts;
+use crate::http::{ops_router, router, tls_required_router};
 use crate::limits::connections::{ConnectionLimiter, ConnectionPermit};
-use crate::problem::{Code, Problem};
 
-/// Streams that one HTTP/2 connection may have open.
+/// Maximum size of an HTTP/1.1 request head; hyper rejects a larger one.
+const HTTP1_HEAD: usize = 64 << 10;
+/// Maximum size of an HTTP/2 header list; h2 rejects a larger one.
+const HTTP2_HEAD: u32 = 16 << 10;
+/// Maximum number of open streams of one HTTP/2 connection.
 const STREAMS: u32 = 64;
-/// Streams that a client has reset and that are not yet accepted: one more ends the connection (CVE-2023-44487).
+/// Streams that the client has reset and that are not accepted yet; one more ends the connection (CVE-2023-44487).
 const PENDING_RESETS: usize = 20;
-/// Streams that were reset from here for the client's mistakes: one more ends the connection (CVE-2025-8671).
+/// Streams that this side has reset for the client's errors; one more ends the connection (CVE-2025-8671).
 const LOCAL_RESETS: usize = 1024;
-
-const HEAD_H2: u32 = 16 << 10;
-/// What an HTTP/2 client may send ahead on a stream, and on all of them: bytes that are kept until they are read.
+/// Bytes that an HTTP/2 client may send ahead on one stream and on all streams; they stay in memory until they are read.
 const STREAM_WINDOW: u32 = 256 << 10;
 const CONNECTION_WINDOW: u32 = 512 << 10;
-/// What waits of a stream's answer for the client's window.
+/// Bytes of one stream's response that may wait for the client's window.
 const STREAM_SEND: usize = 64 << 10;
-
-/// Connections of those who watch the service, and of one address among them.
-const WATCHERS: (usize, usize) = (64, 32);
-
-/// What an HTTP/2 connection begins with (RFC 9113, section 3.4).
+/// Connections of the ops listener, in all and per address.
+const OPS_CONNECTIONS: (usize, usize) = (64, 32);
+/// The first bytes of an HTTP/2 connection (RFC 9113, section 3.4).
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
-/// Whoever has sent a part of its first head, or of a handshake, when the service stops has so long for the rest: it may be on its way.
-const LATE: Duration = Duration::from_millis(500);
-/// How often a connection that has sent a part of the preface is looked at again.
-const LOOK_AGAIN: Duration = Duration::from_millis(20);
+/// Pause between two looks at an incomplete preface.
+const PREFACE_PAUSE: Duration = Duration::from_millis(20);
+/// How long a stopping server waits for the rest of a handshake or of a connection's first request head.
+const FIRST_HEAD_GRACE: Duration = Duration::from_millis(500);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Version {
+enum Protocol {
     Http1,
     Http2,
-    /// HTTP/1.1, or something like it, where TLS is spoken.
-    Unencrypted,
+    /// Plain HTTP on a TLS listener.
+    NotTls,
 }
 
-/// What all connections share.
+/// The shared state of a listener's connections.
 pub(crate) struct Connections {
     app: App,
     router: Router,
-    auth: AuthConfig,
-    timeouts: Timeouts,
+    /// Answers plain HTTP on a TLS listener.
+    tls_required: Router,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
-    places: ConnectionLimiter,
-    /// They go on while the service stops, to its very end.
-    are_last: bool,
+    limiter: ConnectionLimiter,
+    /// The ops listener serves until the process ends.
+    is_ops: bool,
 }
 
 impl Connections {
-    /// Of the service.
+    /// Connections of the service.
     pub(crate) fn new(app: &App, tls: Option<watch::Receiver<Arc<ServerConfig>>>) -> Self {
-        let places = app.access().places().clone();
         Self {
             app: app.clone(),
             router: router(app.clone()),
-            auth: app.config().auth.clone(),
-            timeouts: app.config().timeouts,
+            tls_required: tls_required_router(app),
             tls,
-            places,
-            are_last: false,
+            limiter: app.access().connections().clone(),
+            is_ops: false,
         }
     }
 
-    /// Of those who watch it.
-    pub(crate) fn of_watchers(app: &App) -> Self {
-        let places = ConnectionLimiter::new(WATCHERS.0, WATCHERS.1);
-        Self {
-            app: app.clone(),
-            router: watched(app.clone()),
-            auth: app.config().auth.clone(),
-            timeouts: app.config().timeouts,
-            tls: None,
-            places,
-            are_last: true,
-        }
+    /// Connections of the listener for metrics and health.
+    pub(crate) fn ops(app: &App) -> Self {
+        let limiter = ConnectionLimiter::new(OPS_CONNECTIONS.0, OPS_CONNECTIONS.1);
+        Self { app: app.clone(), router: ops_router(app), tls_required: Router::new(), tls: None, limiter, is_ops: true }
     }
 
-    /// A place for another connection, if there is one.
-    pub(crate) fn place(&self, peer: IpAddr) -> Option<ConnectionPermit> {
-        self.places.take(peer, self.auth.trusted_proxies.iter().any(|network| network.contains(peer)))
+    /// Admits another connection, if the limits allow it.
+    pub(crate) fn admit(&self, peer: IpAddr) -> Option<ConnectionPermit> {
+        self.limiter.take(peer, self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer)))
+    }
+
+    fn timeouts(&self) -> Timeouts {
+        self.app.config().timeouts
     }
 
     /// Serves a connection until it ends.
-    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, place: ConnectionPermit) {
-        let opened = match WriteTimeoutStream::new(socket, self.timeouts.write, place) {
-            Ok(steady) => tokio::select! {
-                opened = timeout(self.timeouts.header, self.open(steady)) => opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
-                () = self.late() => Err(io::ErrorKind::TimedOut.into()),
-            },
-            Err(error) => Err(error),
+    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, permit: ConnectionPermit) {
+        let opening = async {
+            let stream = WriteTimeoutStream::new(socket, self.timeouts().write, permit)?;
+            let opened = unless(self.first_head_grace(), timeout(self.timeouts().header, self.open(stream))).await;
+            opened.and_then(Result::ok).unwrap_or_else(|| Err(io::ErrorKind::TimedOut.into()))
         };
-        match opened {
-            Ok((wire, Version::Http1)) => {
-                let begun = Arc::default();
-                self.http1(wire, &self.http1_builder(), &begun, self.service(peer, &begun)).await;
-            }
-            Ok((wire, Version::Http2)) => self.http2(wire, peer).await,
-            Ok((wire, Version::Unencrypted)) => self.unencrypted(wire).await,
+        match opening.await {
+            Ok((transport, Protocol::Http1)) => self.http1(transport, peer, &self.router, true).await,
+            Ok((transport, Protocol::NotTls)) => self.http1(transport, peer, &self.tls_required, false).await,
+            Ok((transport, Protocol::Http2)) => self.http2(transport, peer).await,
             Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
         }
     }
 
-    async fn open(&self, steady: WriteTimeoutStream) -> io::Result<(Transport, Version)> {
-        // Browsers and proxies open connections ahead: whoever has said nothing when the service stops is not waited for.
-        let (mut first, mut late) = ([0], [MaybeUninit::uninit()]);
-        tokio::select! {
-            said = steady.socket().peek(&mut first) => said?,
-            () = self.stopping() => SockRef::from(steady.socket()).peek(&mut late)?,
+    /// Reads the first bytes or makes the TLS handshake, and chooses the protocol.
+    async fn open(&self, stream: WriteTimeoutStream) -> io::Result<(Transport, Protocol)> {
+        // Browsers and proxies open connections in advance; a stopping server ends those that have sent nothing.
+        let (mut first, mut unread) = ([0], [MaybeUninit::uninit()]);
+        match unless(self.stopping(), stream.socket().peek(&mut first)).await {
+            Some(peeked) => peeked?,
+            None => SockRef::from(stream.socket()).peek(&mut unread)?,
         };
         let Some(tls) = &self.tls else {
-            let version = version(steady.socket()).await?;
-            return Ok((Transport::plain(steady), version));
+            let protocol = plain_protocol(stream.socket()).await?;
+            return Ok((Transport::Left(stream), protocol));
         };
-        // No record of TLS begins with a letter; every method does.
+        // HTTP methods begin with a letter; TLS records do not.
         if first[0].is_ascii_uppercase() {
-            return Ok((Transport::plain(steady), Version::Unencrypted));
+            return Ok((Transport::Left(stream), Protocol::NotTls));
         }
         let config = Arc::clone(&tls.borrow());
-        let stream = TlsAcceptor::from(config).accept(steady).await?;
-        let version = if stream.get_ref().1.alpn_protocol() == Some(H2) { Version::Http2 } else { Version::Http1 };
-        Ok((Transport::tls(stream), version))
+        let stream = TlsAcceptor::from(config).accept(stream).await?;
+        let protocol = if stream.get_ref().1.alpn_protocol() == Some(H2) { Protocol::Http2 } else { Protocol::Http1 };
+        Ok((Transport::Right(Box::new(stream)), protocol))
     }
 
-    async fn http1<S>(&self, wire: Transport, builder: &http1::Builder, begun: &AtomicBool, service: S)
-    where
-        S: Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send>,
-    {
-        let turns = Arc::<Turns>::default();
-        let wire = wire.with(Heads::new(self.app.clone(), Arc::clone(&turns)));
-        let service = counted(turns, service);
-        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service).with_upgrades());
-        // The connection first: one that has not read anything when it is told to end does not read what has come.
-        let ended = tokio::select! {
-            biased;
-            ended = connection.as_mut() => ended,
-            () = self.stopping() => {
-                connection.as_mut().graceful_shutdown();
-                tokio::select! {
-                    biased;
-                    ended = connection.as_mut() => ended,
-                    () = self.unbegun(begun) => return log_late(),
-                }
-            }
-        };
-        log_end(ended);
-    }
-
-    fn http1_builder(&self) -> http1::Builder {
+    async fn http1(&self, transport: Transport, peer: SocketAddr, router: &Router, keep_alive: bool) {
         let mut builder = http1::Builder::new();
-        builder.timer(TokioTimer::new()).header_read_timeout(self.timeouts.header).max_buf_size(HEAD);
-        builder
+        builder.timer(TokioTimer::new()).header_read_timeout(self.timeouts().header).max_buf_size(HTTP1_HEAD).keep_alive(keep_alive);
+        let has_request = Arc::default();
+        let connection = builder.serve_connection(TokioIo::new(transport), service(router, peer, &has_request)).with_upgrades();
+        self.drive(pin!(connection), http1::UpgradeableConnection::graceful_shutdown, &has_request, pending()).await;
     }
 
-    /// Whoever forgot the s of https learns of it, also by sending a whole picture before reading.
-    async fn unencrypted(&self, wire: Transport) {
-        let begun = AtomicBool::default();
-        let refusing = service_fn(|request: Request<Incoming>| {
-            begun.store(true, Ordering::Relaxed);
-            let waits = request.headers().contains_key(EXPECT);
-            drop(LimitedBody::wrap(Body::new(request.into_body()), 0, self.timeouts.body, waits, Waiting::default()));
-            let problem = Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
-            std::future::ready(Ok(refused(&self.app, problem)))
-        });
-        self.http1(wire, self.http1_builder().keep_alive(false), &begun, refusing).await;
-    }
-
-    async fn http2(&self, wire: Transport, peer: SocketAddr) {
-        let streams = Streams::new(self.timeouts.write);
+    async fn http2(&self, transport: Transport, peer: SocketAddr) {
+        let timeouts = self.timeouts();
+        let streams = Streams::new(timeouts.write);
         let mut builder = http2::Builder::new(streams.clone());
         builder
             .timer(TokioTimer::new())
             .max_concurrent_streams(STREAMS)
             .max_pending_accept_reset_streams(PENDING_RESETS)
             .max_local_error_reset_streams(LOCAL_RESETS)
-            .max_header_list_size(HEAD_H2)
+            .max_header_list_size(HTTP2_HEAD)
             .initial_stream_window_size(STREAM_WINDOW)
             .initial_connection_window_size(CONNECTION_WINDOW)
             .max_send_buf_size(STREAM_SEND)
-            .keep_alive_interval(self.timeouts.header)
-            .keep_alive_timeout(self.timeouts.header);
-        let begun = Arc::<AtomicBool>::default();
-        let service = self.service(peer, &begun);
-        let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(wire), service));
-        let ended = tokio::select! {
-            biased;
-            ended = connection.as_mut() => ended,
-            () = self.stopping() => {
-                connection.as_mut().graceful_shutdown();
-                tokio::select! {
-                    biased;
-                    ended = connection.as_mut() => ended,
-                    () = self.unbegun(&begun) => return log_late(),
-                }
-            }
-            () = streams.idle(self.timeouts.header) => {
-                connection.as_mut().graceful_shutdown();
-                // What is left is in the hands of the client: the last bytes of an answer, or nothing.
-                match timeout(self.timeouts.write, connection).await {
-                    Ok(ended) => ended,
-                    Err(_) => return tracing::debug!("a connection without requests did not end: it is cut"),
-                }
-            }
-        };
-        log_end(ended);
+            .keep_alive_interval(timeouts.header)
+            .keep_alive_timeout(timeouts.header);
+        let has_request = Arc::default();
+        let connection = builder.serve_connection(TokioIo::new(transport), service(&self.router, peer, &has_request));
+        self.drive(pin!(connection), http2::Connection::graceful_shutdown, &has_request, streams.idle(timeouts.header)).await;
     }
 
-    /// Waits until they are to end.
+    /// Runs a connection to its end. It is shut down gracefully when the service stops or when `idle` completes.
+    async fn drive<C: Future<Output = hyper::Result<()>>>(
+        &self,
+        mut connection: Pin<&mut C>,
+        shut_down: fn(Pin<&mut C>),
+        has_request: &AtomicBool,
+        idle: impl Future<Output = ()>,
+    ) {
+        // Polled first: a connection that is shut down before it has read anything does not read a request that has arrived.
+        let ended = tokio::select! {
+            biased;
+            ended = connection.as_mut() => Some(ended),
+            () = self.stopping() => {
+                shut_down(connection.as_mut());
+                // hyper would wait for a first request head as long as for any other one.
+                let no_request = async {
+                    self.first_head_grace().await;
+                    if has_request.load(Ordering::Relaxed) {
+                        pending().await
+                    }
+                };
+                unless(no_request, connection).await
+            }
+            () = idle => {
+                shut_down(connection.as_mut());
+                timeout(self.timeouts().write, connection).await.ok()
+            }
+        };
+        match ended {
+            Some(Ok(())) => {}
+            Some(Err(error)) => tracing::debug!(%error, "a connection ended early"),
+            None => tracing::debug!("a connection did not end after its graceful shutdown: it is closed"),
+        }
+    }
+
+    /// Completes when the service stops. The ops listener goes on.
     async fn stopping(&self) {
-        if self.are_last {
-            return std::future::pending().await;
+        if self.is_ops {
+            pending().await
         }
         self.app.stopping().await;
     }
 
-    /// Ends a while after the service stops.
-    async fn late(&self) {
+    /// Completes when a stopping server no longer waits for a first request head.
+    async fn first_head_grace(&self) {
         self.stopping().await;
-        tokio::time::sleep(LATE).await;
-    }
-
-    /// Ends when nothing has come of a connection by then: hyper would wait for the rest of its first head as long as for any. After a first request
-    /// hyper waits for nothing but the answer.
-    async fn unbegun(&self, begun: &AtomicBool) {
-        self.late().await;
-        if begun.load(Ordering::Relaxed) {
-            std::future::pending().await
-        }
-    }
-
-    /// Answers a connection's requests, and notes that there was one.
-    fn service(
-        &self,
-        peer: SocketAddr,
-        begun: &Arc<AtomicBool>,
-    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
-        let (router, begun) = (TowerToHyperService::new(self.router.clone()), Arc::clone(begun));
-        service_fn(move |mut request: Request<Incoming>| {
-            begun.store(true, Ordering::Relaxed);
-            request.extensions_mut().insert(ConnectInfo(peer));
-            let answer = router.call(request);
-            async move { Ok(answer.await?.map(with_stall_timeout)) }
-        })
+        sleep(FIRST_HEAD_GRACE).await;
     }
 }
 
-fn log_late() {
-    tracing::debug!("a connection that had sent a part of its first head is closed: the service stops");
+/// Answers the requests of a connection, and records that there was one.
+fn service(
+    router: &Router,
+    peer: SocketAddr,
+    has_request: &Arc<AtomicBool>,
+) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
+    let (router, has_request) = (TowerToHyperService::new(router.clone()), Arc::clone(has_request));
+    service_fn(move |mut request: Request<Incoming>| {
+        has_request.store(true, Ordering::Relaxed);
+        request.extensions_mut().insert(ConnectInfo(peer));
+        let response = router.call(request);
+        async move { Ok(response.await?.map(with_stall_timeout)) }
+    })
 }
 
-fn log_end(ended: hyper::Result<()>) {
-    if let Err(error) = ended {
-        tracing::debug!(%error, "a connection ended early");
-    }
-}
-
-/// Ends when the version is known: hyper's header timeout begins only then. `P` may be the beginning of `POST` or of the preface.
-async fn version(stream: &TcpStream) -> io::Result<Version> {
+/// Tells HTTP/2 from HTTP/1 without reading: hyper's header timeout begins only afterwards. `P` may begin `POST` or the preface.
+async fn plain_protocol(socket: &TcpStream) -> io::Result<Protocol> {
     let mut first = [0; PREFACE.len()];
     loop {
-        let seen = stream.peek(&mut first).await?;
-        if seen == PREFACE.len() && first == *PREFACE {
-            return Ok(Version::Http2);
+        let read = socket.peek(&mut first).await?;
+        if read == PREFACE.len() && first == *PREFACE {
+            return Ok(Protocol::Http2);
         }
-        if seen == 0 || first[..seen] != PREFACE[..seen] {
-            return Ok(Version::Http1);
+        if read == 0 || first[..read] != PREFACE[..read] {
+            return Ok(Protocol::Http1);
         }
-        tokio::time::sleep(LOOK_AGAIN).await;
+        sleep(PREFACE_PAUSE).await;
     }
 }

@@ -1,6 +1,6 @@
-//! The streams of one HTTP/2 connection. Its socket says nothing about a single stream: a client may answer pings and grant no window, and then
-//! nobody asks the answer's body for more. So bodies leave in small pieces and note when the last one was handed over; a stream whose client
-//! takes none for the write deadline is reset, and the others go on.
+//! The streams of one HTTP/2 connection, with a write timeout for each. A client may answer pings and grant a stream no window, which the
+//! socket does not show. So bodies leave in small pieces; a stream whose client takes none within the timeout is reset, and the others go
+//! on.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,26 +9,26 @@ use std::time::{Duration, Instant};
 
 use axum::body::{Body, HttpBody};
 use bytes::Bytes;
-use http_body::Frame;
+use http_body::{Frame, SizeHint};
 use hyper::rt::Executor;
 use tokio::sync::watch;
 use tokio::time::{Sleep, sleep};
 
-/// Largest piece: one DATA frame of the size that every client takes.
+/// Maximum size of a piece: a DATA frame of the size that every client accepts.
 const PIECE: usize = 16 << 10;
 
 tokio::task_local! {
-    /// The stream whose request is being answered.
-    static CURRENT: Arc<StreamStallTimeout>;
+    /// The stream of the current task.
+    static CURRENT: Arc<Progress>;
 }
 
-/// When the last piece was handed over, and nothing was asked for since.
+/// When hyper took the last piece of a stream, if it has not asked for another one since.
 #[derive(Debug, Default)]
-struct StreamStallTimeout(Mutex<Option<Instant>>);
+struct Progress(Mutex<Option<Instant>>);
 
-impl StreamStallTimeout {
-    fn set(&self, at: Option<Instant>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = at;
+impl Progress {
+    fn set(&self, taken: Option<Instant>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = taken;
     }
 
     fn get(&self) -> Option<Instant> {
@@ -36,34 +36,26 @@ impl StreamStallTimeout {
     }
 }
 
-/// How many streams are open, and how many there have been.
-#[derive(Clone, Copy, Debug, Default)]
-struct Count {
-    open: usize,
-    begun: u64,
-}
-
-/// Runs the streams of a connection.
+/// Runs and counts the streams of a connection.
 #[derive(Clone, Debug)]
 pub(crate) struct Streams {
-    count: watch::Sender<Count>,
-    write_timeout: Duration,
+    open: watch::Sender<usize>,
+    timeout: Duration,
 }
 
 impl Streams {
-    pub(crate) fn new(write_timeout: Duration) -> Self {
-        Self { count: watch::Sender::new(Count::default()), write_timeout }
+    pub(crate) fn new(timeout: Duration) -> Self {
+        Self { open: watch::Sender::new(0), timeout }
     }
 
-    /// Ends when no stream has been open for so long.
-    pub(crate) async fn idle(&self, span: Duration) {
-        let mut count = self.count.subscribe();
+    /// Completes when no stream has been open for this time.
+    pub(crate) async fn idle(&self, time: Duration) {
+        let mut open = self.open.subscribe();
         loop {
-            let now = *count.borrow_and_update();
-            // The sender is ours, so waiting for a change does not fail.
-            if now.open > 0 {
-                let _ = count.changed().await;
-            } else if tokio::time::timeout(span, count.changed()).await.is_err() {
+            // Waiting cannot fail: `self` owns the sender.
+            if *open.borrow_and_update() > 0 {
+                let _ = open.changed().await;
+            } else if tokio::time::timeout(time, open.changed()).await.is_err() {
                 return;
             }
         }
@@ -72,41 +64,24 @@ impl Streams {
 
 impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
     fn execute(&self, stream: F) {
-        let open = Open::new(self.count.clone());
-        let handed = Arc::<StreamStallTimeout>::default();
-        let watched = Watched { stream: Box::pin(stream), handed: Arc::clone(&handed), deadline: None, within: self.write_timeout };
-        tokio::spawn(CURRENT.scope(handed, async move {
-            let _open = open;
-            watched.await;
-        }));
+        self.open.send_modify(|open| *open += 1);
+        let progress = Arc::<Progress>::default();
+        let (open, timeout) = (self.open.clone(), self.timeout);
+        let stream = StreamStallTimeout { stream: Box::pin(stream), progress: Arc::clone(&progress), deadline: None, timeout, open };
+        tokio::spawn(CURRENT.scope(progress, stream));
     }
 }
 
-/// A stream that is counted.
-struct Open(watch::Sender<Count>);
-
-impl Open {
-    fn new(count: watch::Sender<Count>) -> Self {
-        count.send_modify(|count| *count = Count { open: count.open + 1, begun: count.begun + 1 });
-        Self(count)
-    }
-}
-
-impl Drop for Open {
-    fn drop(&mut self) {
-        self.0.send_modify(|count| count.open -= 1);
-    }
-}
-
-/// A stream until it ends or its client takes nothing for too long; dropped, it is reset.
-struct Watched<F> {
+/// A stream until it ends or stalls. hyper resets a stream that is dropped.
+struct StreamStallTimeout<F> {
     stream: Pin<Box<F>>,
-    handed: Arc<StreamStallTimeout>,
+    progress: Arc<Progress>,
     deadline: Option<Pin<Box<Sleep>>>,
-    within: Duration,
+    timeout: Duration,
+    open: watch::Sender<usize>,
 }
 
-impl<F: Future<Output = ()>> Future for Watched<F> {
+impl<F: Future<Output = ()>> Future for StreamStallTimeout<F> {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
@@ -115,41 +90,46 @@ impl<F: Future<Output = ()>> Future for Watched<F> {
         }
         let this = &mut *self;
         loop {
-            let Some(handed) = this.handed.get() else { return Poll::Pending };
-            let left = this.within.saturating_sub(handed.elapsed());
+            let Some(taken) = this.progress.get() else { return Poll::Pending };
+            let left = this.timeout.saturating_sub(taken.elapsed());
             if left.is_zero() {
-                tracing::debug!("a client took nothing of a stream within {:?}: it is reset", this.within);
+                tracing::debug!("a client read nothing of a stream for {:?}: the stream is reset", this.timeout);
                 return Poll::Ready(());
             }
-            let deadline = this.deadline.get_or_insert_with(|| Box::pin(sleep(left)));
-            ready!(deadline.as_mut().poll(cx));
-            // It was set for a piece that has been taken, or is due now.
+            ready!(this.deadline.get_or_insert_with(|| Box::pin(sleep(left))).as_mut().poll(cx));
+            // It may have been set for an earlier piece.
             this.deadline = None;
         }
     }
 }
 
-/// An answer's body as its stream may send it; on HTTP/1.1 as it is.
+impl<F> Drop for StreamStallTimeout<F> {
+    fn drop(&mut self) {
+        self.open.send_modify(|open| *open -= 1);
+    }
+}
+
+/// Adds the stall timeout to a response's body. On HTTP/1.1 the body is unchanged.
 pub(crate) fn with_stall_timeout(body: Body) -> Body {
     match CURRENT.try_with(Arc::clone) {
-        Ok(handed) if !body.is_end_stream() => Body::new(Paced { body, handed, rest: Bytes::new() }),
+        Ok(progress) if !body.is_end_stream() => Body::new(PiecewiseBody { body, progress, rest: Bytes::new() }),
         _ => body,
     }
 }
 
-struct Paced {
+struct PiecewiseBody {
     body: Body,
-    handed: Arc<StreamStallTimeout>,
+    progress: Arc<Progress>,
     rest: Bytes,
 }
 
-impl HttpBody for Paced {
+impl HttpBody for PiecewiseBody {
     type Data = Bytes;
     type Error = axum::Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let this = &mut *self;
-        this.handed.set(None);
+        this.progress.set(None);
         if this.rest.is_empty() {
             match ready!(Pin::new(&mut this.body).poll_frame(cx)) {
                 Some(Ok(frame)) => match frame.into_data() {
@@ -160,7 +140,7 @@ impl HttpBody for Paced {
             }
         }
         let piece = this.rest.split_to(this.rest.len().min(PIECE));
-        this.handed.set(Some(Instant::now()));
+        this.progress.set(Some(Instant::now()));
         Poll::Ready(Some(Ok(Frame::data(piece))))
     }
 
@@ -168,13 +148,8 @@ impl HttpBody for Paced {
         self.rest.is_empty() && self.body.is_end_stream()
     }
 
-    fn size_hint(&self) -> http_body::SizeHint {
-        let (body, rest) = (self.body.size_hint(), self.rest.len() as u64);
-        let mut hint = http_body::SizeHint::new();
-        hint.set_lower(body.lower().saturating_add(rest));
-        if let Some(upper) = body.upper() {
-            hint.set_upper(upper.saturating_add(rest));
-        }
-        hint
+    /// Exact sizes become `Content-Length`, which is asked for before the first piece.
+    fn size_hint(&self) -> SizeHint {
+        if self.rest.is_empty() { self.body.size_hint() } else { SizeHint::default() }
     }
 }

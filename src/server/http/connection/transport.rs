@@ -1,137 +1,120 @@
-//! What a connection travels over: the socket as it is, or TLS upon it; and who it is that writes.
+//! The byte stream of one connection: a TCP socket with a write timeout, plain or below TLS.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
 
+use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::time::{Sleep, sleep};
 use tokio_rustls::server::TlsStream;
+use tokio_util::either::Either;
 
-use super::heads::Heads;
-use super::write_timeout::WriteTimeoutStream;
+use crate::limits::connections::ConnectionPermit;
+
+/// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100 Mbit/s over 40 ms.
+const SEND_BUFFER: usize = 512 << 10;
+/// How often a blocked write is tried again within the write timeout.
+const RETRIES: u32 = 8;
 
 /// A connection, plain or encrypted.
+pub(crate) type Transport = Either<WriteTimeoutStream, Box<TlsStream<WriteTimeoutStream>>>;
+
+/// Removes the write timeout: a WebSocket has deadlines of its own.
+pub(crate) fn without_write_timeout(mut transport: Transport) -> Transport {
+    match &mut transport {
+        Either::Left(stream) => stream.timeout = None,
+        Either::Right(stream) => stream.get_mut().0.timeout = None,
+    }
+    transport
+}
+
+/// A socket whose writes fail when the client reads nothing for the write timeout. A slow but steady client is never cut off.
 #[derive(Debug)]
-pub(crate) struct Transport {
-    io: Io,
-    /// Who writes, on HTTP/1.1.
-    heads: Option<Heads>,
+pub(crate) struct WriteTimeoutStream {
+    socket: TcpStream,
+    timeout: Option<Duration>,
+    blocked: Option<Blocked>,
+    _permit: ConnectionPermit,
 }
 
 #[derive(Debug)]
-enum Io {
-    /// The socket.
-    Plain(WriteTimeoutStream),
-    /// TLS upon it.
-    Tls(Box<TlsStream<WriteTimeoutStream>>),
+struct Blocked {
+    since: Instant,
+    retry: Pin<Box<Sleep>>,
 }
 
-impl Transport {
-    pub(crate) const fn plain(socket: WriteTimeoutStream) -> Self {
-        Self { io: Io::Plain(socket), heads: None }
+impl WriteTimeoutStream {
+    pub(crate) fn new(socket: TcpStream, timeout: Duration, permit: ConnectionPermit) -> io::Result<Self> {
+        // Nagle's algorithm would delay the last strip of a picture.
+        socket.set_nodelay(true)?;
+        // On failure the kernel keeps its own size, which only costs memory.
+        let _ = SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);
+        Ok(Self { socket, timeout: Some(timeout), blocked: None, _permit: permit })
     }
 
-    pub(crate) fn tls(stream: TlsStream<WriteTimeoutStream>) -> Self {
-        Self { io: Io::Tls(Box::new(stream)), heads: None }
+    pub(crate) const fn socket(&self) -> &TcpStream {
+        &self.socket
     }
 
-    /// What hyper would answer by itself is answered by a problem document.
-    pub(crate) fn with(self, heads: Heads) -> Self {
-        Self { heads: Some(heads), ..self }
-    }
-
-    /// Whoever takes the connection over has deadlines and words of its own.
-    pub(crate) fn without_deadline(mut self) -> Self {
-        self.heads = None;
-        self.io.steady().without_deadline();
-        self
-    }
-}
-
-impl Io {
-    fn steady(&mut self) -> &mut WriteTimeoutStream {
-        match self {
-            Self::Plain(io) => io,
-            Self::Tls(io) => io.get_mut().0,
-        }
-    }
-}
-
-macro_rules! over {
-    ($wire:expr, $io:ident => $call:expr) => {
-        match &mut $wire {
-            Io::Plain(io) => {
-                let $io = Pin::new(io);
-                $call
+    /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of the buffer is free, which a slow client
+    /// may not reach within the timeout; so the write is also retried on a timer.
+    fn poll_blocked(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let Some(timeout) = self.timeout else { return Poll::Pending };
+        let pause = timeout / RETRIES;
+        let blocked = self.blocked.get_or_insert_with(|| Blocked { since: Instant::now(), retry: Box::pin(sleep(pause)) });
+        while blocked.retry.as_mut().poll(cx).is_ready() {
+            match SockRef::from(&self.socket).send(bytes) {
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                sent => {
+                    self.blocked = None;
+                    return Poll::Ready(sent);
+                }
             }
-            Io::Tls(io) => {
-                let $io = Pin::new(io.as_mut());
-                $call
+            if blocked.since.elapsed() >= timeout {
+                // Discards what the kernel still holds.
+                let _ = SockRef::from(&self.socket).set_linger(Some(Duration::ZERO));
+                tracing::debug!("a client read nothing for {timeout:?}: its connection is closed");
+                return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client reads nothing")));
             }
+            blocked.retry.as_mut().reset(tokio::time::Instant::now() + pause);
         }
-    };
+        Poll::Pending
+    }
 }
 
-impl AsyncRead for Transport {
+impl AsyncRead for WriteTimeoutStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let before = into.filled().len();
-        let read = over!(self.io, io => io.poll_read(cx, into));
-        if let Some(heads) = &mut self.heads {
-            heads.came(into.filled().len() - before);
-        }
-        read
+        Pin::new(&mut self.socket).poll_read(cx, into)
     }
 }
 
-impl AsyncWrite for Transport {
-    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        if let Some(heads) = &mut self.heads
-            && heads.take(bytes)?
-        {
-            return Poll::Ready(Ok(bytes.len()));
-        }
-        over!(self.io, io => io.poll_write(cx, bytes))
+impl AsyncWrite for WriteTimeoutStream {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        self.poll_write_vectored(cx, &[IoSlice::new(bytes)])
     }
 
-    fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, pieces: &[IoSlice<'_>]) -> Poll<io::Result<usize>> {
-        // A head is one piece.
-        let first = pieces.iter().find(|piece| !piece.is_empty());
-        if let (Some(heads), Some(first)) = (&mut self.heads, first)
-            && heads.take(first)?
-        {
-            return Poll::Ready(Ok(first.len()));
+    fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, slices: &[IoSlice<'_>]) -> Poll<io::Result<usize>> {
+        match (Pin::new(&mut self.socket).poll_write_vectored(cx, slices), slices.iter().find(|slice| !slice.is_empty())) {
+            (Poll::Pending, Some(first)) => self.poll_blocked(cx, first),
+            (written, _) => {
+                self.blocked = None;
+                written
+            }
         }
-        over!(self.io, io => io.poll_write_vectored(cx, pieces))
     }
 
     fn is_write_vectored(&self) -> bool {
-        match &self.io {
-            Io::Plain(io) => io.is_write_vectored(),
-            Io::Tls(io) => io.is_write_vectored(),
-        }
+        self.socket.is_write_vectored()
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let Self { io, heads } = &mut *self;
-        if let Some(heads) = heads {
-            ready!(over!(*io, io => heads.poll_leave(cx, io)))?;
-        }
-        ready!(over!(*io, io => io.poll_flush(cx)))?;
-        if let Some(heads) = heads {
-            heads.flushed();
-        }
-        Poll::Ready(Ok(()))
+        Pin::new(&mut self.socket).poll_flush(cx)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let Self { io, heads } = &mut *self;
-        if let Some(heads) = heads {
-            ready!(over!(*io, io => heads.poll_leave(cx, io)))?;
-        }
-        ready!(over!(*io, io => io.poll_shutdown(cx)))?;
-        if let Some(heads) = heads {
-            ready!(heads.poll_linger(cx, io.steady().socket_mut()));
-        }
-        Poll::Ready(Ok(()))
+        Pin::new(&mut self.socket).poll_shutdown(cx)
     }
 }

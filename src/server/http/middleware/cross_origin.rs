@@ -1,104 +1,83 @@
-//! What browsers are told: which other sites' pages may ask (CORS), and what every answer says against being misread or embedded.
+//! What browsers may do for pages of other sites: CORS, and the rejection of requests that change something.
 
-use axum::body::Body;
+use std::time::Duration;
+
 use axum::extract::Request;
-use axum::http::header::{
-    ACCESS_CONTROL_ALLOW_HEADERS, ACCESS_CONTROL_ALLOW_METHODS, ACCESS_CONTROL_ALLOW_ORIGIN, ACCESS_CONTROL_EXPOSE_HEADERS,
-    ACCESS_CONTROL_MAX_AGE, ACCESS_CONTROL_REQUEST_METHOD, HeaderName, ORIGIN, REFERRER_POLICY, STRICT_TRANSPORT_SECURITY, VARY,
-    X_CONTENT_TYPE_OPTIONS,
-};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
-use axum::response::{IntoResponse as _, Response};
+use axum::http::header::{HOST, ORIGIN};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
+use tower_http::cors::{AllowOrigin, CorsLayer, Vary};
 
 use crate::auth::cors::Origins;
 use crate::config::AuthConfig;
-use crate::http::socket::handshake::is_of_this_site;
 use crate::problem::{Code, Problem};
 
-const METHODS: HeaderValue = HeaderValue::from_static("GET, HEAD, POST, PUT, DELETE");
-const REQUEST_HEADERS: HeaderValue =
-    HeaderValue::from_static("accept, authorization, content-type, if-none-match, te, traceparent, x-request-id");
-/// Every header of the contract that a page's script may want to read.
-const EXPOSED: HeaderValue = HeaderValue::from_static(
-    "allow, etag, location, retry-after, server-timing, warp-folds, warp-offset, warp-plan, warp-residual, warp-session, warp-warning, \
-     www-authenticate, x-request-id",
-);
-/// Seconds for which a browser need not ask again.
-const PREFLIGHT_AGE: HeaderValue = HeaderValue::from_static("600");
-const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+const METHODS: [Method; 5] = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE];
+const REQUEST_HEADERS: [&str; 7] = ["accept", "authorization", "content-type", "if-none-match", "te", "traceparent", "x-request-id"];
+const RESPONSE_HEADERS: [&str; 12] = [
+    "allow",
+    "etag",
+    "location",
+    "retry-after",
+    "server-timing",
+    "warp-folds",
+    "warp-plan",
+    "warp-residual",
+    "warp-session",
+    "warp-warning",
+    "www-authenticate",
+    "x-request-id",
+];
+/// How long a browser may remember a preflight.
+const PREFLIGHT_AGE: Duration = Duration::from_secs(600);
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
-/// One year: once reached by TLS, the host is not to be reached without.
-const TRANSPORT: HeaderValue = HeaderValue::from_static("max-age=31536000");
 
-/// What one request's answer tells a browser.
-#[derive(Debug)]
-pub(crate) struct Site {
-    /// What `Access-Control-Allow-Origin` says, if the page that asks may.
-    allowed: Option<HeaderValue>,
-    /// Other origins are answered otherwise.
-    varies: bool,
-    is_shared: bool,
-    is_tls: bool,
-    /// A page of another site asks that may not.
-    is_foreign: bool,
+/// The CORS headers; none where only pages of this server may use it.
+pub(super) fn cors_layer(origins: &Origins) -> Option<CorsLayer> {
+    let (allowed, vary) = match origins {
+        Origins::Own => return None,
+        Origins::Listed(listed) => (AllowOrigin::list(listed.iter().flat_map(|origin| origin.parse())), vec![ORIGIN]),
+        Origins::Any => (AllowOrigin::any(), vec![]),
+    };
+    let layer = CorsLayer::new().allow_origin(allowed).vary(Vary::list(vary)).allow_methods(METHODS).max_age(PREFLIGHT_AGE);
+    let names = layer.allow_headers(REQUEST_HEADERS.map(HeaderName::from_static));
+    Some(names.expose_headers(RESPONSE_HEADERS.map(HeaderName::from_static)))
 }
 
-impl Site {
-    pub(crate) fn new(config: &AuthConfig, request: &Request) -> Self {
-        let headers = request.headers();
-        let origins = &config.cors_origin;
-        let allowed = match headers.get(ORIGIN) {
-            _ if *origins == Origins::Any => Some(HeaderValue::from_static("*")),
-            Some(origin) if origin.to_str().is_ok_and(|origin| origins.has(origin)) => Some(origin.clone()),
-            _ => None,
-        };
-        let is_shared = *origins != Origins::Own;
-        // Browsers say so, and no script can say otherwise (https://www.w3.org/TR/fetch-metadata/). To a server that is reached neither by TLS nor on
-        // the loopback they say the page's origin and no more; a key is nothing that a browser would send by itself.
-        let elsewhere = match headers.get(FETCH_SITE) {
-            Some(site) => site != "same-origin" && site != "none",
-            None => config.keys.is_none() && !is_of_this_site(headers, request.uri().authority()),
-        };
-        let is_foreign = elsewhere && allowed.is_none();
-        Self { allowed, varies: is_shared && *origins != Origins::Any, is_shared, is_tls: config.tls.is_some(), is_foreign }
+/// Rejects requests by which a page of another site would change something. A browser sends them and only hides the response; on a server
+/// without keys they would open sessions for any site that a user visits.
+///
+/// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it rejects pages of this server behind a
+/// proxy that sends `Host: bend.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
+pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Problem> {
+    let headers = request.headers();
+    // Browsers send Sec-Fetch-Site to servers that they reach by TLS or on the loopback, and no script can change it (W3C Fetch Metadata).
+    let is_cross_origin = match headers.get(FETCH_SITE) {
+        Some(site) => site != "same-origin" && site != "none",
+        None => config.keys.is_none() && !is_same_origin(headers, request.uri().authority()),
+    };
+    if is_cross_origin && !request.method().is_safe() && !is_listed(headers, &config.cors_origin) {
+        return Err(Problem::new(Code::Forbidden, "cross-origin request rejected; --cors-origin lists the sites whose pages may send it"));
     }
+    Ok(())
+}
 
-    /// Refuses what the page of another site would do here. A browser sends such a request and only hides the answer: on a server without keys it
-    /// would open sessions for whoever has lured somebody to a page.
-    pub(crate) fn check(&self, request: &Request) -> Result<(), Problem> {
-        if self.is_foreign && !request.method().is_safe() {
-            return Err(Problem::new(Code::Forbidden, "a page of another site may not ask this; --cors-origin lists those that may"));
-        }
-        Ok(())
-    }
+/// Whether the page that sends a request is of a listed site.
+pub(crate) fn is_listed(headers: &HeaderMap, origins: &Origins) -> bool {
+    let origin = headers.get(ORIGIN).and_then(|origin| origin.to_str().ok());
+    origins.has(origin.unwrap_or_default())
+}
 
-    /// The answer to a browser that asks whether it may ask. It carries no key, so it is given before any is wanted.
-    pub(crate) fn preflight(&self, request: &Request) -> Option<Response> {
-        let asks = request.method() == Method::OPTIONS && request.headers().contains_key(ACCESS_CONTROL_REQUEST_METHOD);
-        if !asks || self.allowed.is_none() {
-            return None;
-        }
-        let headers = [
-            (ACCESS_CONTROL_ALLOW_METHODS, METHODS),
-            (ACCESS_CONTROL_ALLOW_HEADERS, REQUEST_HEADERS),
-            (ACCESS_CONTROL_MAX_AGE, PREFLIGHT_AGE),
-        ];
-        Some((StatusCode::NO_CONTENT, headers, Body::empty()).into_response())
-    }
+/// Whether a request is sent by no page, or by one of this server. The authority of the `target` takes precedence over the `Host` header.
+pub(crate) fn is_same_origin(headers: &HeaderMap, target: Option<&Authority>) -> bool {
+    let Some(origin) = headers.get(ORIGIN) else { return true };
+    let own = target.map(Authority::as_str).or_else(|| headers.get(HOST)?.to_str().ok());
+    let origin = HeaderValue::to_str(origin).ok().and_then(|origin| origin.split_once("://"));
+    own.zip(origin).is_some_and(|(own, (scheme, origin))| normalized(own, scheme) == normalized(origin, scheme))
+}
 
-    pub(crate) fn tell(self, headers: &mut HeaderMap) {
-        headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-        headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-        headers.insert(RESOURCE_POLICY, HeaderValue::from_static(if self.is_shared { "cross-origin" } else { "same-origin" }));
-        if self.is_tls {
-            headers.insert(STRICT_TRANSPORT_SECURITY, TRANSPORT);
-        }
-        if self.varies {
-            headers.append(VARY, HeaderValue::from_static("origin"));
-        }
-        if let Some(allowed) = self.allowed {
-            headers.insert(ACCESS_CONTROL_ALLOW_ORIGIN, allowed);
-            headers.insert(ACCESS_CONTROL_EXPOSE_HEADERS, EXPOSED);
-        }
-    }
+/// An authority in lower case, without the scheme's default port.
+fn normalized(authority: &str, scheme: &str) -> String {
+    let default_port = if scheme == "https" { ":443" } else { ":80" };
+    authority.strip_suffix(default_port).unwrap_or(authority).to_ascii_lowercase()
 }

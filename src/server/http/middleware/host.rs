@@ -1,5 +1,4 @@
-//! The host that a request names: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and one that this listener
-//! serves.
+//! The check of a request's host: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and served by this listener.
 
 use axum::extract::Request;
 use axum::http::Version;
@@ -8,23 +7,23 @@ use axum::http::header::HOST;
 use crate::auth::hosts::{Authority, Host, Hosts};
 use crate::problem::{Code, Problem};
 
-/// Health checks name the host in any way, and the answers hold nothing of anybody.
+/// Health checks send any host, and the responses hold no user data.
 const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
-/// Most characters of a host that a problem repeats.
-const REPEATED: usize = 100;
+/// Maximum number of a host's characters in a problem.
+const MAX_QUOTED: usize = 100;
 
-/// Checks the host. `served`: the hosts that the listener serves; none: all.
+/// Checks the host. `served`: the hosts that the listener serves; none: any host.
 ///
 /// # Errors
 /// [`Code::MalformedRequest`], [`Code::Misdirected`].
 pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Problem> {
-    let host = named(request)?;
+    let host = host(request)?;
     let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else { return Ok(()) };
     if host.as_ref().is_some_and(|host| served.allow(host)) {
         return Ok(());
     }
     let host = match host {
-        Some(Host::Name(name)) => name.chars().take(REPEATED).collect(),
+        Some(Host::Name(name)) => name.chars().take(MAX_QUOTED).collect(),
         _ => "no host".to_owned(),
     };
     let detail =
@@ -32,28 +31,24 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
     Err(Problem::new(Code::Misdirected, format!("{detail}: {host}")))
 }
 
-/// The host of the target where it has one, otherwise that of the `Host` header.
-fn named(request: &Request) -> Result<Option<Host>, Problem> {
+/// The host of the target if it has one, otherwise of the `Host` header.
+fn host(request: &Request) -> Result<Option<Host>, Problem> {
     let malformed = |detail: &str| Problem::new(Code::MalformedRequest, detail);
+    let parse = |text: Option<&str>, name: &str| {
+        text.and_then(Authority::parse).ok_or_else(|| malformed(&format!("the {name} is not `host` or `host:port`")))
+    };
     let mut fields = request.headers().get_all(HOST).iter();
-    let field = match (fields.next(), fields.next()) {
-        (_, Some(_)) => return Err(malformed("the request has more than one Host header")),
-        (Some(field), None) => {
-            let authority = field.to_str().ok().and_then(Authority::parse);
-            Some(authority.ok_or_else(|| malformed("the Host header is not `host` or `host:port`"))?)
-        }
-        (None, None) => None,
-    };
-    let target = match request.uri().authority() {
-        Some(target) => Some(Authority::parse(target.as_str()).ok_or_else(|| malformed("the target's host is not `host` or `host:port`"))?),
-        None => None,
-    };
+    let field = fields.next().map(|field| parse(field.to_str().ok(), "Host header")).transpose()?;
+    if fields.next().is_some() {
+        return Err(malformed("the request has more than one Host header"));
+    }
+    let target = request.uri().authority().map(|target| parse(Some(target.as_str()), "target's host")).transpose()?;
     match (request.version(), &target, &field) {
         (Version::HTTP_11, _, None) => return Err(malformed("an HTTP/1.1 request needs a Host header")),
         (Version::HTTP_2, None, None) => return Err(malformed("an HTTP/2 request needs :authority or a Host header")),
         (Version::HTTP_2, Some(target), Some(field)) => {
-            let own_port = if request.uri().scheme_str() == Some("https") { 443 } else { 80 };
-            let port = |authority: &Authority| authority.port.unwrap_or(own_port);
+            let default_port = if request.uri().scheme_str() == Some("https") { 443 } else { 80 };
+            let port = |authority: &Authority| authority.port.unwrap_or(default_port);
             if target.host != field.host || port(target) != port(field) {
                 return Err(malformed(":authority and the Host header differ"));
             }

@@ -1,68 +1,71 @@
-//! The outermost layer: everything that must hold for every request, in one place. A request id (the client's where it is sane) and
-//! with it the scope of all that is told of the request, the host, the body's limit and deadline, panics, the request's own deadline, problem documents, what browsers are told, and one log line.
+//! The middleware of every request: id, log line, trace, host, CORS, cross-origin check, body limit, deadline, panics, problem documents.
 
+pub(crate) mod authentication;
 pub(crate) mod cross_origin;
 pub(crate) mod host;
-pub(crate) mod keyed;
 
-use std::panic::AssertUnwindSafe;
+use std::any::Any;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header::{CONNECTION, CONTENT_LENGTH, EXPECT};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Version};
-use axum::middleware::Next;
+use axum::http::header::{CONNECTION, EXPECT, REFERRER_POLICY, STRICT_TRANSPORT_SECURITY, X_CONTENT_TYPE_OPTIONS};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version};
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use futures_util::FutureExt as _;
 use opentelemetry::Context;
 use opentelemetry::propagation::TextMapPropagator as _;
 use opentelemetry_http::HeaderExtractor;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
+use tower_http::catch_panic::CatchPanicLayer;
 use uuid::Uuid;
 
-use super::body::{LimitedBody, Waiting, too_large};
+use super::body::{LimitedBody, too_large};
+use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
+use crate::auth::cors::Origins;
 use crate::auth::hosts::Hosts;
 use crate::observe::metrics::known_method;
 use crate::observe::{RequestInfo, Scope};
 use crate::pool::panic_text;
 use crate::problem::{Code, Problem};
-use cross_origin::Site;
-use keyed::client;
+use authentication::client;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-const LONGEST_REQUEST_ID: usize = 64;
+const MAX_REQUEST_ID: usize = 64;
+const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+/// Browsers use TLS alone for a year.
+const HSTS: HeaderValue = HeaderValue::from_static("max-age=31536000");
 
-/// Seconds after which a request that the server did not finish in time may be sent again.
+/// `Retry-After` in seconds of a request that the server did not answer in time.
 const RETRY_LATE: u32 = 1;
 
-/// Not traced: they are asked all the time, by machines.
+/// Probes and scrapers request these all the time.
 const UNTRACED_ROUTES: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
-/// What the layer knows of its listener.
-#[derive(Clone, Debug)]
-pub(crate) struct Fence {
+#[derive(Clone)]
+struct MiddlewareState {
     app: App,
-    /// The hosts that it serves; none: all.
     hosts: Option<Hosts>,
 }
 
-impl Fence {
-    /// Of the service.
-    pub(crate) fn of_service(app: &App) -> Self {
-        Self { app: app.clone(), hosts: app.config().auth.hosts(app.config().listen).cloned() }
-    }
-
-    /// Of the listener for metrics and health.
-    pub(crate) fn of_watchers(app: &App) -> Self {
-        let config = app.config();
-        let hosts = config.telemetry.metrics_listen.and_then(|listen| config.auth.hosts_without_keys(listen));
-        Self { app: app.clone(), hosts: hosts.cloned() }
-    }
+/// Completes a router by its middleware. `hosts`: the hosts that requests may name; none: any host.
+pub(crate) fn apply(router: Router<App>, app: &App, hosts: Option<&Hosts>) -> Router {
+    let router = router.layer(CatchPanicLayer::custom(on_panic)).layer(from_fn_with_state(app.clone(), limit));
+    let router = match cross_origin::cors_layer(&app.config().auth.cors_origin) {
+        Some(cors) => router.layer(cors),
+        None => router,
+    };
+    let state = MiddlewareState { app: app.clone(), hosts: hosts.cloned() };
+    router.layer(from_fn_with_state(state, outermost)).with_state(app.clone())
 }
 
-pub(crate) async fn fence(State(Fence { app, hosts }): State<Fence>, request: Request, next: Next) -> Response {
+/// Identifies, logs and traces a request, checks its host, and completes its response.
+async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     // The pattern, never the path: neither a log nor a trace may hold session ids.
@@ -82,122 +85,98 @@ pub(crate) async fn fence(State(Fence { app, hosts }): State<Fence>, request: Re
         }
     };
     let host = host::check(&request, hosts.as_ref());
-    let fenced = fenced(app.clone(), request, next, host, Head { began, id, route });
-    scope.wrap(fenced).await
-}
-
-/// What is known of a request before anything is done.
-struct Head {
-    began: Instant,
-    id: String,
-    route: Option<MatchedPath>,
-}
-
-async fn fenced(app: App, mut request: Request, next: Next, host: Result<(), Problem>, head: Head) -> Response {
-    let Head { began, id, route } = head;
     let (method, version) = (request.method().clone(), request.version());
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
-    let site = Site::new(&app.config().auth, &request);
-    let mut code = None;
-    let preflight = host.is_ok().then(|| site.preflight(&request)).flatten();
-    let mut response = match preflight {
-        Some(response) => response,
-        None => {
-            let response = match host.and_then(|()| site.check(&request)) {
-                Ok(()) => answer(&app, request, next).await,
-                Err(problem) => problem.into_response(),
-            };
-            if let Some(problem) = response.extensions().get::<Problem>() {
-                app.metrics().refused(problem);
-                code = Some(problem.code);
-            }
-            finish(response, &id)
+    let answered = async {
+        let response = match host {
+            Ok(()) => next.run(request).await,
+            Err(problem) => problem.into_response(),
+        };
+        let code = response.extensions().get::<Problem>().map(|problem| {
+            app.metrics().refused(problem);
+            problem.code
+        });
+        let mut response = finish(response, &id);
+        // tower-http answers a preflight with 200.
+        if method == Method::OPTIONS && response.status() == StatusCode::OK {
+            *response.status_mut() = StatusCode::NO_CONTENT;
         }
+        let status = response.status();
+        let headers = response.headers_mut();
+        set_security_headers(&app, headers);
+        // The server may have stopped before the connection's next request.
+        if app.is_leaving() && version < Version::HTTP_2 && status != StatusCode::SWITCHING_PROTOCOLS {
+            headers.insert(CONNECTION, HeaderValue::from_static("close"));
+        }
+        if let Ok(id) = HeaderValue::from_str(&id) {
+            headers.insert(REQUEST_ID, id);
+        }
+        let status = status.as_u16();
+        Scope::current().set_response(status, code);
+        let route = route.as_ref().map_or("-", MatchedPath::as_str);
+        app.metrics().answered(route, method.as_str(), status, began.elapsed());
+        let ms = began.elapsed().as_secs_f64() * 1e3;
+        // A client may send any word as its method, as long as a head may be.
+        let method = known_method(method.as_str()).unwrap_or("other");
+        tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
+        response
     };
-    // The next request of this connection would perhaps come when nobody listens any more.
-    if app.is_leaving() && version < Version::HTTP_2 && response.status() != StatusCode::SWITCHING_PROTOCOLS {
-        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
-    }
-    let method = method.as_str();
-    sent(&app, &mut response, site, &Sent { head: &Head { began, id, route }, method, code });
-    response
+    scope.wrap(answered).await
 }
 
-/// The answer to what never was a request: the head could not be read, or came where it may not.
-pub(crate) fn refused(app: &App, problem: Problem) -> Response {
-    let head = Head { began: Instant::now(), id: Uuid::new_v4().to_string(), route: None };
-    Scope::untraced(&head.id).enter(|| {
-        app.metrics().refused(&problem);
-        let code = Some(problem.code);
-        let mut response = finish(problem.into_response(), &head.id);
-        let site = Site::new(&app.config().auth, &Request::default());
-        sent(app, &mut response, site, &Sent { head: &head, method: "", code });
-        response
+/// Tells browsers how a response may be used.
+fn set_security_headers(app: &App, headers: &mut HeaderMap) {
+    let access = &app.config().auth;
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    let policy = if access.cors_origin == Origins::Own { "same-origin" } else { "cross-origin" };
+    headers.insert(RESOURCE_POLICY, HeaderValue::from_static(policy));
+    if access.tls.is_some() {
+        headers.insert(STRICT_TRANSPORT_SECURITY, HSTS);
+    }
+}
+
+/// Rejects cross-origin requests, and limits the body and the time of the others.
+///
+/// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408) from a slow server (503 with
+/// `Retry-After`), give no actual size, and do not drain the rest of a body after an early response.
+async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
+    let (timeouts, max_bytes) = (app.config().timeouts, app.config().max_body_bytes);
+    cross_origin::check(&app.config().auth, &request)?;
+    let length = content_length(request.headers());
+    let expects_continue = request.headers().contains_key(EXPECT);
+    let waits = Arc::<AtomicBool>::default();
+    let request = request.map(|body| LimitedBody::wrap(body, max_bytes, timeouts.body, expects_continue, Arc::clone(&waits)));
+    if let Some(length) = length.filter(|length| *length > max_bytes) {
+        return Err(too_large("body_bytes", max_bytes, length));
+    }
+    // Not dropped before `waits` is read: dropping the body resets it.
+    let mut response = pin!(next.run(request));
+    if let Ok(response) = tokio::time::timeout(timeouts.request, response.as_mut()).await {
+        return Ok(response);
+    }
+    let seconds = timeouts.request.as_secs_f64();
+    Err(if waits.load(Ordering::Relaxed) {
+        Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
+    } else {
+        let detail = format!("the server did not answer within the {seconds} s that a request may take");
+        Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
     })
 }
 
-/// What an answer was given to.
-struct Sent<'a> {
-    head: &'a Head,
-    method: &'a str,
-    code: Option<Code>,
+fn on_panic(panic: Box<dyn Any + Send>) -> Response {
+    tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
+    Problem::new(Code::Internal, "internal error").into_response()
 }
 
-/// The end of every answer: what all of them say, and what is told of them.
-fn sent(app: &App, response: &mut Response, site: Site, to: &Sent<'_>) {
-    let Sent { head: Head { began, id, route }, method, code } = to;
-    site.tell(response.headers_mut());
-    if let Ok(id) = HeaderValue::from_str(id) {
-        response.headers_mut().insert(REQUEST_ID, id);
-    }
-    let status = response.status().as_u16();
-    Scope::current().set_response(status, *code);
-    let route = route.as_ref().map_or("-", MatchedPath::as_str);
-    app.metrics().answered(route, method, status, began.elapsed());
-    let ms = began.elapsed().as_secs_f64() * 1e3;
-    // A client may send any word as its method, as long as a head may be.
-    let method = known_method(method).unwrap_or("other");
-    tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
-}
-
-async fn answer(app: &App, request: Request, next: Next) -> Response {
-    let config = app.config();
-    let length = request.headers().get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()).and_then(|n| n.parse::<u64>().ok());
-    let waits_for_permission = request.headers().contains_key(EXPECT);
-    let waiting = Waiting::default();
-    let request =
-        request.map(|body| LimitedBody::wrap(body, config.max_body_bytes, config.timeouts.body, waits_for_permission, waiting.clone()));
-    if let Some(length) = length.filter(|n| *n > config.max_body_bytes) {
-        return too_large("body_bytes", config.max_body_bytes, length).into_response();
-    }
-    // The request's future is alive until the end: dropped, it waits for nothing.
-    let mut run = std::pin::pin!(AssertUnwindSafe(next.run(request)).catch_unwind());
-    match tokio::time::timeout(config.timeouts.request, run.as_mut()).await {
-        Ok(Ok(response)) => response,
-        Ok(Err(panic)) => {
-            tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
-            Problem::new(Code::Internal, "the server made a mistake; its log has more").into_response()
-        }
-        Err(_) => {
-            let seconds = config.timeouts.request.as_secs_f64();
-            let problem = if waiting.is_for_client() {
-                Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
-            } else {
-                let detail = format!("the server did not answer within the {seconds} s that a request may take");
-                Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
-            };
-            problem.into_response()
-        }
-    }
-}
-
-/// The client's id where it is a short plain word, otherwise a new one.
+/// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id` accepts any id.
 fn request_id(headers: &HeaderMap) -> String {
-    let plain = |id: &&str| {
-        (1..=LONGEST_REQUEST_ID).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.'))
+    let is_plain = |id: &&str| {
+        (1..=MAX_REQUEST_ID).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.'))
     };
-    headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).filter(plain).map_or_else(|| Uuid::new_v4().to_string(), str::to_owned)
+    let given = headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).filter(is_plain);
+    given.map_or_else(|| Uuid::new_v4().to_string(), str::to_owned)
 }
 
 #[cfg(test)]
@@ -211,10 +190,8 @@ mod tests {
             panic!("on purpose")
         }
         let app = App::new(crate::config::Config::default()).unwrap();
-        let router = axum::Router::new()
-            .route("/boom", axum::routing::get(boom))
-            .route("/well", axum::routing::get(|| async { "well" }))
-            .layer(axum::middleware::from_fn_with_state(Fence::of_service(&app), fence));
+        let router = Router::new().route("/boom", axum::routing::get(boom)).route("/well", axum::routing::get(|| async { "well" }));
+        let router = apply(router, &app, None);
         let get =
             |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
         let response = get("/boom").await.unwrap();

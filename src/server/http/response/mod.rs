@@ -1,24 +1,23 @@
-//! A picture as an answer: the headers of the contract, and a body that ends the drawing when it is dropped.
+//! Responses: pictures, meshes and JSON, with the headers of the contract. Dropping a picture's body cancels the drawing.
 
 pub(crate) mod problem;
 
-use std::fmt::Write as _;
-use std::pin::Pin;
-use std::task::{Context, Poll, ready};
-use std::time::Duration;
+use std::task::{Poll, ready};
 
-use axum::body::{Body, HttpBody};
+use axum::body::Body;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
+use futures_util::stream::poll_fn;
 use http_body::Frame;
+use http_body_util::StreamBody;
 use mlswarp::warp::Report;
 use tokio::sync::mpsc::UnboundedReceiver;
 
 use crate::app::draw::{Drawn, Picture, Piece};
-use crate::observe::stages::Cost;
-use crate::observe::stages::Timing;
+use crate::http::headers::elements;
+use crate::observe::stages::{Cost, Timing};
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
@@ -26,13 +25,13 @@ const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
 const WARP_RESIDUAL: HeaderName = HeaderName::from_static("warp-residual");
 const WARP_WARNING: HeaderName = HeaderName::from_static("warp-warning");
 
-/// The client takes trailers.
+/// Whether the client accepts trailers.
 pub(crate) fn takes_trailers(headers: &HeaderMap) -> bool {
-    headers.get_all(TE).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|t| t.trim().eq_ignore_ascii_case("trailers"))
+    elements(headers, TE).any(|coding| coding.eq_ignore_ascii_case("trailers"))
 }
 
-/// What is told of a posed grid.
-fn told(report: &Report, plan_built: bool) -> HeaderMap {
+/// The headers of a posed grid.
+fn report_headers(report: &Report, plan_built: bool) -> HeaderMap {
     let mut headers = HeaderMap::with_capacity(16);
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(WARP_PLAN, HeaderValue::from_static(if plan_built { "built" } else { "hit" }));
@@ -45,21 +44,21 @@ fn told(report: &Report, plan_built: bool) -> HeaderMap {
 }
 
 fn text(text: String) -> HeaderValue {
-    HeaderValue::from_str(&text).expect("numbers and codes are visible ASCII")
+    HeaderValue::try_from(text).expect("numbers and codes are visible ASCII")
 }
 
-/// A posed grid as an answer: `body` is its JSON or its numbers.
+/// A posed grid; `body` is its JSON or its numbers.
 pub(crate) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type: &'static str, body: Bytes) -> Response {
-    let mut headers = told(report, plan_built);
+    let mut headers = report_headers(report, plan_built);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
     headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
     (headers, body).into_response()
 }
 
-/// A picture as an answer.
+/// A picture.
 pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
     let Drawn { report, etag, format, timing, plan_built, picture, .. } = drawn;
-    let mut headers = told(&report, plan_built);
+    let mut headers = report_headers(&report, plan_built);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     headers.insert(VARY, HeaderValue::from_static("accept"));
     headers.insert(ETAG, text(format!("\"{etag}\"")));
@@ -73,82 +72,56 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
             if trailers {
                 headers.insert(TRAILER, HeaderValue::from_static("server-timing"));
             }
-            Body::new(Strips { strips, trailers, ended: false })
+            strip_body(strips, trailers)
         }
     };
     (headers, body).into_response()
 }
 
-/// `name;dur=ms, ...`
+/// The value of `Server-Timing`.
 fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
-    let mut text = String::new();
-    let mut put = |name: &str, duration: Duration| {
-        let comma = if text.is_empty() { "" } else { ", " };
-        // Writing to a string does not fail.
-        let _ = write!(text, "{comma}{name};dur={:.3}", duration.as_secs_f64() * 1e3);
-    };
+    let mut stages = Vec::with_capacity(6);
     if let Some(Timing { queue, decode, plan, deform }) = timing {
-        put("queue", queue);
-        put("decode", decode);
-        put("plan", plan);
-        put("deform", deform);
+        stages.extend([("queue", queue), ("decode", decode), ("plan", plan), ("deform", deform)]);
     }
     if let Some(Cost { render, encode }) = cost {
-        put("render", render);
-        put("encode", encode);
+        stages.extend([("render", render), ("encode", encode)]);
     }
-    text
+    let texts = stages.into_iter().map(|(name, duration)| format!("{name};dur={:.3}", duration.as_secs_f64() * 1e3));
+    texts.collect::<Vec<_>>().join(", ")
 }
 
-/// The strips of a picture that is being made.
-struct Strips {
-    strips: UnboundedReceiver<Piece>,
-    trailers: bool,
-    ended: bool,
-}
-
-/// The drawing stopped before its end.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error("the picture was not finished")]
 struct Unfinished;
 
-impl HttpBody for Strips {
-    type Data = Bytes;
-    type Error = Unfinished;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Unfinished>>> {
-        if self.ended {
+/// The body of a picture that is still being drawn.
+fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
+    let mut ended = false;
+    Body::new(StreamBody::new(poll_fn(move |cx| {
+        if ended {
             return Poll::Ready(None);
         }
-        Poll::Ready(match ready!(self.strips.poll_recv(cx)) {
+        let piece = ready!(strips.poll_recv(cx));
+        ended = !matches!(piece, Some(Piece::Bytes(_)));
+        Poll::Ready(match piece {
             Some(Piece::Bytes(bytes)) => Some(Ok(Frame::data(bytes))),
             Some(Piece::End(cost)) => {
-                self.ended = true;
-                let text = HeaderValue::from_str(&timing_text(None, Some(cost)));
-                match text {
-                    Ok(text) if self.trailers => Some(Ok(Frame::trailers(HeaderMap::from_iter([(SERVER_TIMING, text)])))),
-                    _ => None,
-                }
+                let timing = || HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
+                trailers.then(|| Ok(Frame::trailers(timing())))
             }
-            // The status has left already: breaking the connection is all that tells the client.
-            None => {
-                self.ended = true;
-                Some(Err(Unfinished))
-            }
+            // The status was sent already: only a broken connection tells the client.
+            None => Some(Err(Unfinished)),
         })
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.ended
-    }
+    })))
 }
 
-/// JSON of the contract.
+/// A JSON value.
 pub(crate) fn json(value: &impl serde::Serialize) -> Response {
     json_text(serde_json::to_vec(value).expect("objects of the contract have string keys").into())
 }
 
-/// JSON of the contract that is written already.
+/// Serialized JSON.
 pub(crate) fn json_text(body: Bytes) -> Response {
     let headers = [(CONTENT_TYPE, HeaderValue::from_static("application/json")), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
     (headers, body).into_response()

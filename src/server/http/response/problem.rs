@@ -1,5 +1,4 @@
-//! Problems as answers. A handler's problem travels in the answer's extensions; [`finish`] writes its document when the request's id is at
-//! hand, and gives every other refusal (axum's own, a layer's) the document of its status.
+//! Problem documents as responses. A problem travels in the response's extensions until [`finish`] writes the document.
 
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{HeaderValue, StatusCode};
@@ -15,7 +14,7 @@ impl IntoResponse for Problem {
     }
 }
 
-/// Writes the problem document of every answer that is not a success.
+/// Writes the problem document of a response that is not a success. Errors without a problem, such as axum's, get the one of their status.
 pub(crate) fn finish(response: Response, request_id: &str) -> Response {
     let status = response.status();
     if !status.is_client_error() && !status.is_server_error() {
@@ -33,17 +32,8 @@ pub(crate) fn finish(response: Response, request_id: &str) -> Response {
     Response::from_parts(head, problem.to_json(Some(request_id)).to_string().into())
 }
 
+/// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.
 fn of_status(status: StatusCode) -> Problem {
-    let code = match status {
-        StatusCode::NOT_FOUND => Code::NotFound,
-        StatusCode::METHOD_NOT_ALLOWED => Code::MethodNotAllowed,
-        StatusCode::NOT_ACCEPTABLE => Code::NotAcceptable,
-        StatusCode::REQUEST_TIMEOUT => Code::Timeout,
-        StatusCode::PAYLOAD_TOO_LARGE => Code::TooLarge,
-        StatusCode::UNSUPPORTED_MEDIA_TYPE => Code::UnsupportedMediaType,
-        StatusCode::SERVICE_UNAVAILABLE => Code::Overloaded,
-        status if status.is_client_error() => Code::MalformedRequest,
-        _ => Code::Internal,
-    };
+    let code = if status.is_client_error() { Code::MalformedRequest } else { Code::Internal };
     Problem::new(code, status.canonical_reason().unwrap_or("refused"))
 }

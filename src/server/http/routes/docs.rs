@@ -1,5 +1,4 @@
-//! `GET /docs`: the contract as a page, drawn by Swagger UI from `/openapi.json`. The library comes out of the archive that its crate carries, when
-//! the page is first asked for (and then takes some 2 MB); nothing is loaded from elsewhere, and the page's policy holds it to that.
+//! `GET /docs`: Swagger UI with `/openapi.json`. Its crate embeds an archive, of which two files (2 MB) are unpacked at the first request.
 
 use std::io::{Cursor, Read as _};
 use std::sync::LazyLock;
@@ -14,7 +13,7 @@ use utoipa_swagger_ui_vendored::SWAGGER_UI_VENDORED;
 use zip::ZipArchive;
 
 use crate::app::App;
-use crate::http::assets::{Asset, CSS, HTML, JS};
+use crate::http::assets::{Asset, CSS, HTML, JS, find};
 use crate::problem::{Code, Problem};
 
 static INDEX: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("docs/index.html"))));
@@ -27,7 +26,7 @@ static ASSETS: LazyLock<[(&str, Asset); 4]> = LazyLock::new(|| {
     ]
 });
 
-/// A file of the library, by the end of its path: the folder is called after the version.
+/// A file of Swagger UI, by the end of its path, which contains the version.
 fn library(end: &str) -> Bytes {
     let read = || {
         let mut archive = ZipArchive::new(Cursor::new(SWAGGER_UI_VENDORED)).ok()?;
@@ -39,12 +38,12 @@ fn library(end: &str) -> Bytes {
     read().expect("the archive is compiled in, and a test reads it")
 }
 
-/// The page: of the contract.
+/// The page.
 pub(crate) async fn page(headers: HeaderMap) -> Response {
-    INDEX.answer(&headers)
+    INDEX.response(&headers)
 }
 
-/// Its files: not of the contract, as those of the page at `/`.
+/// The page's files, which are not part of the contract.
 pub(crate) fn files() -> Router<App> {
     Router::new().route("/docs/{file}", get(file))
 }
@@ -52,11 +51,8 @@ pub(crate) fn files() -> Router<App> {
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     // Unpacking takes some milliseconds, once.
     let unpacked = tokio::task::spawn_blocking(|| &*ASSETS).await;
-    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "the server made a mistake; its log has more"))?;
-    match assets.iter().find(|(known, _)| *known == name) {
-        Some((_, asset)) => Ok(asset.answer(&headers)),
-        None => Err(Problem::new(Code::NotFound, format!("the page has no file {name}"))),
-    }
+    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "internal error"))?;
+    find(assets, &name, &headers)
 }
 
 #[cfg(test)]

@@ -1,30 +1,28 @@
-//! `POST /points` and `POST /sessions/{id}/points`: places mapped by f exactly, not by the grid.
+//! `POST /points` and `POST /sessions/{id}/points`: annotations mapped by the exact function, without an image.
 
-use axum::Extension;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Path, Request};
 use axum::response::Response;
+use bytes::Bytes;
 
 use super::sessions::session_id;
-use crate::app::App;
-use crate::client::Client;
 use crate::http::body::json;
-use crate::http::response;
+use crate::http::middleware::authentication::Caller;
+use crate::http::response::json_text;
 use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
-pub(crate) async fn once(State(app): State<App>, Extension(client): Extension<Client>, request: Request) -> Result<Response, Problem> {
-    let body = json(&app, client, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
-    Ok(response::json_text(app.map_once(client, body).await?))
+pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
+    let body = read(&caller, request).await?;
+    Ok(json_text(caller.app.map_once(caller.client, body).await?))
 }
 
-pub(crate) async fn of_session(
-    State(app): State<App>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-    request: Request,
-) -> Result<Response, Problem> {
-    let id = session_id(client, &id)?;
-    app.session(id).await?;
-    let body = json(&app, client, request, Purpose::Upload, "json_bytes", app.config().max_warp_json_bytes).await?;
-    Ok(response::json_text(app.map_session(client, id, body).await?))
+pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let id = session_id(caller.client, &id)?;
+    caller.app.session(id).await?;
+    let body = read(&caller, request).await?;
+    Ok(json_text(caller.app.map_session(caller.client, id, body).await?))
+}
+
+async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
+    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }

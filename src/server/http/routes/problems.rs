@@ -1,5 +1,5 @@
-//! `GET /problems/{code}`: what the `type` of a problem document leads to, that is, the section of `api/problems.md` about the code, as HTML
-//! or as JSON. The file uses little of Markdown (paragraphs, code, bold, blocks of JSON; tested), so little is read here.
+//! `GET /problems/{code}`: a section of `api/problems.md` as HTML or JSON. Only the Markdown that the file uses is converted (tested):
+//! paragraphs, code, bold and blocks of JSON.
 
 use std::fmt::Write as _;
 use std::sync::LazyLock;
@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use axum::extract::Path;
 use axum::http::header::VARY;
 use axum::http::{HeaderMap, HeaderValue};
-use axum::response::Response;
+use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use serde_json::{Value, json};
 
@@ -21,7 +21,7 @@ const ADVICE: &str = "**What to do.** ";
 const JSON: &str = "application/json";
 const BLOCK: &str = "```";
 
-/// The forms in which a section is written; the first is preferred.
+/// The media types of a section; the first is the default.
 const FORMS: [&str; 3] = ["text/html", JSON, Problem::MEDIA_TYPE];
 
 static SECTIONS: LazyLock<Vec<(Code, [Asset; 3])>> = LazyLock::new(|| Code::ALL.iter().map(|&code| (code, forms(code))).collect());
@@ -32,9 +32,7 @@ pub(crate) async fn section(Path(name): Path<String>, headers: HeaderMap) -> Res
         return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {name}")));
     };
     let form = accept::choose(&headers, FORMS)?;
-    let mut answer = forms[form].answer(&headers);
-    answer.headers_mut().insert(VARY, HeaderValue::from_static("accept"));
-    Ok(answer)
+    Ok(([(VARY, HeaderValue::from_static("accept"))], forms[form].response(&headers)).into_response())
 }
 
 fn forms(code: Code) -> [Asset; 3] {
@@ -45,12 +43,12 @@ fn forms(code: Code) -> [Asset; 3] {
     [Asset::new(HTML, Bytes::from(page)), Asset::new(JSON, json.clone()), Asset::new(Problem::MEDIA_TYPE, json)]
 }
 
-/// A paragraph or a block of code of a section.
+/// The paragraphs and blocks of code of a section.
 fn blocks(section: &str) -> impl Iterator<Item = &str> {
     section.split("\n\n").map(str::trim).filter(|block| !block.is_empty())
 }
 
-/// The code between the lines that begin and end a block of code.
+/// The content of a block of code.
 fn code_of(block: &str) -> Option<&str> {
     block.strip_prefix(BLOCK)?.strip_suffix(BLOCK)?.split_once('\n').map(|(_, code)| code)
 }
@@ -68,22 +66,21 @@ fn html(section: &str) -> String {
 }
 
 fn paragraph(text: &str) -> String {
-    let text = escaped(text);
-    let pieces = text.split('`').enumerate();
-    let with_code = pieces.map(|(n, piece)| if n % 2 == 1 { format!("<code>{piece}</code>") } else { bold(piece) });
-    with_code.collect()
+    let bold = |text: &str| marked(text, "**", "strong", str::to_owned);
+    marked(&escaped(text), "`", "code", bold)
 }
 
-fn bold(text: &str) -> String {
-    let pieces = text.split("**").enumerate();
-    pieces.map(|(n, piece)| if n % 2 == 1 { format!("<strong>{piece}</strong>") } else { piece.to_owned() }).collect()
+/// Puts every other piece between `mark`s into an element, and converts the rest.
+fn marked(text: &str, mark: &str, element: &str, rest: impl Fn(&str) -> String) -> String {
+    let piece = |(n, piece)| if n % 2 == 1 { format!("<{element}>{piece}</{element}>") } else { rest(piece) };
+    text.split(mark).enumerate().map(piece).collect()
 }
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-/// The members that all problems of the code share, and the section in pieces.
+/// The section as JSON, with the members that all problems of the code share.
 fn document(code: Code, section: &str) -> Value {
     let example = blocks(section).find_map(code_of).and_then(|text| serde_json::from_str(text).ok()).unwrap_or(Value::Null);
     let paragraphs = || blocks(section).filter(|block| code_of(block).is_none()).map(|block| block.replace('\n', " "));

@@ -1,99 +1,80 @@
-//! `GET /sessions/{id}/drag`: the drag socket. Everything that can be wrong with the request is answered before the upgrade; afterwards a task
-//! of its own carries messages between the connection and the drag, under deadlines of its own.
+//! `GET /sessions/{id}/drag`: the drag socket. Errors of the request are answered before the upgrade; afterwards a task carries messages
+//! between the connection and the drag.
 
 pub(crate) mod handshake;
-pub(crate) mod metered;
 pub(crate) mod websocket;
 
+use std::pin::pin;
 use std::time::Instant;
 
-use axum::Extension;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Path, Request};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
 use mlswarp::codec::Format;
-use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
-use super::connection::Transport;
+use super::connection::transport::{Transport, without_write_timeout};
+use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
 use crate::app::App;
 use crate::app::live_drag::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
 use crate::app::warp::columns;
 use crate::auth::keys::Credential;
-use crate::client::Client;
 use crate::config::Config;
 use crate::limits::bucket::Bucket;
 use crate::observe::Scope;
 use crate::problem::{Code, Problem};
-use websocket::{Ending, Heard, WebSocketConnection};
+use websocket::{Ending, Event, WebSocketConnection};
 
-/// Messages that a client may send in a second, and at once: a hand at 1000 Hz loses nothing.
+/// Messages per second that a client may send, and in one burst: enough for a pointer at 1000 Hz.
 const MESSAGES: (f64, f64) = (1000.0, 2000.0);
 
 /// Opens the socket.
-pub(crate) async fn drag(
-    State(app): State<App>,
-    Extension(client): Extension<Client>,
-    Path(id): Path<String>,
-    mut request: Request,
-) -> Response {
-    let answer = match handshake::accept(&request, &app.config().auth.cors_origin) {
-        Ok(answer) => answer,
-        Err(refusal) => return refusal,
-    };
-    let wishes = match wishes(request.uri().query(), app.config().limits().image.max_side) {
-        Ok(wishes) => wishes,
-        Err(problem) => return problem.into_response(),
-    };
-    let drag = match open(&app, client, &id, wishes).await {
-        Ok(drag) => drag,
-        Err(problem) => return problem.into_response(),
-    };
-    let pass = request.extensions().get::<Credential>().copied().unwrap_or(Credential::ANYBODY);
-    let most = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
+pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>, mut request: Request) -> Result<Response, Response> {
+    let response = handshake::accept(&request, &app.config().auth.cors_origin)?;
+    let options = options(request.uri().query(), app.config().limits().image.max_side).map_err(Problem::into_response)?;
+    let id = session_id(client, &id).map_err(Problem::into_response)?;
+    let drag = app.open_drag(client, id, options).await.map_err(Problem::into_response)?;
+    let credential = request.extensions().get::<Credential>().copied().unwrap_or(Credential::ANYBODY);
     let upgrade = hyper::upgrade::on(&mut request);
-    // What is told of the socket from now on has the handshake's id.
-    let talked = Scope::current().answered().wrap(async move {
-        // Whoever has left before the answer takes the drag with it.
+    // Log lines of the socket have the id of the handshake.
+    tokio::spawn(Scope::current().answered().wrap(async move {
+        // If the client has left already, the drag ends here.
         let Ok(upgraded) = upgrade.await else { return };
         match upgraded.downcast::<TokioIo<Transport>>() {
             Ok(parts) => {
-                talk(&app, pass, drag, WebSocketConnection::new(parts.io.into_inner().without_deadline(), parts.read_buf, most).await).await
+                let max_message = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
+                let transport = without_write_timeout(parts.io.into_inner());
+                run(&app, credential, drag, WebSocketConnection::new(transport, parts.read_buf, max_message).await).await;
             }
-            Err(upgraded) => talk(&app, pass, drag, WebSocketConnection::new(TokioIo::new(upgraded), Bytes::new(), most).await).await,
+            Err(_) => tracing::error!("an upgraded connection has an unknown type"),
         }
-    });
-    tokio::spawn(talked);
-    answer
+    }));
+    Ok(response)
 }
 
-async fn open(app: &App, client: Client, id: &str, wishes: DragOptions) -> Result<Drag, Problem> {
-    app.open_drag(client, session_id(client, id)?, wishes).await
-}
-
-/// `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. What is not known is refused.
-fn wishes(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
+/// Reads `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
+fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let bad = |name: &str, value: &str, expected: &str| {
         let value: String = value.chars().take(40).collect();
         Problem::new(Code::BadValue, format!("the query's `{name}` is {expected}: {value}"))
     };
-    let mut wishes = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
+    let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
     for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
         match pair.split_once('=').unwrap_or((pair, "")) {
-            ("frames", "mesh") => wishes.form = Form::Mesh,
+            ("frames", "mesh") => options.form = Form::Mesh,
             ("frames", value) => {
                 let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(value));
-                wishes.form = Form::Picture(Some(format.ok_or_else(|| bad("frames", value, "one of png, jpeg, webp, mesh"))?));
+                options.form = Form::Picture(Some(format.ok_or_else(|| bad("frames", value, "one of png, jpeg, webp, mesh"))?));
             }
-            ("width", "auto") => wishes.width = PreviewWidth::Auto,
+            ("width", "auto") => options.width = PreviewWidth::Auto,
             ("width", value) => {
                 let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
-                wishes.width = PreviewWidth::Fixed(width.ok_or_else(|| bad("width", value, &format!("auto or 1 to {max_side}")))?);
+                options.width = PreviewWidth::Fixed(width.ok_or_else(|| bad("width", value, &format!("auto or 1 to {max_side}")))?);
             }
-            ("report", value @ ("true" | "false")) => wishes.report = value == "true",
+            ("report", value @ ("true" | "false")) => options.report = value == "true",
             ("report", value) => return Err(bad("report", value, "true or false")),
             _ => {
                 let detail = "the query has a field that is not known; supported: frames, width, report";
@@ -101,124 +82,108 @@ fn wishes(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
             }
         }
     }
-    if wishes.form == Form::Mesh && wishes.width != PreviewWidth::Auto {
+    if options.form == Form::Mesh && options.width != PreviewWidth::Auto {
         return Err(Problem::new(Code::BadValue, "a mesh has no width: leave the query's `width` out"));
     }
-    Ok(wishes)
+    Ok(options)
 }
 
-/// Carries messages until either side ends it.
-async fn talk<S: AsyncRead + AsyncWrite + Unpin>(app: &App, pass: Credential, mut drag: Drag, mut line: WebSocketConnection<S>) {
+/// Carries messages until either side ends the socket.
+async fn run(app: &App, credential: Credential, mut drag: Drag, mut socket: WebSocketConnection) {
     let began = Instant::now();
-    let ending = converse(app, pass, &mut drag, &mut line).await;
+    let ending = exchange(app, credential, &mut drag, &mut socket).await;
     let (code, reason) = match &ending {
-        Ending::Gone => (0, "the client left"),
+        Ending::Disconnected => (0, "the client left"),
         Ending::Close(code, reason) => (u16::from(*code), *reason),
     };
     let seconds = began.elapsed().as_secs_f64();
     tracing::info!(target: "mlswarp::http", code, reason, seconds = format_args!("{seconds:.1}"), "drag ended");
-    // What is being made ends here; the seat is kept until the connection is closed.
+    // Cancels the frame; the socket's slot is kept until the connection is closed.
     drag.stop();
-    line.close(ending).await;
+    socket.close(ending).await;
 }
 
-async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
-    app: &App,
-    pass: Credential,
-    drag: &mut Drag,
-    line: &mut WebSocketConnection<S>,
-) -> Ending {
-    let now = Instant::now();
-    let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, now);
-    let mut life = Life { heard: now, pinged: None };
-    let (stopping, revoked) = (app.stopping(), app.access().revoked(pass));
-    tokio::pin!(stopping, revoked);
+async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &mut WebSocketConnection) -> Ending {
+    let mut heard = Instant::now();
+    let mut pinged = None;
+    let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, heard);
+    let (mut stopping, mut revoked) = (pin!(app.stopping()), pin!(app.access().revoked(credential)));
     loop {
         let due = drag.act(Instant::now());
-        while let Some(said) = drag.next_outgoing() {
-            match said {
-                Outgoing::Text(text) => line.text(text),
-                Outgoing::Frame(seq, pieces) => line.binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces),
+        while let Some(outgoing) = drag.next_outgoing() {
+            match outgoing {
+                Outgoing::Text(text) => socket.send_text(text),
+                Outgoing::Frame(seq, pieces) => socket.send_binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces),
             }
         }
         if drag.is_over() {
             return Ending::Close(CloseCode::Normal, "the session has ended");
         }
-        let (deadline, _) = life.deadline(drag, line, app.config());
+        let (deadline, _) = next_deadline(heard, pinged, drag, socket, app.config());
         let wake = due.map_or(deadline, |due| due.min(deadline));
         tokio::select! {
-            heard = line.hear() => {
-                let now = Instant::now();
-                life = Life { heard: now, pinged: None };
-                if !matches!(heard, Heard::End(_)) && !bucket.take(now) {
+            event = socket.next() => {
+                (heard, pinged) = (Instant::now(), None);
+                if !matches!(event, Event::Ended(_)) && !bucket.take(heard) {
                     return Ending::Close(CloseCode::Policy, "too many messages a second");
                 }
-                match heard {
-                    Heard::Text(text) => drag.on_message(text.as_bytes(), now),
-                    Heard::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "messages are text")),
-                    Heard::Life => {}
-                    Heard::End(ending) => return ending,
+                match event {
+                    Event::Text(text) => drag.on_message(text.as_bytes(), heard),
+                    Event::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "messages are text")),
+                    Event::Ping => {}
+                    Event::Ended(ending) => return ending,
                 }
             }
             () = drag.work() => {}
             () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
             () = &mut revoked => {
-                drag.send_problem(None, &Problem::new(Code::Forbidden, "the key that has opened this socket is none of this server's any more"));
-                while let Some(said) = drag.next_outgoing() {
-                    if let Outgoing::Text(text) = said {
-                        line.last_words(text);
+                let detail = "the key of this socket was revoked";
+                drag.send_problem(None, &Problem::new(Code::Forbidden, detail));
+                while let Some(outgoing) = drag.next_outgoing() {
+                    if let Outgoing::Text(text) = outgoing {
+                        socket.send_before_close(text);
                     }
                 }
                 return Ending::Close(CloseCode::Policy, "the key was revoked");
             }
             () = tokio::time::sleep_until(wake.into()) => {
                 let now = Instant::now();
-                // What has left meanwhile is progress.
-                let (deadline, then) = life.deadline(drag, line, app.config());
-                match then {
-                    _ if now < deadline => {}
-                    Then::Ping => {
-                        line.ping();
-                        life.pinged = Some(now);
+                // What was written meanwhile has moved the deadline.
+                match next_deadline(heard, pinged, drag, socket, app.config()) {
+                    (deadline, _) if now < deadline => {}
+                    (_, Action::Ping) => {
+                        socket.send_ping();
+                        pinged = Some(now);
                         drag.check_session().await;
                     }
-                    Then::End(reason) => return Ending::Close(CloseCode::Policy, reason),
+                    (_, Action::Close(reason)) => return Ending::Close(CloseCode::Policy, reason),
                 }
             }
         }
     }
 }
 
-/// When the client was last heard, and what it was asked since.
+/// What to do when a deadline has passed.
 #[derive(Clone, Copy, Debug)]
-struct Life {
-    heard: Instant,
-    pinged: Option<Instant>,
-}
-
-/// What happens when a deadline has passed.
-#[derive(Clone, Copy, Debug)]
-enum Then {
+enum Action {
     Ping,
-    End(&'static str),
+    Close(&'static str),
 }
 
-impl Life {
-    /// The next deadline: of a client that takes nothing, of one that acknowledges nothing, of one that says nothing.
-    fn deadline<S: AsyncRead + AsyncWrite + Unpin>(&self, drag: &Drag, line: &WebSocketConnection<S>, config: &Config) -> (Instant, Then) {
-        if let Some(since) = line.blocked() {
-            return (since + config.timeouts.socket, Then::End("the client does not take what it is sent"));
-        }
-        let silence = match self.pinged {
-            // A client that takes what it is sent is there, and hears a ping after that.
-            None => (self.heard.max(line.wrote()) + config.timeouts.socket_idle, Then::Ping),
-            Some(pinged) => (pinged.max(line.wrote()) + config.timeouts.socket_idle, Then::End("no answer to a ping")),
-        };
-        let owed = drag.owed_since().filter(|_| line.is_clear()).map(|since| since.max(line.wrote()) + config.timeouts.socket);
-        match owed {
-            Some(owed) if owed < silence.0 => (owed, Then::End("a frame was not acknowledged in time")),
-            _ => silence,
-        }
+/// The next deadline of a client: to read what it is sent, to acknowledge a frame, to send something or to answer a ping.
+fn next_deadline(heard: Instant, pinged: Option<Instant>, drag: &Drag, socket: &WebSocketConnection, config: &Config) -> (Instant, Action) {
+    if let Some(since) = socket.blocked_since() {
+        return (since + config.timeouts.socket, Action::Close("the client reads nothing"));
+    }
+    let written = socket.last_written();
+    let silence = match pinged {
+        // A client that reads is connected, and receives a ping only after what is queued.
+        None => (heard.max(written) + config.timeouts.socket_idle, Action::Ping),
+        Some(pinged) => (pinged.max(written) + config.timeouts.socket_idle, Action::Close("no answer to a ping")),
+    };
+    match drag.owed_since().filter(|_| socket.is_idle()).map(|since| since.max(written) + config.timeouts.socket) {
+        Some(owed) if owed < silence.0 => (owed, Action::Close("a frame was not acknowledged in time")),
+        _ => silence,
     }
 }
 
@@ -228,9 +193,9 @@ mod tests {
 
     #[test]
     fn the_query_says_what_frames_are() {
-        let read = |query: &str| wishes(Some(query), 16384);
+        let read = |query: &str| options(Some(query), 16384);
         let usual = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
-        assert_eq!(wishes(None, 16384), Ok(usual));
+        assert_eq!(options(None, 16384), Ok(usual));
         assert_eq!(read("width=auto&report=false"), Ok(usual));
         assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
         assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));

@@ -1,106 +1,124 @@
-//! A WebSocket as the drag sees it: what comes is a message at a time, what goes is queued. A picture leaves in fragments, so that no more than a
-//! fragment of it is ever copied, and every fragment that leaves is progress. One task reads and writes, neither waits for the other.
+//! A WebSocket connection: reads whole messages, and writes from a queue. Pictures leave in fragments, so that at most one fragment is
+//! copied and each one counts as progress. One task reads and writes; neither blocks the other.
 
 use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures_util::{Sink, Stream};
-use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{CloseCode, Data, OpCode};
 use tokio_tungstenite::tungstenite::protocol::frame::{CloseFrame, Frame};
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error, Message, Utf8Bytes};
+use tokio_util::io::InspectReader;
 
-use super::metered::Metered;
+use crate::http::connection::transport::Transport;
 
-/// Largest fragment: what a picture's bytes are copied through.
+/// Maximum size of a fragment, which is the buffer that a picture is copied through.
 const FRAGMENT: usize = 128 << 10;
-/// Smaller writes wait for the next, or for the end of what is queued.
-const GATHER: usize = 16 << 10;
-/// What the heads of a message's frames may add to its bytes: hundreds of fragments.
-const HEADS: usize = 4 << 10;
-/// What is read at once, at most: poses are small.
-const READ: usize = 16 << 10;
-/// Messages and fragments that wait for a client; while there are more, nothing of its own is read.
-const UNREAD: usize = 256;
-/// How long a connection that is being closed is waited for.
-const FAREWELL: Duration = Duration::from_secs(1);
-/// What a peer may send of which nobody hears before its connection is cut.
-const UNHEARD: usize = 8 << 20;
+/// Smaller writes are collected.
+const WRITE_BUFFER: usize = 16 << 10;
+/// Bytes that the frame heads of a message may add to it: hundreds of fragments.
+const FRAME_HEADS: usize = 4 << 10;
+/// Bytes of a client's control frame before its payload: 2 bytes and the mask.
+const CONTROL_HEAD: usize = 6;
+/// Maximum size of a read; poses are small.
+const READ_BUFFER: usize = 16 << 10;
+/// Length of the queue from which on nothing is read from the client.
+const MAX_QUEUE: usize = 256;
+/// Maximum time of a closing handshake.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+/// Bytes that are discarded from a client while its connection is closed.
+const MAX_DISCARDED: usize = 8 << 20;
 
 /// Why a socket ends.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
     /// The client has closed it, or the connection is lost.
-    Gone,
-    /// It is closed from here.
+    Disconnected,
+    /// The server closes it.
     Close(CloseCode, &'static str),
 }
 
 const TOO_LARGE: Ending = Ending::Close(CloseCode::Size, "the message is too large");
 
-/// What a client said.
+/// What was read.
 #[derive(Debug)]
-pub(crate) enum Heard {
-    /// A text message.
+pub(crate) enum Event {
     Text(Utf8Bytes),
-    /// A binary message.
     Binary,
     /// A ping, or the answer to one.
-    Life,
-    /// Nothing more.
-    End(Ending),
+    Ping,
+    Ended(Ending),
 }
 
-/// One WebSocket.
-#[derive(Debug)]
-pub(crate) struct WebSocketConnection<S> {
-    socket: WebSocketStream<Metered<S>>,
+/// A transport that counts the bytes that are read.
+type CountingTransport = InspectReader<Transport, Box<dyn FnMut(&[u8]) + Send>>;
+
+/// A WebSocket.
+pub(crate) struct WebSocketConnection {
+    socket: WebSocketStream<CountingTransport>,
+    /// Bytes read since the last whole message. tungstenite's limit counts payloads alone, and permits any number of empty fragments.
+    unread: Arc<AtomicUsize>,
+    max_unread: usize,
     queue: VecDeque<Message>,
-    /// What is said before the connection is closed from here, where there is room for it.
-    last_words: Option<Message>,
+    /// Sent before a close if no picture is half sent.
+    before_close: Option<Message>,
     is_flushed: bool,
-    /// Since when the client has taken nothing of what there is for it.
-    blocked: Option<Instant>,
-    /// When the last of the queue left.
-    wrote: Instant,
+    blocked_since: Option<Instant>,
+    last_written: Instant,
 }
 
-impl<S: AsyncRead + AsyncWrite + Unpin> WebSocketConnection<S> {
-    /// `read`: what the client has sent already. Messages are at most `most` bytes, with their frames' heads at most [`HEADS`] more.
-    pub(crate) async fn new(stream: S, read: Bytes, most: usize) -> Self {
+impl WebSocketConnection {
+    /// `read`: bytes that were read already. Messages have at most `max_message` bytes.
+    pub(crate) async fn new(transport: Transport, read: Bytes, max_message: usize) -> Self {
         let config = WebSocketConfig::default()
-            .read_buffer_size(READ)
-            .write_buffer_size(GATHER)
-            // Fragments are queued here, one more only when there is room; pongs and the like come on top.
-            .max_write_buffer_size(2 * (GATHER + FRAGMENT))
-            .max_message_size(Some(most))
-            .max_frame_size(Some(most));
-        let stream = Metered::new(stream, most.saturating_add(HEADS));
-        let socket = WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await;
-        Self { socket, queue: VecDeque::new(), last_words: None, is_flushed: true, blocked: None, wrote: Instant::now() }
+            .read_buffer_size(READ_BUFFER)
+            .write_buffer_size(WRITE_BUFFER)
+            // One fragment is written when the buffer is below its size; pongs come on top.
+            .max_write_buffer_size(2 * (WRITE_BUFFER + FRAGMENT))
+            .max_message_size(Some(max_message))
+            .max_frame_size(Some(max_message));
+        let unread = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&unread);
+        let count = move |bytes: &[u8]| {
+            counter.fetch_add(bytes.len(), Ordering::Relaxed);
+        };
+        let stream: CountingTransport = InspectReader::new(transport, Box::new(count));
+        Self {
+            socket: WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await,
+            unread,
+            max_unread: max_message.saturating_add(FRAME_HEADS),
+            queue: VecDeque::new(),
+            before_close: None,
+            is_flushed: true,
+            blocked_since: None,
+            last_written: Instant::now(),
+        }
     }
 
-    pub(crate) fn text(&mut self, text: String) {
+    pub(crate) fn send_text(&mut self, text: String) {
         self.queue.push_back(Message::text(text));
     }
 
-    /// Says this before it closes the connection, whatever waits.
-    pub(crate) fn last_words(&mut self, text: String) {
-        self.last_words = Some(Message::text(text));
+    /// Sends a text in place of the queue when the server closes the connection.
+    pub(crate) fn send_before_close(&mut self, text: String) {
+        self.before_close = Some(Message::text(text));
     }
 
-    pub(crate) fn ping(&mut self) {
+    pub(crate) fn send_ping(&mut self) {
         self.queue.push_back(Message::Ping(Bytes::new()));
     }
 
-    /// A binary message that begins with `head`.
-    pub(crate) fn binary(&mut self, head: Bytes, pieces: Vec<Bytes>) {
+    /// Sends a binary message that begins with `head`.
+    pub(crate) fn send_binary(&mut self, head: Bytes, pieces: Vec<Bytes>) {
         let mut opcode = OpCode::Data(Data::Binary);
         let mut fragment = |data: Bytes, is_last: bool| {
             self.queue.push_back(Message::Frame(Frame::message(data, opcode, is_last)));
@@ -116,43 +134,56 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocketConnection<S> {
         }
     }
 
-    /// Everything that was queued has left.
-    pub(crate) fn is_clear(&self) -> bool {
+    /// Whether everything is written.
+    pub(crate) fn is_idle(&self) -> bool {
         self.queue.is_empty() && self.is_flushed
     }
 
-    /// Since when the client has taken nothing of what there is for it.
-    pub(crate) const fn blocked(&self) -> Option<Instant> {
-        self.blocked
+    /// Since when the client has read nothing although something is queued.
+    pub(crate) const fn blocked_since(&self) -> Option<Instant> {
+        self.blocked_since
     }
 
-    /// When something left last.
-    pub(crate) const fn wrote(&self) -> Instant {
-        self.wrote
+    /// When something was written last.
+    pub(crate) const fn last_written(&self) -> Instant {
+        self.last_written
     }
 
-    /// Writes what is queued and waits for the client's next message, or for the connection's end. A client that sends and does not read is
-    /// not heard before it has read. May be dropped and called again.
-    pub(crate) async fn hear(&mut self) -> Heard {
+    /// Writes the queue and waits for the client's next message. Nothing is read while the queue is full. Cancel safe.
+    pub(crate) async fn next(&mut self) -> Event {
         poll_fn(|cx| {
             if let Poll::Ready(Err(_)) = self.poll_write(cx) {
-                return Poll::Ready(Heard::End(Ending::Gone));
+                return Poll::Ready(Event::Ended(Ending::Disconnected));
             }
-            if self.queue.len() < UNREAD { Pin::new(&mut self.socket).poll_next(cx).map(|next| self.counted(next)) } else { Poll::Pending }
+            if self.queue.len() >= MAX_QUEUE {
+                return Poll::Pending;
+            }
+            match Pin::new(&mut self.socket).poll_next(cx) {
+                Poll::Ready(next) => Poll::Ready(self.event(next)),
+                Poll::Pending if self.unread.load(Ordering::Relaxed) >= self.max_unread => Poll::Ready(Event::Ended(TOO_LARGE)),
+                Poll::Pending => Poll::Pending,
+            }
         })
         .await
     }
 
-    /// What came, counted towards the limit of a message.
-    fn counted(&mut self, next: Option<Result<Message, Error>>) -> Heard {
-        let meter = self.socket.get_mut();
-        match &next {
-            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => meter.control(payload),
-            Some(Ok(_)) => meter.message(),
-            Some(Err(Error::Io(_))) if meter.is_used_up() => return Heard::End(TOO_LARGE),
-            _ => {}
-        }
-        heard(next)
+    fn event(&mut self, next: Option<Result<Message, Error>>) -> Event {
+        let counted = match &next {
+            // Control frames come between the fragments of a message and do not count.
+            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => CONTROL_HEAD + payload.len(),
+            _ => usize::MAX,
+        };
+        let unread = self.unread.load(Ordering::Relaxed);
+        self.unread.store(unread.saturating_sub(counted), Ordering::Relaxed);
+        Event::Ended(match next {
+            Some(Ok(Message::Text(text))) => return Event::Text(text),
+            Some(Ok(Message::Binary(_) | Message::Frame(_))) => return Event::Binary,
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Event::Ping,
+            Some(Err(Error::Capacity(_))) => TOO_LARGE,
+            Some(Err(Error::Utf8(_))) => Ending::Close(CloseCode::Invalid, "a text message is UTF-8"),
+            Some(Err(Error::Protocol(_))) => Ending::Close(CloseCode::Protocol, "not the WebSocket protocol"),
+            Some(Ok(Message::Close(_)) | Err(_)) | None => Ending::Disconnected,
+        })
     }
 
     fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Error>> {
@@ -164,12 +195,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocketConnection<S> {
                 None => socket.poll_flush(cx),
             };
             let Poll::Ready(ready) = polled else {
-                self.blocked.get_or_insert_with(Instant::now);
+                self.blocked_since.get_or_insert_with(Instant::now);
                 return Poll::Pending;
             };
             ready?;
-            self.blocked = None;
-            self.wrote = Instant::now();
+            self.blocked_since = None;
+            self.last_written = Instant::now();
             match self.queue.pop_front() {
                 Some(message) => {
                     self.is_flushed = false;
@@ -180,46 +211,34 @@ impl<S: AsyncRead + AsyncWrite + Unpin> WebSocketConnection<S> {
         }
     }
 
-    /// Ends the connection so that the client learns why, if it listens.
+    /// Ends the connection so that a client that reads learns why.
     pub(crate) async fn close(mut self, ending: Ending) {
-        let farewell = async {
+        let closing = async {
             if let Ending::Close(code, reason) = ending {
                 if code != CloseCode::Normal {
-                    // Between two fragments there is room for a close, and for nothing else.
-                    let is_within =
+                    // Between two fragments only a control frame is allowed.
+                    let is_continued =
                         matches!(self.queue.front(), Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(Data::Continue));
                     self.queue.clear();
-                    self.queue.extend(self.last_words.take().filter(|_| !is_within));
+                    self.queue.extend(self.before_close.take().filter(|_| !is_continued));
                 }
                 self.queue.push_back(Message::Close(Some(CloseFrame { code, reason: reason.into() })));
             }
-            // The answer to a client's close is queued already.
+            // tungstenite has queued the reply to a client's close.
             self.is_flushed = false;
             poll_fn(|cx| self.poll_write(cx)).await.ok();
-            let stream = self.socket.get_mut().inner();
+            let stream = self.socket.get_mut();
             stream.shutdown().await.ok();
-            // Closing with unread bytes would reset the connection and take the last message with it.
-            let (mut scratch, mut unheard) = ([0; 4096], 0);
+            // Closing with unread bytes would reset the connection and lose the last message.
+            let (mut scratch, mut discarded) = ([0; 4096], 0);
             while let Ok(read @ 1..) = stream.read(&mut scratch).await {
-                unheard += read;
-                if unheard > UNHEARD {
+                discarded += read;
+                if discarded > MAX_DISCARDED {
                     break;
                 }
             }
         };
-        // Whoever does not take it in time is cut off.
-        let _ = tokio::time::timeout(FAREWELL, farewell).await;
-    }
-}
-
-fn heard(next: Option<Result<Message, Error>>) -> Heard {
-    match next {
-        Some(Ok(Message::Text(text))) => Heard::Text(text),
-        Some(Ok(Message::Binary(_) | Message::Frame(_))) => Heard::Binary,
-        Some(Ok(Message::Ping(_) | Message::Pong(_))) => Heard::Life,
-        Some(Err(Error::Capacity(_))) => Heard::End(TOO_LARGE),
-        Some(Err(Error::Utf8(_))) => Heard::End(Ending::Close(CloseCode::Invalid, "a text message is UTF-8")),
-        Some(Err(Error::Protocol(_))) => Heard::End(Ending::Close(CloseCode::Protocol, "not the WebSocket protocol")),
-        Some(Ok(Message::Close(_)) | Err(_)) | None => Heard::End(Ending::Gone),
+        // A client that does not read in time is cut off.
+        let _ = tokio::time::timeout(CLOSE_TIMEOUT, closing).await;
     }
 }

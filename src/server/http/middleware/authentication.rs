@@ -1,10 +1,12 @@
-//! The doors of routes: where a request comes from, which key it has, whose sessions are meant. A browser cannot give a WebSocket a header; its
-//! key travels as a subprotocol that is offered beside `mlswarp`, and never in the address.
+//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser cannot give a WebSocket a header, so
+//! its key travels as a subprotocol that is offered beside `mlswarp`, never in the address.
 
+use std::convert::Infallible;
 use std::net::SocketAddr;
 
-use axum::extract::{ConnectInfo, Request, State};
+use axum::extract::{ConnectInfo, FromRequestParts, Request, State};
 use axum::http::header::{AUTHORIZATION, HeaderName, SEC_WEBSOCKET_PROTOCOL, UPGRADE, WWW_AUTHENTICATE};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
@@ -12,12 +14,13 @@ use data_encoding::BASE64URL_NOPAD;
 
 use crate::app::App;
 use crate::client::Client;
+use crate::http::headers::elements;
 use crate::limits::networks::client_ip;
 use crate::problem::Code;
 
-/// The subprotocol of the drag socket, for clients that name one.
+/// The subprotocol of the drag socket.
 pub(crate) const PROTOCOL: &str = "mlswarp";
-/// Before the key in base64url, without padding.
+/// The prefix of a key in base64url without padding.
 const KEY_PROTOCOL: &str = "mlswarp.bearer.";
 const FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
 const BEARER: HeaderValue = HeaderValue::from_static("Bearer");
@@ -25,30 +28,43 @@ const BEARER: HeaderValue = HeaderValue::from_static("Bearer");
 /// Who may use a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Everybody: it tells nothing of anybody and computes nothing.
+    /// Everybody: the route shows no user data and computes nothing.
     Open,
-    /// Whoever has a key, where there are keys; no more often than is allowed.
+    /// Clients with a key, where keys are configured, within their rate.
     Keyed,
 }
 
-/// Who asks, as far as the connection tells.
-pub(crate) fn client(app: &App, request: &Request) -> Client {
+/// The application and the client of a request, for handlers.
+pub(crate) struct Caller {
+    pub(crate) app: App,
+    pub(crate) client: Client,
+}
+
+impl FromRequestParts<App> for Caller {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Infallible> {
+        Ok(Self { app: app.clone(), client: parts.extensions.get().copied().unwrap_or_default() })
+    }
+}
+
+/// The client of a request before its key is known.
+pub(super) fn client(app: &App, request: &Request) -> Client {
     let Some(ConnectInfo(peer)) = request.extensions().get::<ConnectInfo<SocketAddr>>() else { return Client::default() };
     let forwarded = request.headers().get_all(FORWARDED_FOR).iter().map(|value| value.to_str().unwrap_or_default());
-    // One header of many values or many headers: one list.
+    // Several headers are one list (RFC 9110, section 5.3).
     let hops = forwarded.flat_map(|value| value.split(','));
     Client { address: client_ip(peer.ip(), hops, &app.config().auth.trusted_proxies), ..Client::default() }
 }
 
-/// Lets in who may come in, and says to the handler whose sessions are meant. The key goes no further.
-pub(crate) async fn keyed(State(app): State<App>, mut request: Request, next: Next) -> Response {
-    let client = request.extensions().get::<Client>().copied().unwrap_or_default();
+/// Checks the key and the rate, and passes the owner on to the handler instead of the key.
+pub(crate) async fn authenticate(State(app): State<App>, Caller { client, .. }: Caller, mut request: Request, next: Next) -> Response {
     let key = key(request.headers());
     request.headers_mut().remove(AUTHORIZATION);
     match app.access().admit(client.address, key.as_deref()) {
-        Ok((owner, pass)) => {
-            request.extensions_mut().insert(Client { owner, ..client });
-            request.extensions_mut().insert(pass);
+        Ok(credential) => {
+            request.extensions_mut().insert(Client { owner: credential.owner(), ..client });
+            request.extensions_mut().insert(credential);
             next.run(request).await
         }
         Err(problem) if problem.code == Code::Unauthorized => ([(WWW_AUTHENTICATE, BEARER)], problem).into_response(),
@@ -56,12 +72,12 @@ pub(crate) async fn keyed(State(app): State<App>, mut request: Request, next: Ne
     }
 }
 
-/// The one key of a request. Two are none: nobody can say which is meant.
+/// The key of a request; none if there are two, which would be ambiguous.
 fn key(headers: &HeaderMap) -> Option<String> {
-    let mut said = headers.get_all(AUTHORIZATION).iter();
-    if let Some(said_first) = said.next() {
-        let (scheme, key) = said_first.to_str().ok()?.split_once(' ')?;
-        return (said.next().is_none() && scheme.eq_ignore_ascii_case("bearer")).then(|| key.trim().to_owned());
+    let mut fields = headers.get_all(AUTHORIZATION).iter();
+    if let Some(field) = fields.next() {
+        let (scheme, key) = field.to_str().ok()?.split_once(' ')?;
+        return (fields.next().is_none() && scheme.eq_ignore_ascii_case("bearer")).then(|| key.trim().to_owned());
     }
     if !headers.contains_key(UPGRADE) {
         return None;
@@ -71,9 +87,9 @@ fn key(headers: &HeaderMap) -> Option<String> {
     offered.next().is_none().then(|| String::from_utf8(key).ok()).flatten()
 }
 
-/// The subprotocols that a WebSocket's client offers.
+/// The subprotocols that a WebSocket client offers.
 pub(crate) fn protocols(headers: &HeaderMap) -> impl Iterator<Item = &str> {
-    headers.get_all(SEC_WEBSOCKET_PROTOCOL).iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(',')).map(str::trim)
+    elements(headers, SEC_WEBSOCKET_PROTOCOL)
 }
 
 #[cfg(test)]
