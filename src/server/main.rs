@@ -10,7 +10,6 @@ mod malloc_trim {
     pub(crate) const fn start() {}
 }
 
-use std::fmt::Display;
 use std::process::ExitCode;
 
 use mlswarp_server::cli::{health, warp};
@@ -20,7 +19,13 @@ use mlswarp_server::observe;
 
 fn main() -> ExitCode {
     match Cli::read(std::env::args_os()) {
-        Ok(cli) => run(cli.command.unwrap_or(Command::Serve), cli.config),
+        Ok(cli) => match run(cli.command.unwrap_or(Command::Serve), cli.config) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(message) => {
+                eprintln!("{message}");
+                ExitCode::FAILURE
+            }
+        },
         Err(ArgsError::Usage(text)) => {
             // `--help` and `--version` are printed the same way. A failure to print cannot be reported.
             let _ = text.print();
@@ -33,30 +38,18 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: Command, config: Config) -> ExitCode {
+fn run(command: Command, config: Config) -> Result<(), String> {
     match command {
         Command::Serve => {
             observe::start(&config.telemetry.log, config.telemetry.log_format);
             malloc_trim::start();
-            exit(connection::run(config).map_err(|e| format!("error: {e}")))
+            connection::run(config).map_err(|error| format!("error: {error}"))
         }
-        Command::Health => exit(health::ask(&config).map_err(|e| format!("error: {e}"))),
-        Command::Warp { image, warp, out } => exit(match warp::run(&config, &image, &warp, &out) {
-            Ok(summary) => {
-                eprintln!("{summary}");
-                Ok(())
-            }
-            Err(problem) => Err(warp::error_message(&problem)),
-        }),
-    }
-}
-
-fn exit(done: Result<(), impl Display>) -> ExitCode {
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
+        Command::Health => health::ask(&config).map_err(|error| format!("error: {error}")),
+        Command::Warp { image, warp, out } => {
+            let summary = warp::run(&config, &image, &warp, &out).map_err(|problem| warp::error_message(&problem))?;
+            eprintln!("{summary}");
+            Ok(())
         }
     }
 }

@@ -12,12 +12,11 @@ use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 
-use thiserror::Error;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use crate::app::{App, NotStarted};
+use crate::app::App;
 use crate::auth::tls::TlsFiles;
 use crate::config::Config;
 use reload::Reloader;
@@ -33,37 +32,15 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// Open files beside connections: of the runtime, the store, the log and the ops listener.
 const OTHER_FILES: u64 = 256;
 
-/// Why the server did not start, or ended.
-#[derive(Debug, Error)]
-pub enum ServeError {
-    /// The address cannot be bound.
-    #[error("cannot listen on {address}: {source}")]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// The cause.
-        source: io::Error,
-    },
-    /// The application could not start.
-    #[error("{0}")]
-    NotStarted(#[from] NotStarted),
-    /// The certificate or its key cannot be used.
-    #[error("{0}")]
-    Tls(String),
-    /// The runtime or the listener failed.
-    #[error("{0}")]
-    Io(#[from] io::Error),
-}
-
 /// Serves until a signal, on its own runtime.
 ///
 /// # Errors
-/// See [`ServeError`].
-pub fn run(config: Config) -> Result<(), ServeError> {
+/// It cannot start, or the listener failed.
+pub fn run(config: Config) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let ended = runtime.block_on(async {
         let listener = listen(config.listen)?;
-        let app = App::new(config)?;
+        let app = App::new(config).map_err(io::Error::other)?;
         let stop = stop_signal(&app)?;
         serve(app, listener, stop).await
     });
@@ -75,24 +52,24 @@ pub fn run(config: Config) -> Result<(), ServeError> {
 /// Binds an address.
 ///
 /// # Errors
-/// [`ServeError::Listen`].
-pub fn listen(address: SocketAddr) -> Result<TcpListener, ServeError> {
+/// The address cannot be bound.
+pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let listener = TcpListener::bind(address).and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
-    listener.map_err(|source| ServeError::Listen { address, source })
+    listener.map_err(|error| io::Error::new(error.kind(), format!("cannot listen on {address}: {error}")))
 }
 
 /// Serves on a bound socket until `stop` completes, then drains.
 ///
 /// # Errors
 /// The listener failed, or the certificate cannot be read.
-pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> Result<(), ServeError> {
+pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> io::Result<()> {
     let (access, work, timeouts) = (&app.config().auth, app.config().work, app.config().timeouts);
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let ops_listener = app.config().telemetry.metrics_listen.map(listen).transpose()?;
     raise_open_files(app.config().clients.max_connections);
-    let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(ServeError::Tls)?.map(watch::Sender::new);
+    let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(io::Error::other)?.map(watch::Sender::new);
     let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
     let reloader = Reloader::new(&app, tls);
     let scheme = if access.tls.is_some() { "https" } else { "http" };
