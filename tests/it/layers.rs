@@ -33,7 +33,7 @@ const ENGINE: [(&str, &[&str]); 7] = [
     ("level", &[]),
 ];
 /// Crates that only some modules or files may name.
-const CRATES: [(&str, &[&str]); 10] = [
+const CRATES: [(&str, &[&str]); 12] = [
     ("axum", &["server/http"]),
     // Spans are posted, which is no part of the service's own HTTP.
     ("hyper", &["server/http", "server/observe/otlp_client.rs"]),
@@ -41,6 +41,8 @@ const CRATES: [(&str, &[&str]); 10] = [
     ("opentelemetry_sdk", &["server/observe", "server/http/middleware"]),
     ("tokio", &["server"]),
     ("tokio_tungstenite", &["server/http"]),
+    ("tokio_util", &["server/http"]),
+    ("tower_http", &["server/http"]),
     ("tokio_rustls", &["server"]),
     ("rayon", &["engine/deform", "engine/render", "engine/warp", "server"]),
     ("image", &["engine/codec"]),

@@ -87,7 +87,7 @@ pub(crate) fn routes(app: &App) -> Router<App> {
 }
 
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    find(&*ASSETS, &name, &headers)
+    find(&ASSETS, &name, &headers)
 }
 
 /// Serves one of a page's files.
