@@ -3,7 +3,7 @@
 //! on.
 
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
 
@@ -23,17 +23,10 @@ tokio::task_local! {
 }
 
 /// When hyper took the last piece of a stream, if it has not asked for another one since.
-#[derive(Debug, Default)]
-struct Progress(Mutex<Option<Instant>>);
+type Progress = Mutex<Option<Instant>>;
 
-impl Progress {
-    fn set(&self, taken: Option<Instant>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = taken;
-    }
-
-    fn get(&self) -> Option<Instant> {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+fn lock(progress: &Progress) -> MutexGuard<'_, Option<Instant>> {
+    progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Runs and counts the streams of a connection.
@@ -90,7 +83,7 @@ impl<F: Future<Output = ()>> Future for StreamStallTimeout<F> {
         }
         let this = &mut *self;
         loop {
-            let Some(taken) = this.progress.get() else { return Poll::Pending };
+            let Some(taken) = *lock(&this.progress) else { return Poll::Pending };
             let left = this.timeout.saturating_sub(taken.elapsed());
             if left.is_zero() {
                 tracing::debug!("a client read nothing of a stream for {:?}: the stream is reset", this.timeout);
@@ -129,7 +122,7 @@ impl HttpBody for PiecewiseBody {
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let this = &mut *self;
-        this.progress.set(None);
+        *lock(&this.progress) = None;
         if this.rest.is_empty() {
             match ready!(Pin::new(&mut this.body).poll_frame(cx)) {
                 Some(Ok(frame)) => match frame.into_data() {
@@ -140,7 +133,7 @@ impl HttpBody for PiecewiseBody {
             }
         }
         let piece = this.rest.split_to(this.rest.len().min(PIECE));
-        this.progress.set(Some(Instant::now()));
+        *lock(&this.progress) = Some(Instant::now());
         Poll::Ready(Some(Ok(Frame::data(piece))))
     }
 

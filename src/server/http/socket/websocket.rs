@@ -119,18 +119,15 @@ impl WebSocketConnection {
 
     /// Sends a binary message that begins with `head`.
     pub(crate) fn send_binary(&mut self, head: Bytes, pieces: Vec<Bytes>) {
+        let fragments = pieces
+            .into_iter()
+            .flat_map(|mut piece| std::iter::from_fn(move || (!piece.is_empty()).then(|| piece.split_to(piece.len().min(FRAGMENT)))));
+        let mut fragments = std::iter::once(head).chain(fragments).peekable();
         let mut opcode = OpCode::Data(Data::Binary);
-        let mut fragment = |data: Bytes, is_last: bool| {
-            self.queue.push_back(Message::Frame(Frame::message(data, opcode, is_last)));
+        while let Some(fragment) = fragments.next() {
+            let is_last = fragments.peek().is_none();
+            self.queue.push_back(Message::Frame(Frame::message(fragment, opcode, is_last)));
             opcode = OpCode::Data(Data::Continue);
-        };
-        fragment(head, pieces.is_empty());
-        let last = pieces.len().saturating_sub(1);
-        for (index, mut piece) in pieces.into_iter().enumerate() {
-            while piece.len() > FRAGMENT {
-                fragment(piece.split_to(FRAGMENT), false);
-            }
-            fragment(piece, index == last);
         }
     }
 
