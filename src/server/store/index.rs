@@ -1,7 +1,7 @@
 //! The sessions of one process: which are alive, what they take, when they expire. Shared by the memory store and the file store.
 //!
-//! A full index refuses new sessions and never drops a living one. A change is checked first (`check_*`), which changes nothing, and then applied,
-//! which cannot fail: in between a store writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
+//! A full index refuses new sessions and never drops a living one. A change is checked first (`check_*`), which changes nothing, and then
+//! applied, which cannot fail: in between a store writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
 
 use std::collections::HashMap;
 use std::sync::Arc;

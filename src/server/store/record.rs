@@ -2,15 +2,15 @@
 //!
 //! Programs of several versions use one store, during a rolling update and after a rollback. Four rules keep their sessions safe:
 //!
-//! 1. A field at its default is left out of the record and of the digest `made`. The defaults are those of the stored form (`base`) and never change;
-//!    those of the HTTP contract may.
-//! 2. One exception: the fields of the first version are always in the digest `made`. So every version computes the same digest of the same request,
-//!    and a repeated `PUT` is one session whichever replica it reaches. A later field is in the digest only if it is not at its default: then the
-//!    older program cannot read the record anyway.
-//! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by another
-//!    version. It is kept: not served, not replaced, and deleted only by its owner.
-//! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot read the
-//!    rest keeps the files named like this (`named_files`).
+//! 1. A field at its default is left out of the record and of the digest `made`. The defaults are those of the stored form (`base`) and
+//!    never change; those of the HTTP contract may.
+//! 2. One exception: the fields of the first version are always in the digest `made`. So every version computes the same digest of the same
+//!    request, and a repeated `PUT` is one session whichever replica it reaches. A later field is in the digest only if it is not at its
+//!    default: then the older program cannot read the record anyway.
+//! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by
+//!    another version. It is kept: not served, not replaced, and deleted only by its owner.
+//! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot
+//!    read the rest keeps the files named like this (`named_files`).
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};

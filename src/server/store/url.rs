@@ -1,4 +1,4 @@
-//! Where sessions live, as an operator writes it: `memory`, `file:PATH`, `redis://[user:password@]host[:port][/database]`.
+//! The option `--store`: `memory`, `file:PATH`, `redis://[user:password@]host[:port][/database]`.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -12,13 +12,13 @@ pub enum StoreUrl {
     /// In this process.
     #[default]
     Memory,
-    /// In one file of this machine.
+    /// In a file of this machine.
     File(PathBuf),
-    /// On a Redis or Valkey.
+    /// On a Redis or Valkey server.
     Redis(Address),
 }
 
-/// Where a Redis or Valkey is, and how to be let in. Shows neither user nor password.
+/// The address and the credentials of a Redis or Valkey server. Its text has neither user nor password.
 #[derive(Clone)]
 pub struct Address(ConnectionInfo);
 
@@ -56,13 +56,13 @@ impl fmt::Debug for Address {
 impl FromStr for StoreUrl {
     type Err = String;
 
-    /// No message holds the text: it may hold a password.
+    /// No error contains the text: it may contain a password.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "memory" {
             return Ok(Self::Memory);
         }
         if let Some(path) = text.strip_prefix("file:") {
-            // `file://PATH` is what a URL of a file looks like; a host in it would be silently taken for a directory.
+            // A host in `file://HOST/PATH` must not be taken for a directory.
             let path = path.strip_prefix("//").map_or(Ok(path), |path| {
                 if path.starts_with('/') { Ok(path) } else { Err("a file is `file:PATH`, or `file://` and an absolute path".to_owned()) }
             })?;

@@ -1,8 +1,8 @@
 //! The database under the file store: created, opened, changed, read, and opened again after a disk error.
 //!
-//! Every change is one transaction in two phases (the data, then the switch to it), each of which waits for the disk. The allocator's state is stored
-//! with it, so that an opening after a crash does not scan the file. A picture's file is cut into pieces that fill their pages; in one value it would
-//! take the next power of two.
+//! Every change is one transaction in two phases (the data, then the switch to it), each of which waits for the disk. The allocator's state
+//! is stored with it, so that an opening after a crash does not scan the file. A picture's file is cut into pieces that fill their pages;
+//! in one value it would take the next power of two.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
@@ -104,7 +104,8 @@ struct DiskState {
     failures: u64,
 }
 
-/// A database whose closing may panic, as it does when the file is damaged. The panic is caught: the thread that happens to close it must not fail.
+/// A database whose closing may panic, as it does when the file is damaged. The panic is caught: the thread that happens to close it must
+/// not fail.
 struct OpenDatabase<T = Database>(Option<T>);
 
 impl<T> OpenDatabase<T> {

@@ -1,9 +1,10 @@
 //! The store in a file of this machine: an embedded transactional database (`disk.rs`) with records, numbers and pictures.
 //!
-//! A change is one transaction that has reached the disk before it is answered; it is finished even if its request is dropped. An index in memory
-//! answers everything that changes no record. After a start every session lives for another idle period. The highest numbers (`seq`) and the end of
-//! expired sessions are written by the next sweep, numbers also when the store is closed: after a crash they may be some seconds old. One process opens
-//! the file. After a disk error the change is refused and the database closed; the next change opens it again, and until then reads go on.
+//! A change is one transaction that has reached the disk before it is answered; it is finished even if its request is dropped. An index in
+//! memory answers everything that changes no record. After a start every session lives for another idle period. The highest numbers (`seq`)
+//! and the end of expired sessions are written by the next sweep, numbers also when the store is closed: after a crash they may be some
+//! seconds old. One process opens the file. After a disk error the change is refused and the database closed; the next change opens it
+//! again, and until then reads go on.
 
 mod disk;
 #[cfg(test)]
@@ -118,8 +119,8 @@ impl FileStoreState {
         Ok(written)
     }
 
-    /// Builds the index from the disk and deletes files that no session names. Damaged records are left where they are; records of another version,
-    /// and the files that they name, are kept.
+    /// Builds the index from the disk and deletes files that no session names. Damaged records are left where they are; records of another
+    /// version, and the files that they name, are kept.
     fn read_all(&self, written: &mut Numbers) -> Result<(), StoreError> {
         let mut index = Index::new(self.bounds);
         written.clear();
