@@ -14,10 +14,15 @@
 //! A session whose record another version of the program has written ([`record`]) is kept: only its owner's `delete` changes it, and every
 //! other request for it is refused ([`StoreError::OtherVersion`]).
 
+#[cfg(feature = "file-store")]
 pub mod file;
+#[cfg_attr(not(feature = "file-store"), allow(dead_code, reason = "only the file store uses all of it"))]
 mod index;
 pub mod memory;
+#[cfg(any(feature = "file-store", feature = "redis"))]
+#[cfg_attr(not(all(feature = "file-store", feature = "redis")), allow(dead_code, reason = "each store uses a part of it"))]
 pub mod record;
+#[cfg(feature = "redis")]
 pub mod redis;
 #[cfg(test)]
 mod tests;
@@ -36,7 +41,9 @@ use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use thiserror::Error;
 
 pub use index::record_bytes;
-pub use url::{Address, StoreUrl};
+#[cfg(feature = "redis")]
+pub use redis::Address;
+pub use url::StoreUrl;
 
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
@@ -207,7 +214,9 @@ pub trait Store: Send + Sync + fmt::Debug {
 pub fn open(url: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
     Ok(match url {
         StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),
+        #[cfg(feature = "file-store")]
         StoreUrl::File(path) => Arc::new(file::FileStore::open(path, bounds)?),
+        #[cfg(feature = "redis")]
         StoreUrl::Redis(address) => Arc::new(redis::RedisStore::new(address, bounds)?),
     })
 }

@@ -12,8 +12,9 @@ use redis::{AsyncConnectionConfig, Client, ErrorKind, RedisError, RedisResult};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
+use super::address::Address;
 use crate::observe::Scope;
-use crate::store::{Address, StoreError};
+use crate::store::StoreError;
 
 /// Longest wait for a connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);

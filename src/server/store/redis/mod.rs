@@ -7,6 +7,7 @@
 //! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on for one idle period, with numbers that
 //! rise in this process alone; the server learns the highest one from the next pose. Everything else is refused.
 
+mod address;
 mod connection;
 mod files;
 mod script;
@@ -26,10 +27,11 @@ use redis::{Cmd, FromRedisValue};
 
 use super::record;
 use super::record::Unreadable;
-use super::{Address, Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
+use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
+pub use address::Address;
 use connection::{Endpoint, RedisConnection};
 use files::FileConnections;
 use script::{Call, Replaces, number, status};
