@@ -1,14 +1,23 @@
 //! TLS: the certificate and its key from files, and the client sides by which the program asks itself, and a collector.
 
 use std::fmt;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tokio::io::{AsyncRead, AsyncWrite};
+pub use tokio_rustls::TlsAcceptor;
+use tokio_rustls::TlsConnector;
+pub use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
-use tokio_rustls::rustls::{CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, ServerConfig, SignatureScheme};
+use tokio_rustls::rustls::{
+    CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, RootCertStore, SignatureScheme, StreamOwned,
+};
+pub use tokio_rustls::server::TlsStream;
 
 /// HTTP/2, by its name in the handshake.
 pub const H2: &[u8] = b"h2";
@@ -52,24 +61,56 @@ impl TlsFiles {
         let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
         Ok(Arc::new(builder.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth()))
     }
+
+    /// The client's side of a connection to `ip` that trusts this certificate alone.
+    ///
+    /// # Errors
+    /// The file and why.
+    pub fn connect(&self, stream: TcpStream, ip: IpAddr) -> io::Result<impl Read + Write + use<>> {
+        let client = self.trusting_it_alone().map_err(io::Error::other)?;
+        let connection = ClientConnection::new(client, ServerName::IpAddress(ip.into())).map_err(io::Error::other)?;
+        Ok(StreamOwned::new(connection, stream))
+    }
 }
 
-/// The client side of one who trusts whom this system trusts (or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`), for HTTP/1.1.
-///
-/// # Errors
-/// There are no roots.
-pub fn trusting_the_systems_roots() -> Result<Arc<ClientConfig>, String> {
-    let found = rustls_native_certs::load_native_certs();
-    let mut roots = RootCertStore::empty();
-    let (taken, _) = roots.add_parsable_certificates(found.certs);
-    if taken == 0 {
-        let why = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
-        return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"));
+/// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
+pub struct Connector {
+    connector: TlsConnector,
+    host: ServerName<'static>,
+}
+
+impl Connector {
+    /// A connector to that host.
+    ///
+    /// # Errors
+    /// There are no roots, or the host is neither a name nor an address.
+    pub fn new(host: &str) -> Result<Self, String> {
+        let host = ServerName::try_from(host.to_owned()).map_err(|error| error.to_string())?;
+        let found = rustls_native_certs::load_native_certs();
+        let mut roots = RootCertStore::empty();
+        if roots.add_parsable_certificates(found.certs).0 == 0 {
+            let why = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
+            return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"));
+        }
+        let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
+        let mut config = builder.with_root_certificates(roots).with_no_client_auth();
+        config.alpn_protocols = vec![HTTP_1_1.to_vec()];
+        Ok(Self { connector: TlsConnector::from(Arc::new(config)), host })
     }
-    let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
-    let mut config = builder.with_root_certificates(roots).with_no_client_auth();
-    config.alpn_protocols = vec![HTTP_1_1.to_vec()];
-    Ok(Arc::new(config))
+
+    /// Does the handshake.
+    ///
+    /// # Errors
+    /// The stream fails, or the host is not trusted.
+    pub async fn connect<S: AsyncRead + AsyncWrite + Unpin>(&self, stream: S) -> io::Result<impl AsyncRead + AsyncWrite + Unpin + use<S>> {
+        self.connector.connect(self.host.clone(), stream).await
+    }
+}
+
+impl fmt::Debug for Connector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Connector").field("host", &self.host).finish_non_exhaustive()
+    }
 }
 
 fn provider() -> Arc<CryptoProvider> {

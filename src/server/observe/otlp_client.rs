@@ -16,11 +16,9 @@ use prost::Message as _;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::sync::Mutex;
-use tokio_rustls::TlsConnector;
-use tokio_rustls::rustls::pki_types::ServerName;
 
 use super::collector::Collector;
-use crate::auth::tls::trusting_the_systems_roots;
+use crate::auth::tls::Connector;
 
 /// Most bytes of a collector's answer: it has next to nothing to say.
 const ANSWER: usize = 64 << 10;
@@ -28,7 +26,7 @@ const ANSWER: usize = 64 << 10;
 /// A client of one collector.
 pub(crate) struct Post {
     authority: String,
-    tls: Option<(TlsConnector, ServerName<'static>)>,
+    tls: Option<Connector>,
     /// Spans that the collector would not have, though it took their batch.
     rejected: Arc<AtomicU64>,
     connection: Mutex<Option<SendRequest<Full<Bytes>>>>,
@@ -44,18 +42,14 @@ impl Post {
     /// # Errors
     /// TLS is wanted, and nobody is trusted or the collector's name is none.
     pub(crate) fn new(collector: &Collector, rejected: Arc<AtomicU64>) -> Result<Self, String> {
-        let tls = || {
-            let name = ServerName::try_from(collector.host().to_owned()).map_err(|error| error.to_string())?;
-            Ok::<_, String>((TlsConnector::from(trusting_the_systems_roots()?), name))
-        };
-        let tls = collector.is_tls.then(tls).transpose()?;
+        let tls = collector.is_tls.then(|| Connector::new(collector.host())).transpose()?;
         Ok(Self { authority: collector.authority.clone(), tls, rejected, connection: Mutex::new(None) })
     }
 
     async fn connect(&self) -> Result<SendRequest<Full<Bytes>>, HttpError> {
         let stream = TcpStream::connect(&self.authority).await?;
         match &self.tls {
-            Some((connector, name)) => begin(connector.connect(name.clone(), stream).await?).await,
+            Some(connector) => begin(connector.connect(stream).await?).await,
             None => begin(stream).await,
         }
     }

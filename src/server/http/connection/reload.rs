@@ -6,10 +6,9 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::sync::watch;
-use tokio_rustls::rustls::ServerConfig;
 
 use crate::app::App;
-use crate::auth::tls::TlsFiles;
+use crate::auth::tls::{ServerConfig, TlsFiles};
 use crate::config::KeysConfig;
 
 /// How often files are looked at.

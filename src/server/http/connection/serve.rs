@@ -23,15 +23,13 @@ use socket2::SockRef;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use tokio_rustls::TlsAcceptor;
-use tokio_rustls::rustls::ServerConfig;
 
 use super::heads::{HEAD, Heads, Turns, counted};
 use super::stream_stall::{Streams, with_stall_timeout};
 use super::transport::Transport;
 use super::write_timeout::WriteTimeoutStream;
 use crate::app::App;
-use crate::auth::tls::H2;
+use crate::auth::tls::{H2, ServerConfig, TlsAcceptor};
 use crate::config::AccessConfig;
 use crate::http::body::{LimitedBody, Waiting};
 use crate::http::middleware::refused;

@@ -5,10 +5,10 @@ use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio_rustls::server::TlsStream;
 
 use super::heads::Heads;
 use super::write_timeout::WriteTimeoutStream;
+use crate::auth::tls::TlsStream;
 
 /// A connection, plain or encrypted.
 #[derive(Debug)]
