@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tokio::io::{AsyncRead, AsyncWrite};
-pub use tokio_rustls::TlsAcceptor;
+use tokio_rustls::TlsAcceptor;
 use tokio_rustls::TlsConnector;
-pub use tokio_rustls::rustls::ServerConfig;
+pub(crate) use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
@@ -17,10 +17,10 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName,
 use tokio_rustls::rustls::{
     CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, RootCertStore, SignatureScheme, StreamOwned,
 };
-pub use tokio_rustls::server::TlsStream;
+pub(crate) use tokio_rustls::server::TlsStream;
 
 /// HTTP/2, by its name in the handshake.
-pub const H2: &[u8] = b"h2";
+const H2: &[u8] = b"h2";
 const HTTP_1_1: &[u8] = b"http/1.1";
 /// Largest file.
 const MOST: u64 = 1 << 20;
@@ -73,18 +73,30 @@ impl TlsFiles {
     }
 }
 
+/// The server's side of a handshake, and whether HTTP/2 was agreed on.
+pub(crate) async fn accept<S>(config: Arc<ServerConfig>, stream: S) -> io::Result<(TlsStream<S>, bool)>
+where
+    S: AsyncRead + AsyncWrite + Unpin,
+{
+    let stream = TlsAcceptor::from(config).accept(stream).await?;
+    let is_http2 = stream.get_ref().1.alpn_protocol() == Some(H2);
+    Ok((stream, is_http2))
+}
+
+/// The stream below TLS.
+pub(crate) fn inner<S>(stream: &mut TlsStream<S>) -> &mut S {
+    stream.get_mut().0
+}
+
 /// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
-pub struct Connector {
+pub(crate) struct Connector {
     connector: TlsConnector,
     host: ServerName<'static>,
 }
 
 impl Connector {
-    /// A connector to that host.
-    ///
-    /// # Errors
-    /// There are no roots, or the host is neither a name nor an address.
-    pub fn new(host: &str) -> Result<Self, String> {
+    /// Fails if there are no roots, or the host is neither a name nor an address.
+    pub(crate) fn new(host: &str) -> Result<Self, String> {
         let host = ServerName::try_from(host.to_owned()).map_err(|error| error.to_string())?;
         let found = rustls_native_certs::load_native_certs();
         let mut roots = RootCertStore::empty();
@@ -98,18 +110,11 @@ impl Connector {
         Ok(Self { connector: TlsConnector::from(Arc::new(config)), host })
     }
 
-    /// Does the handshake.
-    ///
-    /// # Errors
-    /// The stream fails, or the host is not trusted.
-    pub async fn connect<S: AsyncRead + AsyncWrite + Unpin>(&self, stream: S) -> io::Result<impl AsyncRead + AsyncWrite + Unpin + use<S>> {
+    pub(crate) async fn connect<S: AsyncRead + AsyncWrite + Unpin>(
+        &self,
+        stream: S,
+    ) -> io::Result<impl AsyncRead + AsyncWrite + Unpin + use<S>> {
         self.connector.connect(self.host.clone(), stream).await
-    }
-}
-
-impl fmt::Debug for Connector {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Connector").field("host", &self.host).finish_non_exhaustive()
     }
 }
 

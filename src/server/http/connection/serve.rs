@@ -29,7 +29,7 @@ use super::stream_stall::{Streams, with_stall_timeout};
 use super::transport::Transport;
 use super::write_timeout::WriteTimeoutStream;
 use crate::app::App;
-use crate::auth::tls::{H2, ServerConfig, TlsAcceptor};
+use crate::auth::tls::{ServerConfig, accept};
 use crate::config::AccessConfig;
 use crate::http::body::{LimitedBody, Waiting};
 use crate::http::middleware::refused;
@@ -134,9 +134,8 @@ impl Connections {
             return Ok((Transport::plain(steady), Version::Unencrypted));
         }
         let config = Arc::clone(&tls.borrow());
-        let stream = TlsAcceptor::from(config).accept(steady).await?;
-        let version = if stream.get_ref().1.alpn_protocol() == Some(H2) { Version::Http2 } else { Version::Http1 };
-        Ok((Transport::tls(stream), version))
+        let (stream, is_http2) = accept(config, steady).await?;
+        Ok((Transport::tls(stream), if is_http2 { Version::Http2 } else { Version::Http1 }))
     }
 
     async fn http1<S>(&self, wire: Transport, builder: &http1::Builder, begun: &AtomicBool, service: S)

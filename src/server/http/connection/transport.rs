@@ -8,7 +8,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::heads::Heads;
 use super::write_timeout::WriteTimeoutStream;
-use crate::auth::tls::TlsStream;
+use crate::auth::tls::{TlsStream, inner};
 
 /// A connection, plain or encrypted.
 #[derive(Debug)]
@@ -52,7 +52,7 @@ impl Io {
     fn steady(&mut self) -> &mut WriteTimeoutStream {
         match self {
             Self::Plain(io) => io,
-            Self::Tls(io) => io.get_mut().0,
+            Self::Tls(io) => inner(io),
         }
     }
 }
