@@ -28,8 +28,8 @@ impl Network {
     }
 }
 
-/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no trusted
-/// proxy. Addresses further to the left are written by the client and are ignored.
+/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no
+/// trusted proxy. Addresses further to the left are written by the client and are ignored.
 #[must_use]
 pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
     let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.contains(address));
