@@ -9,6 +9,8 @@ mod decode;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
+mod jpeg;
+#[forbid(unsafe_code)]
 mod limits;
 #[forbid(unsafe_code)]
 mod orientation;
@@ -17,26 +19,19 @@ mod png;
 mod probe;
 #[forbid(unsafe_code)]
 mod profile;
-mod read_jpeg;
-mod read_png;
-mod read_webp;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
-mod vp8l;
+mod webp;
 #[forbid(unsafe_code)]
 mod work;
 #[forbid(unsafe_code)]
 mod write;
-#[forbid(unsafe_code)]
-mod write_jpeg;
-#[forbid(unsafe_code)]
-mod write_webp;
 
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
 pub use limits::Limits;
-pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
+pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
 pub use profile::PROFILE_BYTES;
 pub use work::Work;

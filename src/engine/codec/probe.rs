@@ -3,7 +3,7 @@
 //! every size is computed in u64. `Header::decode_bytes` is what a caller reserves before it lets `decode` run.
 
 use super::orientation::Orientation;
-use super::{CodecError, Work, read_jpeg, read_png, read_webp};
+use super::{CodecError, Work, jpeg, png, webp};
 use crate::pixmap::{Channels, Depth, Extent};
 
 /// A file format that is read and written.
@@ -36,9 +36,9 @@ impl Format {
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Png => read_png::NAME,
-            Self::Jpeg => read_jpeg::NAME,
-            Self::WebP => read_webp::NAME,
+            Self::Png => png::read::NAME,
+            Self::Jpeg => jpeg::read::NAME,
+            Self::WebP => webp::read::NAME,
         }
     }
 }
@@ -65,17 +65,17 @@ const TURNING_SLACK: u64 = 1 << 20;
 /// A recognised file whose header has been read.
 #[derive(Debug)]
 pub(super) enum Parsed<'a> {
-    Png(read_png::PngFile<'a>),
-    Jpeg(read_jpeg::JpegFile<'a>),
-    WebP(read_webp::WebPFile<'a>),
+    Png(png::read::PngFile<'a>),
+    Jpeg(jpeg::read::JpegFile<'a>),
+    WebP(webp::read::WebPFile<'a>),
 }
 
 impl<'a> Parsed<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         Ok(match Format::of(bytes)? {
-            Format::Png => Self::Png(read_png::PngFile::parse(bytes, work)?),
-            Format::Jpeg => Self::Jpeg(read_jpeg::JpegFile::parse(bytes, work)?),
-            Format::WebP => Self::WebP(read_webp::WebPFile::parse(bytes, work)?),
+            Format::Png => Self::Png(png::read::PngFile::parse(bytes, work)?),
+            Format::Jpeg => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
+            Format::WebP => Self::WebP(webp::read::WebPFile::parse(bytes, work)?),
         })
     }
 

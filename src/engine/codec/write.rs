@@ -3,9 +3,9 @@
 
 use std::ops::Range;
 
-use super::png::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::write_jpeg::Attended;
-use super::{Format, write_jpeg, write_webp};
+use super::jpeg::write::Attended;
+use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
+use super::{Format, jpeg, webp};
 use crate::pixmap::Depth;
 
 /// How a picture is written.
@@ -148,9 +148,9 @@ impl Writer {
                 match *coding {
                     Coding::Jpeg { quality, ground } => {
                         let out = Attended::new(out, wanted);
-                        write_jpeg::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
+                        jpeg::write::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
                     }
-                    Coding::WebP => write_webp::write(shape.extent, shape.channels, samples, icc, out),
+                    Coding::WebP => webp::write::write(shape.extent, shape.channels, samples, icc, out),
                 }
                 StripChecksum::default()
             }

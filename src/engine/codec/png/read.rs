@@ -5,13 +5,13 @@
 use std::borrow::Cow;
 use std::io::Read;
 
-use super::CodecError;
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Pieces, Work};
+use crate::codec::CodecError;
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Pieces, Work};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
-pub(super) const NAME: &str = "PNG";
+pub(in crate::codec) const NAME: &str = "PNG";
 const SIGNATURE: usize = 8;
 
 /// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
@@ -38,15 +38,15 @@ const ADAM7: [(usize, usize, usize, usize); 7] =
 
 /// A PNG whose chunks have been walked.
 #[derive(Debug)]
-pub(super) struct PngFile<'a> {
+pub(in crate::codec) struct PngFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     bits: u8,
     colour: u8,
     interlaced: bool,
     transparency: bool,
     animation_chunks: bool,
-    pub(super) exif: Option<&'a [u8]>,
+    pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
     idat_bytes: u64,
     idat_chunks: u64,
@@ -75,7 +75,7 @@ fn bad(detail: impl ToString) -> CodecError {
 }
 
 impl<'a> PngFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
         let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
             return Err(bad("a header chunk of the wrong size or with an unknown method"));
@@ -136,16 +136,16 @@ impl<'a> PngFile<'a> {
         Ok(())
     }
 
-    pub(super) fn channels(&self) -> Channels {
+    pub(in crate::codec) fn channels(&self) -> Channels {
         if self.transparency || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
     }
 
-    pub(super) fn depth(&self) -> Depth {
+    pub(in crate::codec) fn depth(&self) -> Depth {
         if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
     }
 
     /// Beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
         let exif = 4 * self.exif.map_or(0, |exif| exif.len() as u64);
         let copy = if self.animation_chunks { self.bytes.len() as u64 } else { 0 };
@@ -212,7 +212,7 @@ impl<'a> PngFile<'a> {
     }
 
     /// The rows as stored. `budget`: bytes that the decoder itself may allocate.
-    pub(super) fn samples(&self, budget: u64, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, budget: u64, work: &Work<'_>) -> Result<Samples, CodecError> {
         let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
         self.weigh_data()?;
         let mut options = png::DecodeOptions::default();
@@ -281,12 +281,12 @@ impl<'a> PngFile<'a> {
         Ok(out)
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         self.profile.is_some()
     }
 
     /// The profile, inflated to at most one byte more than is kept.
-    pub(super) fn icc(&self, work: &Work<'_>) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self, work: &Work<'_>) -> Option<Vec<u8>> {
         if !matches!(self.colour, 2 | 3 | 6) {
             return None;
         }

@@ -8,7 +8,7 @@ use crate::pixmap::{Channels, Extent};
 const LOOK: usize = 64 << 10;
 
 /// Takes the file as long as someone waits for it.
-pub(super) struct Attended<'a> {
+pub(in crate::codec) struct Attended<'a> {
     out: &'a mut Vec<u8>,
     wanted: &'a dyn Fn() -> bool,
     look: usize,
@@ -16,7 +16,7 @@ pub(super) struct Attended<'a> {
 
 impl<'a> Attended<'a> {
     /// Appends to `out` until `wanted` says no.
-    pub(super) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
+    pub(in crate::codec) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
         let look = out.len() + LOOK;
         Self { out, wanted, look }
     }
@@ -36,7 +36,7 @@ impl JfifWrite for Attended<'_> {
 }
 
 /// Appends the file, or as much of it as someone waits for. What is transparent stands on `ground`: `(c a + g (255 - a)) / 255`, rounded. The sides are those of a JPEG.
-pub(super) fn write(
+pub(in crate::codec) fn write(
     extent: Extent,
     channels: Channels,
     samples: &[u8],

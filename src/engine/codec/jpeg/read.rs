@@ -6,13 +6,13 @@
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::CodecError;
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Bytes, Work};
+use crate::codec::CodecError;
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Bytes, Work};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(super) const NAME: &str = "JPEG";
+pub(in crate::codec) const NAME: &str = "JPEG";
 
 /// Ones before EOI: enough to use up the magnitude bits that a cut code still asks for, and then a whole code of 16 bits.
 const ONES: usize = 8;
@@ -34,13 +34,13 @@ const TEM: u8 = 0x01;
 
 /// A JPEG whose segments have been walked up to its first scan.
 #[derive(Debug)]
-pub(super) struct JpegFile<'a> {
+pub(in crate::codec) struct JpegFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     progressive: bool,
     /// Sampling factors, horizontal and vertical, of each component.
     factors: Vec<(u64, u64)>,
-    pub(super) exif: Option<&'a [u8]>,
+    pub(in crate::codec) exif: Option<&'a [u8]>,
     /// Sequence number, count of parts, part.
     profile: Vec<(u8, u8, &'a [u8])>,
     /// Where the first scan's entropy-coded data begins.
@@ -94,7 +94,7 @@ fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Seg
 }
 
 impl<'a> JpegFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let mut frame = None;
         let mut exif = None;
         let mut profile = Vec::new();
@@ -153,7 +153,7 @@ impl<'a> JpegFile<'a> {
 
     /// Beside the picture: the copy of the file, the coefficients of all blocks where scans build them up, and some
     /// rows of MCUs before and after upsampling.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let coefficients = if self.progressive { 2 * 64 * self.padded_blocks() } else { 0 };
         let (h_max, v_max) = self.largest_factors();
         let row_of_mcus = u64::from(self.extent.width()).next_multiple_of(8 * h_max) * 8 * v_max;
@@ -198,7 +198,7 @@ impl<'a> JpegFile<'a> {
     }
 
     /// The rows as stored, RGB.
-    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
         let end = self.find_end(work)?;
         if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
             return Err(bad(format!("{} bytes of data cannot hold the picture", end.entropy_bytes)));
@@ -237,12 +237,12 @@ impl<'a> JpegFile<'a> {
         Ok(Samples::Eight(out))
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         !self.profile.is_empty()
     }
 
     /// The profile, its parts put in order.
-    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         if self.factors.len() != 3 || self.profile.is_empty() {
             return None;
         }

@@ -6,10 +6,10 @@
 //! bit that is read and each byte of the tables, whatever size the header claims: a transform may occur once, and an image whose symbols
 //! take no bits is skipped in one step.
 
-use super::CodecError;
-use super::work::Work;
+use crate::codec::CodecError;
+use crate::codec::work::Work;
 
-pub(super) const NAME: &str = "WebP";
+pub(in crate::codec) const NAME: &str = "WebP";
 
 /// Tables of more bytes than this are refused. Encoders stay far below it: libwebp makes at most 2,600 groups, of some 20 KiB each.
 const MAX_CODE_BYTES: u64 = 128 << 20;
@@ -324,8 +324,8 @@ impl Bits<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::bombs::{Pen, vp8l_head, webp_alpha_transforms, webp_transforms};
     use super::*;
+    use crate::codec::tests::bombs::{Pen, vp8l_head, webp_alpha_transforms, webp_transforms};
 
     fn weight(stream: &[u8], most: u64) -> Result<u64, CodecError> {
         code_bytes(stream, None, most, &Work::new(&|| false))

@@ -5,13 +5,14 @@
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Pieces, Work};
-use super::{CodecError, vp8l};
+use super::vp8l;
+use crate::codec::CodecError;
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Pieces, Work};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(super) use super::vp8l::NAME;
+pub(in crate::codec) use super::vp8l::NAME;
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
 /// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.
@@ -33,10 +34,10 @@ type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 
 /// A WebP whose chunks have been walked.
 #[derive(Debug)]
-pub(super) struct WebPFile<'a> {
-    pub(super) extent: Extent,
+pub(in crate::codec) struct WebPFile<'a> {
+    pub(in crate::codec) extent: Extent,
     coding: Coding<'a>,
-    pub(super) exif: Option<&'a [u8]>,
+    pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
     /// The most that the tables of a lossless stream's prefix codes may take; what they do take once the codes have been read.
     code_bytes: u64,
@@ -89,7 +90,7 @@ impl<'a> Chunks<'a> {
 }
 
 impl<'a> WebPFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
         let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
         let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
         let body = bytes.get(12..end).ok_or_else(|| bad("it is cut off before its end"))?;
@@ -140,14 +141,14 @@ impl<'a> WebPFile<'a> {
     }
 
     /// Learns how much the tables of the prefix codes take.
-    pub(super) fn read_codes(&mut self, work: &Work<'_>) -> Result<(), CodecError> {
+    pub(in crate::codec) fn read_codes(&mut self, work: &Work<'_>) -> Result<(), CodecError> {
         if let Some((stream, size)) = self.lossless_stream() {
             self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
         }
         Ok(())
     }
 
-    pub(super) fn channels(&self) -> Channels {
+    pub(in crate::codec) fn channels(&self) -> Channels {
         match self.coding {
             Coding::Lossy(_, Some(_)) | Coding::Lossless(_, true) => Channels::Rgba,
             Coding::Lossy(_, None) | Coding::Lossless(_, false) => Channels::Rgb,
@@ -157,7 +158,7 @@ impl<'a> WebPFile<'a> {
     /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
     /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
     /// wanted, up to three quarter-size images of transforms and code groups, and the tables of its codes.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
         let (data, planes) = match self.coding {
@@ -199,7 +200,7 @@ impl<'a> WebPFile<'a> {
     }
 
     /// The rows as stored.
-    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
         let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
         let len = sample_count(self.extent.pixels(), self.channels());
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
@@ -210,11 +211,11 @@ impl<'a> WebPFile<'a> {
         Ok(Samples::Eight(out))
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         self.profile.is_some()
     }
 
-    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         self.profile.filter(|profile| profile.len() <= MAX_ICC).map(<[u8]>::to_vec).and_then(keep_rgb_profile)
     }
 }
