@@ -1,6 +1,6 @@
 //! From filtered bytes to the bits of a deflate block. Bytes are taken apart into eights that are not all zero, runs of at least eight zeros
 //! (a literal and matches of distance 1), and an end of less than eight; the same walk counts symbols and writes codes. Bytes are looked up two at a
-//! time (`Pairs`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
+//! time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
 //! store. A level may take many eights at once (`Lookup::many`). Cost: about 0.4 ns a byte with pairs, 0.6 without.
 
 use super::bits::BitWriter;
@@ -15,10 +15,10 @@ pub(super) const PIECE: usize = 4096;
 /// Most bytes a piece is coded to (12 bits a byte; a run is never longer than its bytes).
 const STAGE: usize = 8192;
 /// Where a piece is coded to; a store may reach 8 bytes beyond.
-pub(super) type Stage = [u8; STAGE + 8];
+pub(super) type Stage = [u8; STAGE + 24];
 
 /// An empty stage.
-pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 8];
+pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 24];
 
 const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
 
@@ -27,13 +27,12 @@ const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two())
 pub(super) struct Tables<'a, L> {
     pub(super) pairs: &'a L,
     pub(super) single: &'a Single,
-    pub(super) runs: &'a Runs,
 }
 
 /// Appends the codes of at most `PIECE` bytes to `out`.
 #[inline(always)]
-pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
-    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled, at: 0, stage }, tables };
+pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled & 7, at: 0, stage }, tables };
     walk(piece, &mut coder);
     let Staged { waiting, filled, at, .. } = coder.bits;
     *bits = BitWriter { waiting, filled };
@@ -82,17 +81,15 @@ pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     }
 }
 
-/// `count` zeros taken apart: a literal, `longest` matches of the longest length, a match of `matched` when not 0, and `literals` that are too few for one.
-struct Zeros {
-    longest: usize,
-    matched: usize,
-    literals: usize,
-}
-
+/// Takes a run of zeros apart: a literal (length 1), matches of the longest length, and the rest as a match or, when too short, as literals.
 #[inline(always)]
-fn split_zeros(count: usize) -> Zeros {
-    let (longest, left) = ((count - 1) / LONGEST, (count - 1) % LONGEST);
-    if left < SHORTEST { Zeros { longest, matched: 0, literals: left } } else { Zeros { longest, matched: left, literals: 0 } }
+fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
+    let mut length = 1;
+    while count > 0 {
+        take(length);
+        count -= length;
+        length = if count < SHORTEST { 1 } else { count.min(LONGEST) };
+    }
 }
 
 const SHORTEST: usize = 3;
@@ -171,13 +168,10 @@ impl Sink for Counts {
 
     #[inline(always)]
     fn zeros(&mut self, count: usize) {
-        let zeros = split_zeros(count);
-        let count = |n: usize| u32::try_from(n).expect("at most a piece");
-        self.bytes[0][0] += count(1 + zeros.literals);
-        self.lengths[END + LENGTHS.len()] += count(zeros.longest);
-        if zeros.matched > 0 {
-            self.lengths[length_symbol(zeros.matched)] += 1;
-        }
+        split_zeros(count, |length| match length {
+            1 => self.bytes[0][0] += 1,
+            _ => self.lengths[length_symbol(length)] += 1,
+        });
     }
 
     #[inline(always)]
@@ -216,18 +210,33 @@ pub(super) trait Lookup {
     }
 }
 
-/// One entry a byte.
+/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a match with its extra bits and the distance's one bit.
 #[derive(Debug)]
-pub(super) struct Single([u32; 256]);
+pub(super) struct Single {
+    bytes: [u32; 256],
+    runs: [u32; LONGEST + 1],
+}
 
 impl Single {
     pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
-        Self(std::array::from_fn(|byte| entry(codes.bits[byte].into(), codes.length[byte].into())))
+        let byte = |byte: usize| entry(codes.bits[byte].into(), codes.length[byte].into());
+        let run = |length| {
+            if length < SHORTEST {
+                return byte(0);
+            }
+            let symbol = length_symbol(length);
+            let (first, extra_bits) = LENGTHS[symbol - END - 1];
+            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
+            let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
+            // The distance code is a single zero bit.
+            entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
+        };
+        Self { bytes: std::array::from_fn(byte), runs: std::array::from_fn(run) }
     }
 
     #[inline(always)]
     pub(super) fn one(&self, byte: u8) -> u32 {
-        self.0[usize::from(byte)]
+        self.bytes[usize::from(byte)]
     }
 }
 
@@ -245,42 +254,22 @@ fn pair(first: u32, second: u32) -> u32 {
     (second_code << length(first)) + first + length(second)
 }
 
-#[derive(Debug)]
-pub(super) struct Pairs<'a>(pub(super) &'a [u32; 1 << 16]);
+/// One entry for each pair of bytes.
+pub(super) type PairTable = [u32; 1 << 16];
 
-impl Lookup for Pairs<'_> {
+impl Lookup for PairTable {
     #[inline(always)]
     fn two(&self, bytes: u16) -> u32 {
-        self.0[usize::from(bytes)]
+        self[usize::from(bytes)]
     }
 }
 
 #[inline(always)]
-pub(super) fn fill_pairs(single: &Single, pairs: &mut [u32; 1 << 16]) {
-    for (row, &second) in pairs.chunks_exact_mut(256).zip(&single.0) {
-        for (two, &first) in row.iter_mut().zip(&single.0) {
+pub(super) fn fill_pairs(single: &Single, pairs: &mut PairTable) {
+    for (row, &second) in pairs.chunks_exact_mut(256).zip(&single.bytes) {
+        for (two, &first) in row.iter_mut().zip(&single.bytes) {
             *two = pair(first, second);
         }
-    }
-}
-
-/// Codes of runs by length, with extra bits and the distance's one bit.
-#[derive(Debug)]
-pub(super) struct Runs([u32; LONGEST + 1]);
-
-impl Runs {
-    pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
-        Self(std::array::from_fn(|length| {
-            if length < SHORTEST {
-                return 0;
-            }
-            let symbol = length_symbol(length);
-            let (first, extra_bits) = LENGTHS[symbol - END - 1];
-            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
-            let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
-            // The distance code is a single zero bit.
-            entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
-        }))
     }
 }
 
@@ -317,10 +306,16 @@ impl Staged<'_> {
     /// `length <= 56`.
     #[inline(always)]
     pub(super) fn put(&mut self, code: u64, length: u32) {
-        self.waiting |= code << self.filled;
-        self.filled += length;
         // Never masks anything (STAGE holds the longest coded piece); it stands for a bounds check.
         self.at &= STAGE - 1;
+        self.put_next(code, length);
+    }
+
+    /// The same right after a `put`, whose mask serves both.
+    #[inline(always)]
+    fn put_next(&mut self, code: u64, length: u32) {
+        self.waiting |= code << self.filled;
+        self.filled += length;
         self.stage[self.at..self.at + 8].copy_from_slice(&self.waiting.to_le_bytes());
         self.at += (self.filled / 8) as usize;
         self.waiting >>= self.filled & 56;
@@ -330,7 +325,7 @@ impl Staged<'_> {
 
 struct Coder<'a, L> {
     bits: Staged<'a>,
-    tables: &'a Tables<'a, L>,
+    tables: Tables<'a, L>,
 }
 
 impl<L: Lookup> Coder<'_, L> {
@@ -341,8 +336,8 @@ impl<L: Lookup> Coder<'_, L> {
 
     /// Two pairs, 48 bits at most.
     #[inline(always)]
-    fn four(&mut self, first: u32, second: u32) {
-        self.bits.put(code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)));
+    fn four(first: u32, second: u32) -> (u64, u32) {
+        (code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)))
     }
 }
 
@@ -356,24 +351,15 @@ impl<L: Lookup> Sink for Coder<'_, L> {
     #[expect(clippy::cast_possible_truncation, reason = "the low half word of a shifted word is what is meant")]
     fn eight(&mut self, bytes: u64) {
         let [a, b, c, d] = [0, 16, 32, 48].map(|shift| self.tables.pairs.two((bytes >> shift) as u16));
-        self.four(a, b);
-        self.four(c, d);
+        let (fore, fore_length) = Self::four(a, b);
+        self.bits.put(fore, fore_length);
+        let (rear, rear_length) = Self::four(c, d);
+        self.bits.put_next(rear, rear_length);
     }
 
     #[inline(always)]
     fn zeros(&mut self, count: usize) {
-        let zeros = split_zeros(count);
-        let literal = self.tables.single.one(0);
-        self.put_entry(literal);
-        for _ in 0..zeros.longest {
-            self.put_entry(self.tables.runs.0[LONGEST]);
-        }
-        if zeros.matched > 0 {
-            self.put_entry(self.tables.runs.0[zeros.matched]);
-        }
-        for _ in 0..zeros.literals {
-            self.put_entry(literal);
-        }
+        split_zeros(count, |length| self.put_entry(self.tables.single.runs[length]));
     }
 
     #[inline(always)]

@@ -7,7 +7,7 @@
 use std::cell::Cell;
 
 use super::bits::BitWriter;
-use super::coder::{Counts, LIMIT, Lookup, PIECE, Pairs, Runs, STAGE_EMPTY, Single, Tables, code_piece, fill_pairs, walk};
+use super::coder::{Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single, Stage, Tables, code_piece, fill_pairs, walk};
 use super::huffman::{self, Codes, END, LITERALS};
 use super::rows::{self, PAETH, Rows, SUB};
 
@@ -20,28 +20,33 @@ const SAMPLED: u32 = 8;
 /// Strips below this are looked up byte by byte: the table of pairs costs about 15 us.
 const PAIRS_FROM: usize = 48 << 10;
 
-/// How a level looks bytes up.
-pub(super) trait Way {
-    /// Codes all rows with the codes of single bytes; a method and not a closure, so that it is compiled for the level of its caller.
-    fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32>;
-}
-
-/// Two bytes at a time, or one in strips that are too short for such a table.
-pub(super) struct Portable;
-
-impl Way for Portable {
+/// The parts of `body` that differ between levels. The defaults are the portable code.
+pub(super) trait Way: Sized {
+    /// Codes all rows with the codes of single bytes: two bytes at a time, or one in strips that are too short for such a table.
+    /// A method and not a closure, so that it is compiled for the level of its caller.
     #[inline(always)]
     fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
         if coder.rows.filtered_len() < PAIRS_FROM {
-            return coder.code(single);
+            return coder.code::<Self>(single);
         }
         let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
         fill_pairs(single, &mut pairs);
-        let adler = coder.code(&Pairs(&pairs));
+        let adler = coder.code::<Self>(&*pairs);
         PAIRS.set(Some(pairs));
         adler
     }
+
+    /// `code_piece` as a function of its own: inlined into the loop over rows, its variables do not all get registers.
+    #[inline(never)]
+    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+        code_piece(piece, tables, stage, bits, out);
+    }
 }
+
+/// Only the defaults.
+pub(super) struct Portable;
+
+impl Way for Portable {}
 
 /// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
 #[inline(always)]
@@ -50,8 +55,8 @@ pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Ve
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
-    let (single, runs) = (Single::new(&codes), Runs::new(&codes));
-    let coder = RowCoder { rows, single: &single, runs: &runs, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
+    let single = Single::new(&codes);
+    let coder = RowCoder { rows, single: &single, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
     let adler = W::code(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
@@ -76,18 +81,17 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
     weights[END] = 1;
     let codes = Codes::new(&weights, LIMIT);
     huffman::block_header(&codes, last, bits, out);
-    let (single, runs) = (Single::new(&codes), Runs::new(&codes));
-    let tables = Tables { pairs: &single, single: &single, runs: &runs };
+    let single = Single::new(&codes);
     let mut stage = STAGE_EMPTY;
     for piece in filtered.chunks(PIECE) {
-        code_piece(piece, &tables, &mut stage, bits, out);
+        code_piece(piece, Tables { pairs: &single, single: &single }, &mut stage, bits, out);
     }
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
 }
 
 thread_local! {
     /// The table of pairs outlives a strip: its 64 pages are not faulted in anew.
-    static PAIRS: Cell<Option<Box<[u32; 1 << 16]>>> = const { Cell::new(None) };
+    static PAIRS: Cell<Option<Box<PairTable>>> = const { Cell::new(None) };
 }
 
 /// Weights of all symbols, from about `SAMPLE` bytes of evenly spread rows.
@@ -126,7 +130,6 @@ fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
 pub(super) struct RowCoder<'a> {
     rows: Rows<'a>,
     single: &'a Single,
-    runs: &'a Runs,
     piece: &'a mut [u8; PIECE],
     bits: &'a mut BitWriter,
     most: usize,
@@ -136,9 +139,8 @@ pub(super) struct RowCoder<'a> {
 impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
-    pub(super) fn code(self, lookup: &impl Lookup) -> Option<u32> {
-        let Self { rows, single, runs, piece, bits, most, out } = self;
-        let tables = &Tables { pairs: lookup, single, runs };
+    pub(super) fn code<W: Way>(self, lookup: &impl Lookup) -> Option<u32> {
+        let Self { rows, single, piece, bits, most, out } = self;
         let mut stage = STAGE_EMPTY;
         let mut adler = simd_adler32::Adler32::new();
         let mut filled = 0;
@@ -153,7 +155,7 @@ impl RowCoder<'_> {
                 filled += n;
                 if filled == PIECE {
                     adler.write(piece);
-                    code_piece(piece, tables, &mut stage, bits, out);
+                    W::piece(piece, Tables { pairs: lookup, single }, &mut stage, bits, out);
                     filled = 0;
                     if out.len() > most {
                         return None;
@@ -165,7 +167,7 @@ impl RowCoder<'_> {
             }
         }
         adler.write(&piece[..filled]);
-        code_piece(&piece[..filled], tables, &mut stage, bits, out);
+        W::piece(&piece[..filled], Tables { pairs: lookup, single }, &mut stage, bits, out);
         (out.len() <= most).then(|| adler.finish())
     }
 }
