@@ -1,6 +1,6 @@
 //! Memory for samples: asked for before it is used, and refused as an error.
 
-use super::{CodecError, Work};
+use super::{CodecError, StepCounter};
 use crate::pixmap::Channels;
 
 /// The allocator refused. How much it had left is not known, so the limit reads 0.
@@ -18,7 +18,7 @@ pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
 }
 
 /// `len` samples of zero. Memory is touched for the first time here, which takes as long as some decoders: the question is asked meanwhile.
-pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+pub(super) fn zeros<T: Copy + Default>(len: u64, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
     const PART: usize = 1 << 22;
     let mut samples = room(len)?;
     let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));

@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Format, Header, Limits, Work};
+use super::{CodecError, Format, Header, Limits, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
 /// An upright picture and what must travel with it.
@@ -25,7 +25,7 @@ pub struct Decoded {
 pub struct Opened<'a> {
     parsed: Parsed<'a>,
     header: Header,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 /// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads what else decides on the
@@ -33,7 +33,7 @@ pub struct Opened<'a> {
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
-pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<Opened<'a>, CodecError> {
+pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
     limits.check(parsed.header().extent)?;
     if let Parsed::WebP(file) = &mut parsed {
@@ -43,12 +43,12 @@ pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<
     Ok(Opened { parsed, header, work })
 }
 
-/// Opens and decodes a file; ends early when `gone` says that the picture is no longer wanted.
+/// Opens and decodes a file; ends early when `cancelled` says that the picture is no longer wanted.
 ///
 /// # Errors
 /// Those of [`open`] and [`Opened::decode`].
-pub fn decode(bytes: &[u8], limits: &Limits, gone: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
-    open(bytes, limits, &Work::new(gone))?.decode()
+pub fn decode(bytes: &[u8], limits: &Limits, cancelled: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
+    open(bytes, limits, &StepCounter::new(cancelled))?.decode()
 }
 
 impl Opened<'_> {
@@ -66,7 +66,7 @@ impl Opened<'_> {
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;
         // What ends because its input is withheld calls it damage.
-        let wanted = |error| if work.is_gone() { CodecError::Cancelled } else { error };
+        let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { error };
         let samples = contained(header.format, || match parsed {
             Parsed::Png(file) => file.samples(header.decode_bytes, work),
             Parsed::Jpeg(file) => file.samples(work),

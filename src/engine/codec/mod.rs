@@ -1,5 +1,5 @@
 //! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `open` checks every limit on that header before
-//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`Work`); `Writer` turns
+//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`StepCounter`); `Writer` turns
 //! strips of rows into the bytes of a file, PNG strip by strip in any order.
 
 #[forbid(unsafe_code)]
@@ -34,5 +34,5 @@ pub use limits::Limits;
 pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Format, Header, probe};
 pub use profile::PROFILE_BYTES;
-pub use work::Work;
+pub use work::StepCounter;
 pub use write::{Encoding, Writer};

@@ -3,7 +3,7 @@
 //! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
 
 use super::alloc::zeros;
-use super::{CodecError, Work};
+use super::{CodecError, StepCounter};
 
 const ORIENTATION_TAG: u16 = 0x0112;
 const TYPE_SHORT: u16 = 3;
@@ -83,7 +83,7 @@ impl Orientation {
         self,
         mut stored: Vec<T>,
         width: usize,
-        work: &Work<'_>,
+        work: &StepCounter<'_>,
     ) -> Result<Vec<T>, CodecError> {
         match self {
             Self::Upright => {}
@@ -100,7 +100,7 @@ impl Orientation {
         Ok(stored)
     }
 
-    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
         let mut upright = zeros(stored.len() as u64, work)?;
         let from = stored.as_chunks::<N>().0;
         let into = upright.as_chunks_mut::<N>().0;
@@ -124,7 +124,7 @@ impl Orientation {
 }
 
 /// Reverses the pixels, from both ends to the middle.
-fn rotate<P>(pixels: &mut [P], work: &Work<'_>) -> Result<(), CodecError> {
+fn rotate<P>(pixels: &mut [P], work: &StepCounter<'_>) -> Result<(), CodecError> {
     let half = pixels.len() / 2;
     let (front, back) = pixels.split_at_mut(half);
     let odd = back.len() - half;
@@ -137,7 +137,7 @@ fn rotate<P>(pixels: &mut [P], work: &Work<'_>) -> Result<(), CodecError> {
     Ok(())
 }
 
-fn mirror_rows<T>(samples: &mut [T], row: usize, work: &Work<'_>) -> Result<(), CodecError> {
+fn mirror_rows<T>(samples: &mut [T], row: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
     let height = samples.len() / row;
     let (above, below) = samples.split_at_mut(height / 2 * row);
     for (upper, lower) in above.chunks_exact_mut(row).zip(below.rchunks_exact_mut(row)) {
@@ -216,7 +216,7 @@ pub(super) mod tests {
 
     #[test]
     fn orientation_turns_letters() {
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for (number, _, expected) in UPRIGHT {
             let orientation = Orientation::from_number(number).unwrap();
             assert_eq!(orientation.apply::<_, 1>(b"abcdef".to_vec(), 3, &work).unwrap(), expected, "{number}");
@@ -227,7 +227,7 @@ pub(super) mod tests {
     /// Sides around the tile, several samples a pixel: turning there and back is the identity.
     #[test]
     fn orientation_and_its_inverse_cancel() {
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for (width, height) in [(1, 1), (1, 70), (70, 1), (64, 65), (130, 63)] {
             let stored: Vec<u16> = (0..).take(3 * width * height).collect();
             for (there, back) in [(2, 2), (3, 3), (4, 4), (5, 5), (6, 8), (7, 7), (8, 6)] {

@@ -3,7 +3,7 @@
 //! every size is computed in u64. `Header::decode_bytes` is what a caller reserves before it lets `decode` run.
 
 use super::orientation::Orientation;
-use super::{CodecError, Work, jpeg, png, webp};
+use super::{CodecError, StepCounter, jpeg, png, webp};
 use crate::pixmap::{Channels, Depth, Extent};
 
 /// A file format that is read and written.
@@ -71,7 +71,7 @@ pub(super) enum Parsed<'a> {
 }
 
 impl<'a> Parsed<'a> {
-    pub(super) fn new(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(super) fn new(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         Ok(match Format::of(bytes)? {
             Format::Png => Self::Png(png::read::PngFile::parse(bytes, work)?),
             Format::Jpeg => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
@@ -124,7 +124,7 @@ pub(super) fn picture_bytes(extent: Extent, channels: Channels, depth: Depth) ->
 /// # Errors
 /// [`CodecError::Unsupported`] when the format (or its variant) is not read, [`CodecError::TooLarge`] for an animation,
 /// [`CodecError::Bad`] when the header itself is damaged. Limits on size are the caller's: see [`super::Limits::check`].
-pub fn probe(bytes: &[u8], work: &Work<'_>) -> Result<Header, CodecError> {
+pub fn probe(bytes: &[u8], work: &StepCounter<'_>) -> Result<Header, CodecError> {
     Parsed::new(bytes, work).map(|parsed| parsed.header())
 }
 

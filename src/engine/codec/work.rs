@@ -18,23 +18,23 @@ const PIECE: usize = 1 << 15;
 const REQUESTS: u32 = 1 << 10;
 
 /// One file's work, on one thread.
-pub struct Work<'a> {
-    gone: &'a dyn Fn() -> bool,
+pub struct StepCounter<'a> {
+    cancelled: &'a dyn Fn() -> bool,
     steps: Cell<u64>,
     asked: Cell<u64>,
 }
 
-impl fmt::Debug for Work<'_> {
+impl fmt::Debug for StepCounter<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Work").field("steps", &self.steps).finish_non_exhaustive()
+        f.debug_struct("StepCounter").field("steps", &self.steps).finish_non_exhaustive()
     }
 }
 
-impl<'a> Work<'a> {
-    /// `gone` says that the result is no longer wanted.
+impl<'a> StepCounter<'a> {
+    /// `cancelled` says that the result is no longer wanted.
     #[must_use]
-    pub fn new(gone: &'a dyn Fn() -> bool) -> Self {
-        Self { gone, steps: Cell::new(0), asked: Cell::new(0) }
+    pub fn new(cancelled: &'a dyn Fn() -> bool) -> Self {
+        Self { cancelled, steps: Cell::new(0), asked: Cell::new(0) }
     }
 
     /// Steps taken so far: chunks, segments, bytes that were searched, reads from a bit stream; a decoder's requests for input, by the thousand.
@@ -57,16 +57,16 @@ impl<'a> Work<'a> {
     /// Counts a decoder's requests, and asks.
     fn requests(&self, count: u32) -> bool {
         self.steps.set(self.steps.get() + u64::from(count));
-        self.is_gone()
+        self.is_cancelled()
     }
 
     /// Asks at once.
     pub(super) fn check(&self) -> Result<(), CodecError> {
-        if self.is_gone() { Err(CodecError::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() { Err(CodecError::Cancelled) } else { Ok(()) }
     }
 
-    pub(super) fn is_gone(&self) -> bool {
-        (self.gone)()
+    pub(super) fn is_cancelled(&self) -> bool {
+        (self.cancelled)()
     }
 }
 
@@ -76,11 +76,11 @@ pub(super) struct Pieces<'a, B> {
     at: usize,
     end: usize,
     requests: u32,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl<'a, B: AsRef<[u8]>> Pieces<'a, B> {
-    pub(super) const fn new(bytes: B, work: &'a Work<'a>) -> Self {
+    pub(super) const fn new(bytes: B, work: &'a StepCounter<'a>) -> Self {
         Self { bytes, at: 0, end: 0, requests: 0, work }
     }
 }
@@ -128,11 +128,11 @@ pub(super) struct Bytes<'a> {
     requests: u32,
     /// The answer was no: nothing is handed out any more.
     stopped: bool,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl<'a> Bytes<'a> {
-    pub(super) fn new(bytes: &'a [u8], work: &'a Work<'a>) -> Self {
+    pub(super) fn new(bytes: &'a [u8], work: &'a StepCounter<'a>) -> Self {
         Self { cursor: ZCursor::new(bytes), requests: 0, stopped: false, work }
     }
 

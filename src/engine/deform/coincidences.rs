@@ -50,12 +50,12 @@ pub(super) struct Coincidences {
 }
 
 impl Coincidences {
-    /// `gone` is asked after each element.
+    /// `cancelled` is asked after each element.
     ///
     /// # Errors
     /// Too many meetings, too many pairs to compare, given up.
-    pub(super) fn find(elements: &[Element], extent: f64, gone: &dyn Fn() -> bool) -> Result<Self, DeformError> {
-        let mut search = Search::new(elements, extent, gone);
+    pub(super) fn find(elements: &[Element], extent: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+        let mut search = Search::new(elements, extent, cancelled);
         search.run()?;
         Ok(search.found)
     }
@@ -121,7 +121,7 @@ impl Coincidences {
 struct Search<'a> {
     elements: &'a [Element],
     coincident: f64,
-    gone: &'a dyn Fn() -> bool,
+    cancelled: &'a dyn Fn() -> bool,
     found: Coincidences,
     /// Pairs of points that were compared.
     compared: u64,
@@ -130,10 +130,10 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(elements: &'a [Element], extent: f64, gone: &'a dyn Fn() -> bool) -> Self {
+    fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
         let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
         let found = Coincidences { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Coincidences::default() };
-        Self { elements, coincident, gone, found, compared: 0, work: 0 }
+        Self { elements, coincident, cancelled, found, compared: 0, work: 0 }
     }
 
     fn run(&mut self) -> Result<(), DeformError> {
@@ -144,8 +144,8 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    fn unless_gone(&self) -> Result<(), DeformError> {
-        if (self.gone)() { Err(DeformError::Cancelled) } else { Ok(()) }
+    fn check_cancelled(&self) -> Result<(), DeformError> {
+        if (self.cancelled)() { Err(DeformError::Cancelled) } else { Ok(()) }
     }
 
     /// Points that coincide, each with the first of the client's order; and pairs that are near each other.
@@ -155,7 +155,7 @@ impl<'a> Search<'a> {
         let (mut close, mut same) = (Cells::new(origin, NEAR), Cells::new(origin, SAME_CELL * self.coincident));
         let (mut touching, mut near, mut compared) = (Vec::new(), Vec::new(), 0);
         for (j, p) in points() {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             let before = compared;
             close.around(p, 1, |i, other| {
                 compared += 1;
@@ -191,7 +191,7 @@ impl<'a> Search<'a> {
         let few = FEW_PAIRS * self.elements.len() as u64;
         let mut best: Option<Sweep> = None;
         for turn in 0..DIRECTIONS {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             if best.as_ref().is_some_and(|best| best.pairs <= few) {
                 break;
             }
@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
         let Some(Sweep { segments, points, .. }) = best else { return Ok(()) };
         let boxes: Vec<[f64; 4]> = self.elements.iter().map(bounds).collect();
         for (k, &Interval { low, high, index: i }) in segments.iter().enumerate() {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             let later = segments[k + 1..].iter().take_while(|other| other.low <= high + reach).map(|other| other.index);
             let from = points.partition_point(|p| p.low < low - reach);
             let on_it = points[from..].iter().take_while(|p| p.low <= high + reach).map(|p| p.index);
@@ -536,8 +536,8 @@ mod tests {
         let (elements, extent) = elements_of(points.chain(lines).collect());
         for looks in [0, 1, 499, 501, 520, 900] {
             let asked = Cell::new(0);
-            let gone = || asked.replace(asked.get() + 1) >= looks;
-            assert_eq!(Coincidences::find(&elements, extent, &gone).unwrap_err(), DeformError::Cancelled);
+            let cancelled = || asked.replace(asked.get() + 1) >= looks;
+            assert_eq!(Coincidences::find(&elements, extent, &cancelled).unwrap_err(), DeformError::Cancelled);
             assert_eq!(asked.get(), looks + 1);
         }
     }

@@ -56,7 +56,7 @@ impl Field {
         Self::new_unless(handles, method, falloff, point_mass, &|| false)
     }
 
-    /// The same, given up when `gone` says that nobody waits any more.
+    /// The same, given up when `cancelled` says that nobody waits any more.
     ///
     /// # Errors
     /// Those of [`Field::new`]; given up.
@@ -65,13 +65,13 @@ impl Field {
         method: Method,
         falloff: Falloff,
         point_mass: f64,
-        gone: &dyn Fn() -> bool,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, DeformError> {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
         let (elements, owners) = elements(&handles, point_mass);
-        let coincidences = Coincidences::find(&elements, handles.extent(), gone)?;
+        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {

@@ -37,7 +37,7 @@ pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
-pub use plan::{Gone, Plan, PoseQuality, pose_without_table};
+pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 
 /// The class of maps that is fitted at every place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

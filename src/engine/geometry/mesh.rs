@@ -76,10 +76,10 @@ impl Mesh {
         (0..rows - 1).flat_map(move |j| (0..columns - 1).filter(move |&i| self.is_folded(i, j)).map(move |i| (i, j)))
     }
 
-    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `gone` said that
+    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `cancelled` said that
     /// nobody waits any more; it is asked for each row.
     #[must_use]
-    pub fn folded_cell_count(&self, gone: &dyn Fn() -> bool) -> Option<u64> {
+    pub fn folded_cell_count(&self, cancelled: &dyn Fn() -> bool) -> Option<u64> {
         let columns = self.grid.columns() as usize;
         let rest: Vec<f64> = (0..self.grid.columns()).map(|i| self.grid.x(i)).collect();
         let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {
@@ -93,7 +93,7 @@ impl Mesh {
         line(0, &mut above, &mut top);
         let mut folded = 0;
         for j in 1..self.grid.rows() {
-            if gone() {
+            if cancelled() {
                 return None;
             }
             line(j, &mut below, &mut bottom);
@@ -113,10 +113,10 @@ impl Mesh {
     }
 
     /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the convex
-    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell; `None` when `gone` says, asked
+    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell; `None` when `cancelled` says, asked
     /// once a row, that the answer is no longer wanted.
     #[must_use]
-    pub fn intersects_picture(&self, gone: &dyn Fn() -> bool) -> Option<bool> {
+    pub fn intersects_picture(&self, cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
         let picture = Point::new(self.grid.width(), self.grid.height());
         let middle = self.posed(columns / 2, rows / 2);
@@ -125,7 +125,7 @@ impl Mesh {
         }
         let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
         for j in 0..rows - 1 {
-            if gone() {
+            if cancelled() {
                 return None;
             }
             if (0..columns - 1).any(|i| overlaps(corners(i, j), picture)) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{Digest, WarpError};
-use crate::codec::{self, Limits, Opened, Profile, Work};
+use crate::codec::{self, Limits, Opened, Profile, StepCounter};
 use crate::deform::Warning;
 use crate::pixmap::Extent;
 use crate::render::Source;
@@ -37,7 +37,7 @@ impl Image {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &Work::new(&|| false))?)
+        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &StepCounter::new(&|| false))?)
     }
 
     /// The same of an opened file whose digest is known already.

@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Image, Plan, Setup, WarpError};
-use crate::deform::{Gone, Handle, Handles, Pose, Warning};
+use crate::deform::{Handle, Handles, IsCancelled, Pose, Warning};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
@@ -32,13 +32,13 @@ pub struct Posed {
 
 impl Posed {
     /// Poses the grid. CPU work, microseconds to a millisecond; long only where the grid is large or the plan has no table. Given up when
-    /// `gone` says that nobody waits any more.
+    /// `cancelled` says that nobody waits any more.
     ///
     /// # Errors
     /// `folds: reject` and it folds; given up.
-    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: Gone<'_>) -> Result<Self, WarpError> {
-        let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cell_count(gone).ok_or(WarpError::Cancelled)?;
+    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+        let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
+        let cells = mesh.folded_cell_count(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
@@ -48,7 +48,7 @@ impl Posed {
             warnings.sort_unstable();
         }
         // After all warnings of handles: the list stays sorted.
-        if !mesh.intersects_picture(gone).ok_or(WarpError::Cancelled)? {
+        if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
         let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };
@@ -100,14 +100,14 @@ impl Posed {
         })
     }
 
-    /// The same as little-endian f32, x then y; given up when `gone`.
+    /// The same as little-endian f32, x then y; given up when `cancelled`.
     ///
     /// # Errors
     /// Given up.
-    pub fn numbers(&self, gone: Gone<'_>) -> Result<Vec<u8>, WarpError> {
+    pub fn numbers(&self, cancelled: IsCancelled<'_>) -> Result<Vec<u8>, WarpError> {
         let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
         for row in 0..self.mesh.grid().rows() {
-            if gone() {
+            if cancelled() {
                 return Err(WarpError::Cancelled);
             }
             for vertex in self.row(row) {

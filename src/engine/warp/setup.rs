@@ -9,7 +9,7 @@ use super::digest::Collector;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
 use crate::deform::{
-    self, DeformError, Falloff, Field, Gone, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
+    self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -57,11 +57,11 @@ impl Setup {
         Self::new_unless(rest, extent, limits, &|| false)
     }
 
-    /// The same, given up when `gone`.
+    /// The same, given up when `cancelled`.
     ///
     /// # Errors
     /// Those of [`Setup::new`]; given up.
-    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, gone: Gone<'_>) -> Result<Self, WarpError> {
+    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
@@ -75,7 +75,7 @@ impl Setup {
         let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-        let field = Field::new_unless(handles, rest.method, falloff, given, gone).map_err(|error| match error {
+        let field = Field::new_unless(handles, rest.method, falloff, given, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
@@ -118,12 +118,12 @@ impl Setup {
         self.plan_unless(&|| false).expect("nothing gives it up")
     }
 
-    /// The same, given up when `gone`.
+    /// The same, given up when `cancelled`.
     ///
     /// # Errors
     /// Given up.
-    pub fn plan_unless(&self, gone: Gone<'_>) -> Result<Plan, WarpError> {
-        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, gone).ok_or(WarpError::Cancelled);
+    pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
+        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled);
         self.plan_bytes.map(fill).transpose().map(Plan)
     }
 
@@ -154,11 +154,11 @@ impl Setup {
     }
 
     /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work, in parallel on the current rayon
-    /// pool where there are many; given up when `gone`.
+    /// pool where there are many; given up when `cancelled`.
     ///
     /// # Errors
     /// A place that is not finite or beyond what coordinates may be; given up.
-    pub fn map(&self, pose: &Pose, places: &[Point], gone: Gone<'_>) -> Result<Vec<Point>, WarpError> {
+    pub fn map(&self, pose: &Pose, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Point>, WarpError> {
         let (ux, uy) = self.unit;
         for (index, p) in places.iter().enumerate() {
             if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
@@ -166,7 +166,7 @@ impl Setup {
             }
         }
         let map = |p: &Point| {
-            if gone() {
+            if cancelled() {
                 return Err(WarpError::Cancelled);
             }
             let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
@@ -189,11 +189,11 @@ impl Setup {
         &self.field
     }
 
-    /// The posed mesh; without a table every row is weighed again, which may take long. Given up when `gone`.
-    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, gone: Gone<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
+    /// The posed mesh; without a table every row is weighed again, which may take long. Given up when `cancelled`.
+    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
         let posed = match &plan.0 {
-            Some(table) => table.pose_unless(&self.grid, pose, gone),
-            None => pose_without_table(&self.field, &self.grid, pose, gone),
+            Some(table) => table.pose_unless(&self.grid, pose, cancelled),
+            None => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
     }

@@ -54,7 +54,7 @@ impl WriteObserver for () {
 pub struct StripScheduler<W, S> {
     warp: W,
     next: AtomicUsize,
-    gone: AtomicBool,
+    cancelled: AtomicBool,
     queue: Mutex<Queue<S>>,
 }
 
@@ -71,7 +71,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
     pub fn new(warp: W, sink: S) -> Self {
         let strips = warp.writer.strips();
         let queue = Queue { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink };
-        Self { warp, next: AtomicUsize::new(0), gone: AtomicBool::new(false), queue: Mutex::new(queue) }
+        Self { warp, next: AtomicUsize::new(0), cancelled: AtomicBool::new(false), queue: Mutex::new(queue) }
     }
 
     /// The pieces of work that there are.
@@ -86,7 +86,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
         let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
         let mut samples = SAMPLES.take();
         let mut ended = false;
-        while !self.gone.load(Ordering::Relaxed) && watch.goes_on() {
+        while !self.cancelled.load(Ordering::Relaxed) && watch.goes_on() {
             let index = self.next.fetch_add(1, Ordering::Relaxed);
             if index >= writer.strips() {
                 break;
@@ -101,21 +101,21 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
                 }
             }
             if !watch.is_wanted() {
-                self.gone.store(true, Ordering::Relaxed);
+                self.cancelled.store(true, Ordering::Relaxed);
                 break;
             }
             let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
             let mut checksum = (0, 0);
             watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes, &|| watch.is_wanted()));
             if !watch.is_wanted() {
-                self.gone.store(true, Ordering::Relaxed);
+                self.cancelled.store(true, Ordering::Relaxed);
                 break;
             }
             let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
             queue.waiting[index] = Some((bytes, checksum));
             match queue.flush(writer) {
                 ControlFlow::Continue(last) => ended = last,
-                ControlFlow::Break(()) => self.gone.store(true, Ordering::Relaxed),
+                ControlFlow::Break(()) => self.cancelled.store(true, Ordering::Relaxed),
             }
         }
         if samples.capacity() <= KEPT {

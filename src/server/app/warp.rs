@@ -161,7 +161,7 @@ impl App {
             let theirs = app.clone();
             let decode = move |cancel: &Cancel| {
                 let gone = || cancel.is_cancelled();
-                let work = codec::Work::new(&gone);
+                let work = codec::StepCounter::new(&gone);
                 let opened = codec::open(file.as_ref(), &limits, &work).map_err(WarpError::from)?;
                 let mut held = theirs.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;

@@ -9,7 +9,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
-use crate::codec::work::{Bytes, Work};
+use crate::codec::work::{Bytes, StepCounter};
 use crate::pixmap::{Channels, Extent, Samples};
 
 pub(in crate::codec) const NAME: &str = "JPEG";
@@ -72,7 +72,7 @@ fn cut_off() -> CodecError {
 }
 
 /// The segment whose marker stands at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
-fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Segment<'a>, CodecError> {
+fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &StepCounter<'_>) -> Result<Segment<'a>, CodecError> {
     if *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
         return Err(bad("a segment does not begin with a marker"));
     }
@@ -94,7 +94,7 @@ fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Seg
 }
 
 impl<'a> JpegFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let mut frame = None;
         let mut exif = None;
         let mut profile = Vec::new();
@@ -161,7 +161,7 @@ impl<'a> JpegFile<'a> {
     }
 
     /// Walks all scans.
-    fn find_end(&self, work: &Work<'_>) -> Result<End, CodecError> {
+    fn find_end(&self, work: &StepCounter<'_>) -> Result<End, CodecError> {
         let mut end = End { first_scan: 0, eoi: 0, scans: 1, entropy_bytes: 0 };
         let mut at = self.scan;
         loop {
@@ -198,7 +198,7 @@ impl<'a> JpegFile<'a> {
     }
 
     /// The rows as stored, RGB.
-    pub(in crate::codec) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let end = self.find_end(work)?;
         if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
             return Err(bad(format!("{} bytes of data cannot hold the picture", end.entropy_bytes)));

@@ -8,7 +8,7 @@ use std::io::Read;
 use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
-use crate::codec::work::{Pieces, Work};
+use crate::codec::work::{Pieces, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 pub(in crate::codec) const NAME: &str = "PNG";
@@ -75,7 +75,7 @@ fn bad(detail: impl ToString) -> CodecError {
 }
 
 impl<'a> PngFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
         let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
             return Err(bad("a header chunk of the wrong size or with an unknown method"));
@@ -103,7 +103,7 @@ impl<'a> PngFile<'a> {
         Ok(file)
     }
 
-    fn walk(&mut self, mut at: usize, work: &Work<'_>) -> Result<(), CodecError> {
+    fn walk(&mut self, mut at: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
         let mut before_data = true;
         while let Some(chunk) = chunk_at(self.bytes, at) {
             work.step(1)?;
@@ -193,7 +193,7 @@ impl<'a> PngFile<'a> {
 
     /// The file without the chunks of a one-frame animation: its still picture is what is wanted, and the frame's own size
     /// must not reach the decoder.
-    fn still(&self, end: usize, work: &Work<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
+    fn still(&self, end: usize, work: &StepCounter<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
         let whole = &self.bytes[..end];
         if !self.animation_chunks {
             return Ok(Cow::Borrowed(whole));
@@ -212,7 +212,7 @@ impl<'a> PngFile<'a> {
     }
 
     /// The rows as stored. `budget`: bytes that the decoder itself may allocate.
-    pub(in crate::codec) fn samples(&self, budget: u64, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, budget: u64, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
         self.weigh_data()?;
         let mut options = png::DecodeOptions::default();
@@ -236,7 +236,7 @@ impl<'a> PngFile<'a> {
     fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(
         &self,
         reader: &mut png::Reader<R>,
-        work: &Work<'_>,
+        work: &StepCounter<'_>,
     ) -> Result<Vec<T>, CodecError> {
         let (colour, bits) = reader.output_color_type();
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
@@ -286,7 +286,7 @@ impl<'a> PngFile<'a> {
     }
 
     /// The profile, inflated to at most one byte more than is kept.
-    pub(in crate::codec) fn icc(&self, work: &Work<'_>) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
         if !matches!(self.colour, 2 | 3 | 6) {
             return None;
         }

@@ -9,7 +9,7 @@ use super::vp8l;
 use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
-use crate::codec::work::{Pieces, Work};
+use crate::codec::work::{Pieces, StepCounter};
 use crate::pixmap::{Channels, Extent, Samples};
 
 pub(in crate::codec) use super::vp8l::NAME;
@@ -61,7 +61,7 @@ struct Chunks<'a> {
 }
 
 impl<'a> Chunks<'a> {
-    fn walk(mut rest: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    fn walk(mut rest: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let mut found = Self::default();
         while let Some((head, behind)) = rest.split_first_chunk::<8>() {
             work.step(1)?;
@@ -90,7 +90,7 @@ impl<'a> Chunks<'a> {
 }
 
 impl<'a> WebPFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
         let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
         let body = bytes.get(12..end).ok_or_else(|| bad("it is cut off before its end"))?;
@@ -141,7 +141,7 @@ impl<'a> WebPFile<'a> {
     }
 
     /// Learns how much the tables of the prefix codes take.
-    pub(in crate::codec) fn read_codes(&mut self, work: &Work<'_>) -> Result<(), CodecError> {
+    pub(in crate::codec) fn read_codes(&mut self, work: &StepCounter<'_>) -> Result<(), CodecError> {
         if let Some((stream, size)) = self.lossless_stream() {
             self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
         }
@@ -200,7 +200,7 @@ impl<'a> WebPFile<'a> {
     }
 
     /// The rows as stored.
-    pub(in crate::codec) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
         let len = sample_count(self.extent.pixels(), self.channels());
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {

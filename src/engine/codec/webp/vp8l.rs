@@ -7,7 +7,7 @@
 //! take no bits is skipped in one step.
 
 use crate::codec::CodecError;
-use crate::codec::work::Work;
+use crate::codec::work::StepCounter;
 
 pub(in crate::codec) const NAME: &str = "WebP";
 
@@ -49,7 +49,7 @@ const BLOCKS: u64 = 32;
 
 /// Bytes of the tables that a decoder builds for a stream: the whole of a `VP8L` chunk (`size: None`), or what follows the first byte of an
 /// `ALPH` chunk. At most `most`.
-pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &Work<'_>) -> Result<u64, CodecError> {
+pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &StepCounter<'_>) -> Result<u64, CodecError> {
     let mut walk = Walk { bits: Bits { rest: stream, buffer: 0, count: 0, work }, bytes: 0, most };
     walk.stream(size)?;
     Ok(walk.bytes)
@@ -297,7 +297,7 @@ struct Bits<'a> {
     rest: &'a [u8],
     buffer: u64,
     count: u32,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl Bits<'_> {
@@ -328,7 +328,7 @@ mod tests {
     use crate::codec::tests::bombs::{Pen, vp8l_head, webp_alpha_transforms, webp_transforms};
 
     fn weight(stream: &[u8], most: u64) -> Result<u64, CodecError> {
-        code_bytes(stream, None, most, &Work::new(&|| false))
+        code_bytes(stream, None, most, &StepCounter::new(&|| false))
     }
 
     /// A code of `count` symbols, all of one length, in as few bits as there are: only that length is a symbol of the code for lengths.
@@ -379,7 +379,7 @@ mod tests {
     #[test]
     fn streams_of_real_files_are_walked_to_their_picture() {
         let mut weights = Vec::new();
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for name in ["lossless", "lossless-alpha", "lossless-palette", "lossless-regions"] {
             let file = std::fs::read(format!("{}/../../tests/fuzz/seeds/image/webp-{name}", env!("CARGO_MANIFEST_DIR"))).unwrap();
             assert_eq!(&file[12..16], b"VP8L");
@@ -437,7 +437,7 @@ mod tests {
     #[test]
     fn images_whose_symbols_take_no_bits_are_skipped_in_one_step() {
         let steps = |file: &[u8], at: usize, size: Option<(u32, u32)>| {
-            let work = Work::new(&|| false);
+            let work = StepCounter::new(&|| false);
             let _ = code_bytes(&file[at..], size, MAX_CODE_BYTES, &work);
             work.steps()
         };
@@ -463,7 +463,7 @@ mod tests {
         pen.put(1, 8);
         (0..4).for_each(|_| pen.put(0b0001, 4));
         pen.bytes.extend(vec![0; 3 << 20]);
-        let told = |gone: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &Work::new(gone)).unwrap_err();
+        let told = |cancelled: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &StepCounter::new(cancelled)).unwrap_err();
         assert_eq!(told(&|| true), CodecError::Cancelled);
         assert_eq!(told(&|| false), damaged(), "behind it there is no picture");
     }
