@@ -1,6 +1,7 @@
-//! Where rows are divided between column crossings and cells. Cells that are not upright, and those at the ends of columns that a row does not cross, may
-//! hide others; they and so many columns on either side are loose that all of them lies between two columns that the row crosses once.
-//! Beyond these, upright cells are in order, so that neither part hides the other. O(cells touched + rows * loose columns).
+//! Splits rows between column crossings and cells. Cells that are not upright, and cells at the ends of columns that a row does not cross,
+//! may hide others. These cells and enough neighbouring columns are drawn cell by cell, so that all of them lie between two columns that
+//! the row crosses once. Upright cells outside are ordered, so neither part hides the other. Cost: O(cells touched + rows * columns drawn
+//! by cells).
 
 use std::ops::Range;
 
@@ -8,40 +9,40 @@ use super::lattice::STEP;
 use super::lattice::{BLOCK, Lattice, YRange};
 use super::row_strategy::RowStrategies;
 
-/// Crossings in f32 are nearer than this to the exact ones, px.
+/// The largest error of crossings in f32, px.
 pub(super) const DOUBT: f32 = 1.0 / 32.0;
 
-/// What is joined with a range is that range.
+/// The identity of a union of ranges.
 const NOWHERE: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
 
-/// The divided rows of a strip.
+/// The split rows of a strip.
 #[derive(Debug, Default)]
 pub(super) struct RowSplit {
-    /// Of each column of cells the rows in which it is drawn cell by cell, a bit each.
+    /// For each column of cells, the rows in which it is drawn cell by cell, one bit each.
     pub(super) loose: Vec<u32>,
-    /// The columns of which some row is, a bit each.
+    /// The columns that are drawn cell by cell in some row, one bit each.
     pub(super) blocks: Vec<u8>,
-    /// The loose columns of the last row that was divided.
+    /// The parts of the last row that was split.
     pub(super) parts: Vec<Part>,
-    /// Of each column of cells the rows in which it is not in order.
+    /// For each column of cells, the rows in which a cell is folded, one bit each.
     tangled: Vec<u32>,
-    /// The rows that are not divided: drawn wholly cell by cell.
+    /// Rows that are not split: drawn entirely cell by cell.
     whole: u32,
-    /// The columns with such rows, and from where to where they reach in each, lattice x.
+    /// The columns with folded cells, and their extent in each row, lattice x.
     columns: Vec<usize>,
     across: Vec<[Range<i32>; 32]>,
 }
 
-/// Columns of cells that are loose in a row.
+/// Neighbouring columns of cells that a row draws cell by cell.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
     pub(super) cells: Range<usize>,
-    /// From where to where those reach that are not in order, lattice x.
+    /// Extent of the folded cells, lattice x.
     across: Range<i32>,
 }
 
 impl RowSplit {
-    /// Looks at the divided rows of a strip.
+    /// Prepares the split rows of a strip.
     pub(super) fn look(&mut self, lattice: &Lattice, ways: &RowStrategies, strip: &Range<u32>, divided: u32) {
         let (cells, pitch) = (lattice.columns - 1, lattice.pitch);
         self.blocks.clear();
@@ -55,7 +56,7 @@ impl RowSplit {
         if divided == 0 {
             return;
         }
-        // Rows that do not cross every column are not divided.
+        // Rows that do not cross every column are not split.
         let whole = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!ways.is_divisible(row))) & divided;
         self.whole = whole;
         if whole != 0 {
@@ -110,7 +111,7 @@ impl RowSplit {
         }
     }
 
-    /// Divides a row; `x` are its crossings of the columns, px.
+    /// Splits a row; `x` holds its crossings of the columns, px.
     pub(super) fn divide(&mut self, index: usize, x: &[f32]) {
         let (bit, cells) = (1_u32 << index, self.tangled.len());
         self.parts.clear();
@@ -126,7 +127,7 @@ impl RowSplit {
             let i = self.columns[n];
             let mut part = Part { cells: i..i + 1, across: self.across[n][index].clone() };
             loop {
-                // The column at the left end lies left of all that is not in order, and the cell left of it is in order.
+                // The column at the left end lies left of all folded cells, and the cell left of it is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
                 let end = (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start));
                 match (end, self.parts.pop()) {

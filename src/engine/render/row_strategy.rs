@@ -1,7 +1,7 @@
-//! How each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings draw what lies
-//! between two columns at once and in order; cells take any shape and hide one another in painter's order. A row may be divided
-//! between both at columns that it crosses once, if all that is drawn by cells lies between two such columns: then neither hides the other. What
-//! is decided depends on the mesh and the row alone. O(cells + rows).
+//! Chooses how each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings
+//! draw everything between two columns at once; drawing by cells handles any shape, and later cells hide earlier ones. A row may be split
+//! between both at columns that it crosses exactly once, if everything drawn by cells lies between two such columns: then neither part
+//! hides the other. The choice depends on the mesh and the row alone. Cost: O(cells + rows).
 
 use std::ops::Range;
 
@@ -9,38 +9,39 @@ use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
 use super::lattice::{BLOCK, Lattice, ONE, YRange};
 use crate::pixmap::Extent;
 
-/// Rows are divided if one of so many cells is folded at most: looking for where to divide them costs more than it saves otherwise.
+/// Rows are split only if at most one in this number of cells is folded; with more, finding the splits costs more than it saves.
 const FOLDED: usize = 24;
-/// Rows are divided if a block of cells meets so many times its share of rows at most, on average.
+/// Rows are split only if, on average, a block of cells meets at most this multiple of its share of rows.
 const SHARES: u64 = 16;
-/// Rows of cells that are lower at rest, px of the sampled picture, and those beside them are not judged: their columns have no direction.
+/// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not classified: their columns have no
+/// direction.
 const LEAST_HEIGHT: f32 = 1.0 / 64.0;
-/// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
+/// The farthest pixel at which single precision still resolves 1/256 px.
 const FARTHEST: u32 = 1 << 15;
 
 /// How a row is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RowStrategy {
-    /// It crosses every column and meets sound cells only: by column crossings.
+    /// Crosses every column and meets only sound cells: drawn by column crossings.
     Plain,
-    /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
-    /// so that none of them hides another.
+    /// Crosses every column and meets only upright cells: drawn by column crossings, then the inaccurate cells over them. Upright cells
+    /// are ordered, so none hides another.
     Mended,
-    /// Some columns cell by cell, the others as `Mended` (`division`).
+    /// Some columns cell by cell, the others as `ScanlineWithFixups` (`row_split`).
     Divided,
 }
 
-/// The ways of all rows.
+/// The strategies of all rows.
 #[derive(Debug)]
 pub(super) struct RowStrategies {
     rows: Vec<RowStrategy>,
-    /// Blocks of cells in a row of them.
+    /// Blocks of cells per row of cells.
     blocks: usize,
-    /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
+    /// Cells that crossings draw inaccurately, one bit each, `[rows - 1][blocks]`.
     bent: Vec<u8>,
-    /// Those that are not upright.
+    /// Cells that are not upright, in the same layout.
     folded: Vec<u8>,
-    /// The rows that may be divided.
+    /// The rows that may be split.
     divisible: Range<u32>,
 }
 
@@ -65,31 +66,31 @@ impl RowStrategies {
         ways
     }
 
-    /// How a row is drawn.
+    /// The strategy of a row.
     pub(super) fn of(&self, row: u32) -> RowStrategy {
         self.rows[row as usize]
     }
 
-    /// Those of a row of cells that crossings do not show well.
+    /// The cells of a row of cells that crossings draw inaccurately.
     pub(super) fn bent(&self, j: usize) -> &[u8] {
         &self.bent[j * self.blocks..][..self.blocks]
     }
 
-    /// Those that are not upright.
+    /// The cells of a row of cells that are not upright.
     pub(super) fn folded(&self, j: usize) -> &[u8] {
         &self.folded[j * self.blocks..][..self.blocks]
     }
 
-    /// Whether a row may be divided: it crosses every column, and neither are many cells folded nor do very many meet each row.
+    /// Whether a row may be split: it crosses every column, few cells are folded, and few of them meet each row.
     pub(super) fn is_divisible(&self, row: u32) -> bool {
         self.divisible.contains(&row)
     }
 
-    /// Looks at all cells.
+    /// Classifies all cells.
     fn judge(&mut self, lattice: &Lattice, kernel: Kernel) {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
         let mut look = CellClassifier::new(lattice, kernel);
-        // How many cells of a kind begin at a row, less those that end there.
+        // The number of cells of a kind that begin at a row, minus those that end there.
         let (mut mended, mut divided) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
         for j in 0..lattice.rows - 1 {
             for (b, soundness) in look.at(j).chunks(BLOCK).enumerate() {
@@ -127,7 +128,7 @@ impl RowStrategies {
         }
     }
 
-    /// The chord of a row from column to column belongs to all cells that the row meets between them.
+    /// The chord of a row between two columns affects all cells that the row meets between them.
     fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: YRange) {
         let shares = |k: &usize| {
             let other = lattice.cell_reach(i, *k);
@@ -139,13 +140,13 @@ impl RowStrategies {
     }
 }
 
-/// The soundness of one row of cells after the other.
+/// Classifies the cells, one row of cells after the other.
 struct CellClassifier<'a> {
     lattice: &'a Lattice,
     kernel: Kernel,
-    /// Above and below the row before, this row, and the row behind.
+    /// Lines above and below the previous row, this row, and the next row.
     lines: [Edges; 4],
-    /// In these rows.
+    /// Columns of the same rows.
     columns: [Edges; 3],
     soundness: Vec<u8>,
 }
@@ -161,14 +162,14 @@ impl<'a> CellClassifier<'a> {
         look
     }
 
-    /// Takes a line of the grid in as the last one.
+    /// Appends a grid line.
     fn line(&mut self, j: usize) {
         let (x, y) = self.vertices(j);
         self.lines.rotate_left(1);
         self.kernel.edges((x, y), (&x[1..], &y[1..]), 1.0, &mut self.lines[3]);
     }
 
-    /// Takes the columns of a row of cells in as the last ones.
+    /// Appends the columns of a row of cells.
     fn column(&mut self, j: usize) {
         let (above, below, per_px) = (self.vertices(j), self.vertices(j + 1), 1.0 / self.height(j));
         self.columns.rotate_left(1);
@@ -180,13 +181,13 @@ impl<'a> CellClassifier<'a> {
         (&self.lattice.x[line.clone()], &self.lattice.y[line])
     }
 
-    /// Of a row of cells at rest, px of the sampled picture.
+    /// Height of a row of cells at rest, px of the sampled picture.
     fn height(&self, j: usize) -> f32 {
         (self.lattice.v[j + 1] - self.lattice.v[j]) / self.lattice.unit
     }
 
-    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; those of the latter two that are steep are [`STEEP`] besides. Rows are asked
-    /// for in order.
+    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; steep cells also have the bit [`STEEP`]. Rows must be requested
+    /// in order.
     fn at(&mut self, j: usize) -> &[u8] {
         let (lattice, last) = (self.lattice, self.lattice.rows - 2);
         if j < last {
@@ -215,7 +216,7 @@ impl<'a> CellClassifier<'a> {
         &self.soundness
     }
 
-    /// Looks at the steep cells of a row.
+    /// Classifies the steep cells of a row.
     fn climb(&mut self, j: usize) {
         let (lattice, unit) = (self.lattice, self.lattice.unit.recip());
         let row = |j: usize| CellRow { top: self.vertices(j), bottom: self.vertices(j + 1), u: &lattice.u, height: self.height(j), unit };
@@ -234,7 +235,7 @@ impl<'a> CellClassifier<'a> {
     }
 }
 
-/// The target rows that begin or end beyond every column.
+/// The target rows that cross every column.
 fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));
