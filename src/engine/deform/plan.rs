@@ -1,8 +1,8 @@
-//! The plan: the coefficients A_j of every vertex of a grid, built once in f64 and kept as f32, so that each later q costs two to six
+//! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as f32, so that each later q costs two to six
 //! multiplications per vertex and handle.
 //!
-//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re, im of H,
-//! wn), then for rigid two more (e). A block streams from front to back.
+//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re,
+//! im of H, wn), and two more per block for rigid (e). A block is read from front to back.
 
 use rayon::prelude::*;
 
@@ -13,14 +13,14 @@ use super::{Method, Pose};
 use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
-/// Blocks that one task builds: a hundred rows or so, enough to forget the hand-over.
+/// Blocks that one task computes: about a hundred rows, which makes the cost of a task negligible.
 const BLOCKS_PER_TASK: usize = 8;
-/// Tables up to this are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
+/// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
-/// Tables are filled and posed in pieces of this size, bytes, with a look between them at whether someone still waits: a few milliseconds.
+/// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds; cancellation is checked between them.
 const PIECE_BYTES: usize = 16 << 20;
 
-/// Says that nobody waits for the result any more; asked by any thread.
+/// Returns true when the result is no longer needed; called by any thread.
 pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The A_j table of a set of vertices.
@@ -32,7 +32,7 @@ pub struct Plan {
     table: Vec<Lanes>,
 }
 
-/// What posing a plan saw on the way.
+/// Quality of a pose, measured while it is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseQuality {
     /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
@@ -47,7 +47,7 @@ impl Plan {
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
     }
 
-    /// Whether a table of so many bytes is posed on one thread, whatever the current rayon pool has.
+    /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
     #[must_use]
     pub const fn is_posed_on_one_thread(bytes: u64) -> bool {
         bytes <= SERIAL_BYTES
@@ -65,7 +65,7 @@ impl Plan {
         Self::of_grid_unless(field, grid, &|| false).expect("nothing gives it up")
     }
 
-    /// The same; `None` when `cancelled` said that nobody waits any more. It is asked for each block of vertices.
+    /// Like [`Plan::of_grid`]; `None` when cancelled, which is checked for each block of vertices.
     #[must_use]
     pub fn of_grid_unless(field: &Field, grid: &Grid, cancelled: IsCancelled<'_>) -> Option<Self> {
         let columns = grid.columns() as usize;
@@ -85,7 +85,7 @@ impl Plan {
         let mut table = Vec::with_capacity(blocks * per_block);
         let per_piece = blocks_per_piece(per_block);
         for piece in (0..if per_block > 0 { blocks } else { 0 }).step_by(per_piece) {
-            // The memory of a large table is not touched all at once either, which takes tenths of a second.
+            // Reserves a piece at a time, because touching the memory of a large table takes tenths of a second.
             let start = table.len();
             table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
             table[start..].par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().try_for_each_init(
@@ -158,7 +158,7 @@ impl Plan {
         self.pose_unless(grid, pose, &|| false).expect("nothing gives it up")
     }
 
-    /// The same; `None` when `cancelled` said that nobody waits any more.
+    /// Like [`Plan::pose`]; `None` when cancelled.
     #[must_use]
     pub fn pose_unless(&self, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
         let (displacement, quality) = self.displace_unless(pose, cancelled)?;
@@ -166,13 +166,13 @@ impl Plan {
     }
 }
 
-/// Blocks of a table in a piece of it.
+/// Blocks per piece of a table.
 fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: every row is weighed anew, for grids whose table would not fit. O(vertices x elements) with weights.
-/// `cancelled` is asked for each block of vertices; `None` when it said that nobody waits any more.
+/// The posed mesh without a table: computes every row for each pose, for grids whose table would not fit. O(vertices x elements) with
+/// weights. `None` when cancelled, which is checked for each block of vertices.
 #[must_use]
 pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
