@@ -34,7 +34,7 @@ pub(super) fn draw_row(
         if cells == 0 || !lattice.block_touches(j, b, rows) {
             continue;
         }
-        kernel.glance(lattice, j, b, canvas, &mut seen);
+        kernel.classify(lattice, j, b, canvas, &mut seen);
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
@@ -154,7 +154,8 @@ impl Along {
 fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
     let index = (row - canvas.first) as usize;
     let start = index * canvas.pitch;
-    let pixels = if canvas.over { pixels } else { pixels.start.max(canvas.bare[index].start)..pixels.end.min(canvas.bare[index].end) };
+    let pixels =
+        if canvas.over { pixels } else { pixels.start.max(canvas.uncovered[index].start)..pixels.end.min(canvas.uncovered[index].end) };
     if pixels.is_empty() {
         return;
     }

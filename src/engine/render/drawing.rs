@@ -29,7 +29,7 @@ pub(super) struct Drawing {
     kernel: Kernel,
     /// The source is sampled at a reduction by 2^level.
     level: u32,
-    ways: RowStrategies,
+    strategies: RowStrategies,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
 }
@@ -49,8 +49,8 @@ struct Scratch {
     /// The pixels that each row drawn by crossings covers.
     covered: Vec<Range<usize>>,
     /// The range of each row that has uncovered pixels.
-    bare: Vec<Range<usize>>,
-    division: RowSplit,
+    uncovered: Vec<Range<usize>>,
+    split: RowSplit,
 }
 
 impl Drawing {
@@ -60,8 +60,8 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let ways = RowStrategies::new(&lattice, options.target, kernel);
-        Self { lattice, border, options, kernel, level, ways, covered }
+        let strategies = RowStrategies::new(&lattice, options.target, kernel);
+        Self { lattice, border, options, kernel, level, strategies, covered }
     }
 
     /// Draws target rows.
@@ -130,7 +130,7 @@ impl Drawing {
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let all_plain = strip.clone().all(|row| self.ways.of(row) == RowStrategy::Plain);
+        let all_plain = strip.clone().all(|row| self.strategies.of(row) == RowStrategy::Scanline);
         let pitch = width as usize + SLACK;
         // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless they are extended; the others follow
         // it.
@@ -139,9 +139,10 @@ impl Drawing {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        let rows_of = |way: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.ways.of(row) == way));
-        let (mended, divided) = (rows_of(RowStrategy::Mended), rows_of(RowStrategy::Divided));
-        if strip.clone().any(|row| self.ways.of(row) != RowStrategy::Divided || self.ways.is_divisible(row)) {
+        let rows_of =
+            |strategy: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.strategies.of(row) == strategy));
+        let (mended, divided) = (rows_of(RowStrategy::ScanlineWithFixups), rows_of(RowStrategy::Mixed));
+        if strip.clone().any(|row| self.strategies.of(row) != RowStrategy::Mixed || self.strategies.is_splittable(row)) {
             scratch.x_crossings.fill(0.0);
             scratch.v_crossings.fill(0.0);
             self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
@@ -149,29 +150,29 @@ impl Drawing {
         if all_plain {
             return;
         }
-        scratch.division.look(&self.lattice, &self.ways, strip, divided);
+        scratch.split.prepare(&self.lattice, &self.strategies, strip, divided);
         scratch.covered.clear();
-        scratch.bare.clear();
+        scratch.uncovered.clear();
         for (index, row) in strip.clone().enumerate() {
             scratch.runs.clear();
-            let mut bare = 0..0;
-            match self.ways.of(row) {
-                RowStrategy::Plain => {}
-                RowStrategy::Mended => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
-                RowStrategy::Divided => bare = self.divided(row, index, (index + 1) * pitch, scratch),
+            let mut uncovered = 0..0;
+            match self.strategies.of(row) {
+                RowStrategy::Scanline => {}
+                RowStrategy::ScanlineWithFixups => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
+                RowStrategy::Mixed => uncovered = self.divided(row, index, (index + 1) * pitch, scratch),
             }
-            scratch.bare.push(bare);
+            scratch.uncovered.push(uncovered);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
         }
         let drawn = mended | divided;
-        let (u, v, bare) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.bare);
-        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: drawn };
-        let RowSplit { loose, blocks, .. } = &scratch.division;
-        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !loose[b * BLOCK + k] != 0) << k);
+        let (u, v, uncovered) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.uncovered);
+        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, uncovered, open: drawn };
+        let RowSplit { per_cell, blocks, .. } = &scratch.split;
+        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k);
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
-            let bent = self.ways.bent(j);
-            cell::draw_row(self.kernel, &self.lattice, j, |b| bent[b] & ordered[b], |i| drawn & !loose[i], strip, &mut canvas);
+            let inaccurate = self.strategies.inaccurate(j);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| inaccurate[b] & ordered[b], |i| drawn & !per_cell[i], strip, &mut canvas);
         }
         // From the last cell back and into uncovered pixels only: the same picture, without repeated work where cells overlap.
         (canvas.over, canvas.open) = (false, divided);
@@ -179,7 +180,7 @@ impl Drawing {
             if canvas.open == 0 {
                 break;
             }
-            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| loose[i], strip, &mut canvas);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| per_cell[i], strip, &mut canvas);
         }
         canvas.shrink();
     }
@@ -188,14 +189,14 @@ impl Drawing {
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.options.target.width() as usize;
-        let way = self.ways.of(row);
-        let start = if way == RowStrategy::Plain && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
+        let strategy = self.strategies.of(row);
+        let start = if strategy == RowStrategy::Scanline && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
-        match way {
-            RowStrategy::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
-            RowStrategy::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            RowStrategy::Divided if scratch.bare[index].is_empty() => scratch.runs.push(0..width),
-            RowStrategy::Divided => runs(&scratch.u[start..start + width], &mut scratch.runs),
+        match strategy {
+            RowStrategy::Scanline => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
+            RowStrategy::ScanlineWithFixups => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            RowStrategy::Mixed if scratch.uncovered[index].is_empty() => scratch.runs.push(0..width),
+            RowStrategy::Mixed => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
     }
@@ -205,31 +206,31 @@ impl Drawing {
     fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
         let width = self.options.target.width() as usize;
         let stride = self.lattice.pitch + BLOCK;
-        scratch.division.divide(index, &scratch.x_crossings[index * stride..]);
-        let parts = std::mem::take(&mut scratch.division.parts);
-        let (mut column, mut end, mut bare) = (0, 0, width..0);
+        scratch.split.split(index, &scratch.x_crossings[index * stride..]);
+        let parts = std::mem::take(&mut scratch.split.parts);
+        let (mut column, mut end, mut uncovered) = (0, 0, width..0);
         let mut clear = |pixels: Range<usize>, u: &mut [f32]| {
             if !pixels.is_empty() {
-                bare = bare.start.min(pixels.start)..pixels.end;
+                uncovered = uncovered.start.min(pixels.start)..pixels.end;
                 u[start..][pixels].fill(UNCOVERED);
             }
         };
         let cells = self.lattice.columns - 1;
-        for loose in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
-            if column < loose.start {
+        for per_cell in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
+            if column < per_cell.start {
                 scratch.runs.clear();
-                self.spans(row, index, column..loose.start, start, scratch);
+                self.spans(row, index, column..per_cell.start, start, scratch);
                 if let Some(run) = scratch.runs.pop() {
                     clear(end..run.start, &mut scratch.u);
                     end = run.end;
                 }
             }
-            column = loose.end;
+            column = per_cell.end;
         }
         clear(end..width, &mut scratch.u);
         scratch.u[start + width..][..SLACK].fill(0.0);
-        scratch.division.parts = parts;
-        bare
+        scratch.split.parts = parts;
+        uncovered
     }
 
     /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first
@@ -310,19 +311,19 @@ impl Drawing {
     /// Whether a row is drawn by column crossings, with or without fixups.
     #[cfg(test)]
     pub(super) fn crosses(&self, row: u32) -> bool {
-        self.ways.of(row) != RowStrategy::Divided
+        self.strategies.of(row) != RowStrategy::Mixed
     }
 
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.ways.of(row) == RowStrategy::Plain
+        self.strategies.of(row) == RowStrategy::Scanline
     }
 
     /// Whether a row is drawn by crossings on some columns and by cells on others.
     #[cfg(test)]
-    pub(super) fn is_divided(&self, row: u32) -> bool {
-        self.ways.of(row) == RowStrategy::Divided && self.ways.is_divisible(row)
+    pub(super) fn is_mixed(&self, row: u32) -> bool {
+        self.strategies.of(row) == RowStrategy::Mixed && self.strategies.is_splittable(row)
     }
 
     /// A row's coordinates and its covered runs.

@@ -90,9 +90,9 @@ pub(super) struct Lattice {
     /// Cells with longer sides are drawn in double precision, lattice steps.
     pub(super) longest_side: i32,
     /// Range of y of each row of cells.
-    pub(super) row_reach: Vec<YRange>,
+    pub(super) row_ranges: Vec<YRange>,
     /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK]`.
-    pub(super) block_reach: Vec<YRange>,
+    pub(super) block_ranges: Vec<YRange>,
 }
 
 impl Lattice {
@@ -103,7 +103,7 @@ impl Lattice {
     }
 
     /// Range of y of a cell.
-    pub(super) fn cell_reach(&self, i: usize, j: usize) -> YRange {
+    pub(super) fn cell_range(&self, i: usize, j: usize) -> YRange {
         let above = j * self.pitch + i;
         let below = above + self.pitch;
         let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
@@ -113,7 +113,7 @@ impl Lattice {
     /// The rows of cells that may touch target rows.
     pub(super) fn rows_touching(&self, rows: &std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = usize> + '_ {
         let rows = rows.clone();
-        (0..self.rows - 1).filter(move |&j| self.row_reach[j].meets(&rows))
+        (0..self.rows - 1).filter(move |&j| self.row_ranges[j].meets(&rows))
     }
 
     /// Blocks of cells per row of cells.
@@ -123,20 +123,20 @@ impl Lattice {
 
     /// Whether some cell of a block may touch target rows.
     pub(super) fn block_touches(&self, j: usize, block: usize, rows: &std::ops::Range<u32>) -> bool {
-        self.block_reach[j * (self.pitch / BLOCK) + block].meets(rows)
+        self.block_ranges[j * (self.pitch / BLOCK) + block].meets(rows)
     }
 
     #[cfg(test)]
     /// The cells that may touch target rows, in drawing order: row by row, `(column, row)`.
     pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
-        let meets = move |reach: &YRange| reach.meets(&rows);
+        let meets = move |range: &YRange| range.meets(&rows);
         let rows = meets.clone();
-        (0..self.rows - 1).filter(move |&j| rows(&self.row_reach[j])).flat_map(move |j| {
+        (0..self.rows - 1).filter(move |&j| rows(&self.row_ranges[j])).flat_map(move |j| {
             let meets = meets.clone();
             let cells = self.columns - 1;
             (0..blocks)
-                .filter(move |&b| meets(&self.block_reach[j * blocks + b]))
+                .filter(move |&b| meets(&self.block_ranges[j * blocks + b]))
                 .flat_map(move |b| (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j)))
         })
     }

@@ -108,10 +108,10 @@ impl Renderer {
             }
             Box::new(Drawing::new(lattice, options, k, kernel))
         });
-        let bare = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
+        let uncovered = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
         let clear = match options.outside {
-            Outside::Transparent => bare,
-            Outside::Colour(colour) => bare && colour[3] < u8::MAX,
+            Outside::Transparent => uncovered,
+            Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge => false,
         };
         let channels = if clear { Channels::Rgba } else { pixmap.channels() };

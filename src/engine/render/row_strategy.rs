@@ -23,12 +23,12 @@ const FARTHEST: u32 = 1 << 15;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RowStrategy {
     /// Crosses every column and meets only sound cells: drawn by column crossings.
-    Plain,
+    Scanline,
     /// Crosses every column and meets only upright cells: drawn by column crossings, then the inaccurate cells over them. Upright cells
     /// are ordered, so none hides another.
-    Mended,
+    ScanlineWithFixups,
     /// Some columns cell by cell, the others as `ScanlineWithFixups` (`row_split`).
-    Divided,
+    Mixed,
 }
 
 /// The strategies of all rows.
@@ -38,32 +38,32 @@ pub(super) struct RowStrategies {
     /// Blocks of cells per row of cells.
     blocks: usize,
     /// Cells that crossings draw inaccurately, one bit each, `[rows - 1][blocks]`.
-    bent: Vec<u8>,
+    inaccurate: Vec<u8>,
     /// Cells that are not upright, in the same layout.
     folded: Vec<u8>,
     /// The rows that may be split.
-    divisible: Range<u32>,
+    splittable: Range<u32>,
 }
 
 impl RowStrategies {
     pub(super) fn new(lattice: &Lattice, target: Extent, kernel: Kernel) -> Self {
         let (height, blocks) = (target.height(), lattice.blocks());
         let none = vec![0; (lattice.rows - 1) * blocks];
-        let mut ways =
-            Self { rows: vec![RowStrategy::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
+        let mut strategies =
+            Self { rows: vec![RowStrategy::Mixed; height as usize], blocks, inaccurate: none.clone(), folded: none, splittable: 0..0 };
         if height.max(target.width()) > FARTHEST {
-            return ways;
+            return strategies;
         }
         let crossing = rows_that_cross(lattice, height);
-        ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Plain);
-        ways.judge(lattice, kernel);
-        let folded: u32 = ways.folded.iter().map(|cells| cells.count_ones()).sum();
-        let met: u64 = lattice.block_reach.iter().map(|reach| u64::from(reach.bottom.abs_diff(reach.top) / ONE.unsigned_abs())).sum();
-        let are_few = folded as usize * FOLDED <= ways.folded.len() * BLOCK;
+        strategies.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Scanline);
+        strategies.classify(lattice, kernel);
+        let folded: u32 = strategies.folded.iter().map(|cells| cells.count_ones()).sum();
+        let met: u64 = lattice.block_ranges.iter().map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs())).sum();
+        let are_few = folded as usize * FOLDED <= strategies.folded.len() * BLOCK;
         if are_few && met <= SHARES * u64::from(height) * blocks as u64 {
-            ways.divisible = crossing;
+            strategies.splittable = crossing;
         }
-        ways
+        strategies
     }
 
     /// The strategy of a row.
@@ -72,8 +72,8 @@ impl RowStrategies {
     }
 
     /// The cells of a row of cells that crossings draw inaccurately.
-    pub(super) fn bent(&self, j: usize) -> &[u8] {
-        &self.bent[j * self.blocks..][..self.blocks]
+    pub(super) fn inaccurate(&self, j: usize) -> &[u8] {
+        &self.inaccurate[j * self.blocks..][..self.blocks]
     }
 
     /// The cells of a row of cells that are not upright.
@@ -82,60 +82,60 @@ impl RowStrategies {
     }
 
     /// Whether a row may be split: it crosses every column, few cells are folded, and few of them meet each row.
-    pub(super) fn is_divisible(&self, row: u32) -> bool {
-        self.divisible.contains(&row)
+    pub(super) fn is_splittable(&self, row: u32) -> bool {
+        self.splittable.contains(&row)
     }
 
     /// Classifies all cells.
-    fn judge(&mut self, lattice: &Lattice, kernel: Kernel) {
+    fn classify(&mut self, lattice: &Lattice, kernel: Kernel) {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
-        let mut look = CellClassifier::new(lattice, kernel);
+        let mut classifier = CellClassifier::new(lattice, kernel);
         // The number of cells of a kind that begin at a row, minus those that end there.
-        let (mut mended, mut divided) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
+        let (mut fixups, mut mixed) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
         for j in 0..lattice.rows - 1 {
-            for (b, soundness) in look.at(j).chunks(BLOCK).enumerate() {
+            for (b, soundness) in classifier.at(j).chunks(BLOCK).enumerate() {
                 let not = |kind: u8| soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| cells | u8::from(seen & kind == 0) << k);
                 let mut left = not(SOUND);
                 if left == 0 {
                     continue;
                 }
                 let (at, folded) = (j * self.blocks + b, not(SOUND | UPRIGHT));
-                self.bent[at] |= left;
+                self.inaccurate[at] |= left;
                 self.folded[at] = folded;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize;
                     left &= left - 1;
-                    let (i, reach) = (b * BLOCK + k, lattice.cell_reach(b * BLOCK + k, j));
-                    let (rows, known) = (reach.rows(&target), if folded >> k & 1 == 1 { &mut divided } else { &mut mended });
+                    let (i, range) = (b * BLOCK + k, lattice.cell_range(b * BLOCK + k, j));
+                    let (rows, known) = (range.rows(&target), if folded >> k & 1 == 1 { &mut mixed } else { &mut fixups });
                     known[rows.start as usize] += 1;
                     known[rows.end.max(rows.start) as usize] -= 1;
                     if soundness[k] & STEEP != 0 {
-                        self.bend_beside(lattice, i, j, reach);
+                        self.mark_inaccurate(lattice, i, j, range);
                     }
                 }
             }
         }
-        let (mut mending, mut dividing) = (0, 0);
-        for (row, (mended, divided)) in self.rows.iter_mut().zip(mended.iter().zip(&divided)) {
-            (mending, dividing) = (mending + mended, dividing + divided);
-            *row = (*row).max(if dividing > 0 {
-                RowStrategy::Divided
-            } else if mending > 0 {
-                RowStrategy::Mended
+        let (mut open_fixups, mut open_mixed) = (0, 0);
+        for (row, (fixups, mixed)) in self.rows.iter_mut().zip(fixups.iter().zip(&mixed)) {
+            (open_fixups, open_mixed) = (open_fixups + fixups, open_mixed + mixed);
+            *row = (*row).max(if open_mixed > 0 {
+                RowStrategy::Mixed
+            } else if open_fixups > 0 {
+                RowStrategy::ScanlineWithFixups
             } else {
-                RowStrategy::Plain
+                RowStrategy::Scanline
             });
         }
     }
 
     /// The chord of a row between two columns affects all cells that the row meets between them.
-    fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: YRange) {
+    fn mark_inaccurate(&mut self, lattice: &Lattice, i: usize, j: usize, range: YRange) {
         let shares = |k: &usize| {
-            let other = lattice.cell_reach(i, *k);
-            other.top < reach.bottom && reach.top < other.bottom
+            let other = lattice.cell_range(i, *k);
+            other.top < range.bottom && range.top < other.bottom
         };
         for k in (0..j).rev().take_while(shares).chain((j + 1..lattice.rows - 1).take_while(shares)) {
-            self.bent[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
+            self.inaccurate[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
         }
     }
 }
@@ -155,11 +155,11 @@ impl<'a> CellClassifier<'a> {
     fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
         let edges = || Edges { x: vec![0.0; lattice.columns], y: vec![0.0; lattice.columns] };
         let (lines, columns) = (std::array::from_fn(|_| edges()), std::array::from_fn(|_| edges()));
-        let mut look = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
-        look.line(0);
-        look.column(0);
-        look.line(1);
-        look
+        let mut classifier = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
+        classifier.line(0);
+        classifier.column(0);
+        classifier.line(1);
+        classifier
     }
 
     /// Appends a grid line.
@@ -211,13 +211,13 @@ impl<'a> CellClassifier<'a> {
             self.soundness.fill(0);
         }
         if self.soundness.iter().fold(0, |any, &s| any | s) & STEEP != 0 {
-            self.climb(j);
+            self.classify_steep(j);
         }
         &self.soundness
     }
 
     /// Classifies the steep cells of a row.
-    fn climb(&mut self, j: usize) {
+    fn classify_steep(&mut self, j: usize) {
         let (lattice, unit) = (self.lattice, self.lattice.unit.recip());
         let row = |j: usize| CellRow { top: self.vertices(j), bottom: self.vertices(j + 1), u: &lattice.u, height: self.height(j), unit };
         let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);

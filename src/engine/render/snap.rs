@@ -55,7 +55,7 @@ impl Lattice {
             x[columns..].fill(last.0);
             y[columns..].fill(last.1);
         }
-        let (row_reach, block_reach) = reaches(&y, pitch, kernel);
+        let (row_ranges, block_ranges) = y_ranges(&y, pitch, kernel);
         let unit = match options.filter {
             Filter::Nearest => 1.0,
             Filter::Bilinear => 128.0,
@@ -63,18 +63,18 @@ impl Lattice {
         // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
         let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
-        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_reach, block_reach }
+        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_ranges, block_ranges }
     }
 }
 
 /// Ranges of y of the rows of cells and of their blocks.
-fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
+fn y_ranges(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
     let blocks = pitch / BLOCK;
     let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];
-    for (y, reaches) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
-        kernel.reaches(y, reaches);
+    for (y, y_ranges) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
+        kernel.y_ranges(y, y_ranges);
     }
-    let block_reach: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
-    let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
-    (row_reach, block_reach)
+    let block_ranges: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
+    let row_ranges = block_ranges.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
+    (row_ranges, block_ranges)
 }

@@ -29,12 +29,12 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
-    reaches(y: &[i32], reaches: &mut [YRange]);
+    y_ranges(y: &[i32], y_ranges: &mut [YRange]);
     edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges);
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
+    classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.
@@ -52,14 +52,14 @@ pub(super) fn crossings(kernel: Kernel, lattice: &Lattice, rows: Range<u32>, x: 
 fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [f32]) {
     let blocks = lattice.pitch / BLOCK;
     let stride = lattice.pitch + BLOCK;
-    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(rows)) {
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(rows)) {
         let (top, fall) = (_mm256_set1_ps(lattice.v[j]), _mm256_set1_ps(lattice.v[j + 1] - lattice.v[j]));
         let above = j * lattice.pitch..(j + 1) * lattice.pitch;
         let below = above.end..above.end + lattice.pitch;
         let lines = lattice.x[above.clone()].as_chunks().0.iter().zip(lattice.y[above].as_chunks().0);
         let lines = lines.zip(lattice.x[below.clone()].as_chunks().0.iter().zip(lattice.y[below].as_chunks().0));
-        for ((b, reach), ((xa, ya), (xb, yb))) in lattice.block_reach[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
-            let touched = reach.rows(rows);
+        for ((b, range), ((xa, ya), (xb, yb))) in lattice.block_ranges[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
+            let touched = range.rows(rows);
             if touched.is_empty() {
                 continue;
             }

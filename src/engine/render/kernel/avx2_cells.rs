@@ -87,7 +87,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
+            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
             let outside = _mm256_or_si256(_mm256_or_si256(inside[0], inside[1]), _mm256_or_si256(inside[2], inside[3]));
             let start = row * canvas.pitch + at;
             // SAFETY: `at < width`, and there is room for a block behind the width.

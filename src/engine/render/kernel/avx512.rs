@@ -10,7 +10,7 @@ use crate::level::Level;
 use crate::render::lattice::ONE;
 use crate::render::lattice::STEP;
 
-pub(super) use super::avx2::{bends, crossings, edges, glance, reaches, sample, snap, soundness, spans, steepness};
+pub(super) use super::avx2::{bends, classify, crossings, edges, sample, snap, soundness, spans, steepness, y_ranges};
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
@@ -56,7 +56,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
+            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
             if wanted {
                 let outside = _mm256_or_si256(_mm256_ternarylogic_epi32::<0xfe>(inside[0], inside[1], inside[2]), inside[3]);
                 let start = row * canvas.pitch + at;

@@ -31,7 +31,7 @@ pub(in crate::render) struct Canvas<'a> {
     /// only.
     pub(in crate::render) over: bool,
     /// In each row, the range from the first to the last uncovered pixel.
-    pub(in crate::render) bare: &'a mut [Range<usize>],
+    pub(in crate::render) uncovered: &'a mut [Range<usize>],
     /// Rows that may still be painted, one bit each: those with uncovered pixels.
     pub(in crate::render) open: u32,
 }
@@ -47,14 +47,14 @@ impl Canvas<'_> {
         while left != 0 {
             let row = left.trailing_zeros() as usize;
             left &= left - 1;
-            let (bare, u) = (&mut self.bare[row], &self.u[row * self.pitch..]);
-            while bare.start < bare.end && u[bare.start] != UNCOVERED {
-                bare.start += 1;
+            let (uncovered, u) = (&mut self.uncovered[row], &self.u[row * self.pitch..]);
+            while uncovered.start < uncovered.end && u[uncovered.start] != UNCOVERED {
+                uncovered.start += 1;
             }
-            while bare.start < bare.end && u[bare.end - 1] != UNCOVERED {
-                bare.end -= 1;
+            while uncovered.start < uncovered.end && u[uncovered.end - 1] != UNCOVERED {
+                uncovered.end -= 1;
             }
-            self.open &= !(u32::from(bare.start >= bare.end) << row);
+            self.open &= !(u32::from(uncovered.start >= uncovered.end) << row);
         }
     }
 }
@@ -232,7 +232,7 @@ pub(in crate::render) struct CellBlock {
 
 /// Classifies the cells of block `b` of row `j`.
 #[inline(always)]
-pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
+pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
     let at = j * lattice.pitch + b * BLOCK;
     let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
         let places = &places[at..=at + BLOCK];

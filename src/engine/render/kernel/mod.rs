@@ -63,8 +63,8 @@ impl Kernel {
     }
 
     /// Range of y of each block of cells along a line: the block's vertices and the next one.
-    pub(super) fn reaches(self, y: &[i32], reaches: &mut [YRange]) {
-        dispatch!(self, reaches(y, reaches));
+    pub(super) fn y_ranges(self, y: &[i32], y_ranges: &mut [YRange]) {
+        dispatch!(self, y_ranges(y, y_ranges));
     }
 
     /// The vectors from some vertices to others, times `scale`.
@@ -99,8 +99,8 @@ impl Kernel {
     }
 
     /// Classifies a block of cells: the rows of the canvas that they meet, and whether they are convex.
-    pub(super) fn glance(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
-        dispatch!(self, glance(lattice, j, block, canvas, seen));
+    pub(super) fn classify(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
+        dispatch!(self, classify(lattice, j, block, canvas, seen));
     }
 
     /// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest and its lowest corner.

@@ -9,7 +9,7 @@
 
 use std::ops::Range;
 
-pub(super) use super::cells::{fill, glance};
+pub(super) use super::cells::{classify, fill};
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
 use crate::render::source::{FLIP, Packed};
@@ -38,12 +38,12 @@ pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale
 
 /// Range of y of the vertices of each block of a line and the next vertex.
 #[inline(always)]
-pub(super) fn reaches(y: &[i32], reaches: &mut [YRange]) {
-    for (b, reach) in reaches.iter_mut().enumerate() {
+pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
+    for (b, range) in y_ranges.iter_mut().enumerate() {
         let block = block(&y[b * BLOCK..]);
         let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
         let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| (top.min(y), bottom.max(y)));
-        *reach = YRange { top, bottom };
+        *range = YRange { top, bottom };
     }
 }
 
@@ -236,10 +236,10 @@ fn block<T>(values: &[T]) -> &[T; BLOCK] {
 pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
     let blocks = lattice.pitch / BLOCK;
     let stride = lattice.pitch + BLOCK;
-    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(&rows)) {
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(&rows)) {
         let (top, fall) = (lattice.v[j], lattice.v[j + 1] - lattice.v[j]);
         for b in 0..blocks {
-            let touched = lattice.block_reach[j * blocks + b].rows(&rows);
+            let touched = lattice.block_ranges[j * blocks + b].rows(&rows);
             if touched.is_empty() {
                 continue;
             }
