@@ -9,6 +9,8 @@ mod decode;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
+mod format;
+#[forbid(unsafe_code)]
 mod jpeg;
 #[forbid(unsafe_code)]
 mod limits;
@@ -30,9 +32,10 @@ mod write;
 
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
+pub use format::Format;
 pub use limits::Limits;
 pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
-pub use probe::{Format, Header, probe};
+pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
 pub use work::StepCounter;
 pub use write::{Encoding, Writer};

@@ -3,45 +3,8 @@
 //! every size is computed in u64. `Header::decode_bytes` is what a caller reserves before it lets `decode` run.
 
 use super::orientation::Orientation;
-use super::{CodecError, StepCounter, jpeg, png, webp};
+use super::{CodecError, Format, StepCounter, jpeg, png, webp};
 use crate::pixmap::{Channels, Depth, Extent};
-
-/// A file format that is read and written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Format {
-    /// PNG.
-    #[default]
-    Png,
-    /// JPEG.
-    Jpeg,
-    /// WebP.
-    WebP,
-}
-
-impl Format {
-    /// By the first bytes.
-    ///
-    /// # Errors
-    /// [`CodecError::Unsupported`], saying what the bytes look like.
-    pub fn of(bytes: &[u8]) -> Result<Self, CodecError> {
-        match bytes {
-            [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Ok(Self::Png),
-            [0xFF, 0xD8, 0xFF, ..] => Ok(Self::Jpeg),
-            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Ok(Self::WebP),
-            _ => Err(CodecError::unsupported(looks_like(bytes))),
-        }
-    }
-
-    /// As it appears in messages.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Png => png::read::NAME,
-            Self::Jpeg => jpeg::read::NAME,
-            Self::WebP => webp::read::NAME,
-        }
-    }
-}
 
 /// What a file's header says; nothing was allocated to learn it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,30 +89,4 @@ pub(super) fn picture_bytes(extent: Extent, channels: Channels, depth: Depth) ->
 /// [`CodecError::Bad`] when the header itself is damaged. Limits on size are the caller's: see [`super::Limits::check`].
 pub fn probe(bytes: &[u8], work: &StepCounter<'_>) -> Result<Header, CodecError> {
     Parsed::new(bytes, work).map(|parsed| parsed.header())
-}
-
-fn looks_like(bytes: &[u8]) -> String {
-    let known = match bytes {
-        [] => "nothing (0 bytes)",
-        [b'G', b'I', b'F', b'8', ..] => "GIF",
-        [b'B', b'M', ..] => "BMP",
-        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => "TIFF",
-        [0xFF, 0x0A, ..] | [0, 0, 0, 12, b'J', b'X', b'L', b' ', ..] => "JPEG XL",
-        [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] => "JPEG 2000",
-        [_, _, _, _, b'f', b't', b'y', b'p', b'a', b'v', b'i', ..] => "AVIF",
-        [_, _, _, _, b'f', b't', b'y', b'p', b'h' | b'm', ..] => "HEIF",
-        [b'%', b'P', b'D', b'F', ..] => "PDF",
-        [b'8', b'B', b'P', b'S', ..] => "Photoshop",
-        [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => {
-            let head = &bytes[..bytes.len().min(1024)];
-            if head.windows(4).any(|tag| tag == b"<svg") { "SVG" } else { "XML or HTML" }
-        }
-        [_] => "1 byte, too few for a picture",
-        _ if bytes.len() < 12 => return format!("{} bytes, too few for a picture", bytes.len()),
-        _ => {
-            let [a, b, c, d] = [bytes[0], bytes[1], bytes[2], bytes[3]];
-            return format!("an unknown format that begins with {a:02x} {b:02x} {c:02x} {d:02x}");
-        }
-    };
-    known.to_owned()
 }

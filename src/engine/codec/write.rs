@@ -174,31 +174,6 @@ fn to_eight(samples: &[u8]) -> Vec<u8> {
     samples.chunks_exact(2).map(nearest).collect()
 }
 
-impl Format {
-    /// What is written, the default first.
-    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
-
-    /// The longest side that a file of the format can have, px.
-    #[must_use]
-    pub const fn max_side(self) -> u32 {
-        match self {
-            Self::Png => u32::MAX >> 1,
-            Self::Jpeg => u16::MAX as u32,
-            Self::WebP => 1 << 14,
-        }
-    }
-
-    /// The media type.
-    #[must_use]
-    pub const fn media_type(self) -> &'static str {
-        match self {
-            Self::Png => "image/png",
-            Self::Jpeg => "image/jpeg",
-            Self::WebP => "image/webp",
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

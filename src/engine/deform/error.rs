@@ -1,4 +1,4 @@
-//! What can be wrong with handles, and what is unusual about them. Every variant names the handle by its index.
+//! Errors and warnings about handles and poses. Variants name a handle by its index.
 
 use std::fmt;
 
@@ -149,7 +149,7 @@ fn counted(n: usize, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{n} {thing}s") }
 }
 
-/// Something a client should know though a result exists.
+/// An unusual property of handles or a pose that does not prevent a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Warning {
     /// Affine with all handles on one line: the similarity rows are used.
@@ -162,14 +162,10 @@ pub enum Warning {
     NearDuplicateHandles,
     /// Lines with alpha below 1: infinite slope across the line.
     LineAlphaBelowOne,
-    /// No posed cell intersects the canvas.
-    NothingVisible,
-    /// The picture's file has a colour profile that is not carried over: it is damaged, too large, or not for RGB.
-    ProfileDropped,
 }
 
 impl Warning {
-    /// The stable code of the `Warp-Warning` header.
+    /// The stable code in responses.
     #[must_use]
     pub const fn code(self) -> &'static str {
         match self {
@@ -178,8 +174,6 @@ impl Warning {
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
-            Self::NothingVisible => "nothing_visible",
-            Self::ProfileDropped => "profile_dropped",
         }
     }
 }

@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use crate::codec::CodecError;
-use crate::deform::DeformError;
+use crate::deform::{self, DeformError};
 
 /// Why a picture was not warped.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -49,6 +49,29 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+}
+
+/// An unusual property of a warp that does not prevent a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Warning {
+    /// A property of the handles or the pose.
+    Deform(deform::Warning),
+    /// No posed cell intersects the picture.
+    NothingVisible,
+    /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
+    ProfileDropped,
+}
+
+impl Warning {
+    /// The stable code in responses.
+    #[must_use]
+    pub const fn code(self) -> &'static str {
+        match self {
+            Self::Deform(warning) => warning.code(),
+            Self::NothingVisible => "nothing_visible",
+            Self::ProfileDropped => "profile_dropped",
+        }
+    }
 }
 
 impl From<CodecError> for WarpError {

@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Digest, WarpError};
+use super::{Digest, Warning, WarpError};
 use crate::codec::{self, Limits, Opened, Profile, StepCounter};
-use crate::deform::Warning;
 use crate::pixmap::Extent;
 use crate::render::Source;
 

@@ -16,7 +16,7 @@ mod strip_scheduler;
 
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
-pub use self::error::WarpError;
+pub use self::error::{Warning, WarpError};
 pub use self::image::Image;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};

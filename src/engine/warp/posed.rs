@@ -1,8 +1,8 @@
 //! A posed grid and what is told about it: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
-use super::{Digest, Folds, Image, Plan, Setup, WarpError};
-use crate::deform::{Handle, Handles, IsCancelled, Pose, Warning};
+use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
+use crate::deform::{self, Handle, Handles, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
@@ -42,12 +42,11 @@ impl Posed {
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
-        let mut warnings = setup.field().warnings(pose);
+        let mut warnings: Vec<_> = setup.field().warnings(pose).into_iter().map(Warning::Deform).collect();
         if quality.least_rotation < LEAST_ROTATION {
-            warnings.push(Warning::RotationUndefined);
+            warnings.push(Warning::Deform(deform::Warning::RotationUndefined));
             warnings.sort_unstable();
         }
-        // After all warnings of handles: the list stays sorted.
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }

@@ -6,13 +6,11 @@
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
 use crate::codec::work::{Bytes, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
-
-pub(in crate::codec) const NAME: &str = "JPEG";
 
 /// Ones before EOI: enough to use up the magnitude bits that a cut code still asks for, and then a whole code of 16 bits.
 const ONES: usize = 8;
@@ -64,7 +62,7 @@ struct End {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::Jpeg.name(), detail)
 }
 
 fn cut_off() -> CodecError {

@@ -5,13 +5,12 @@
 use std::borrow::Cow;
 use std::io::Read;
 
-use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
 use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
-pub(in crate::codec) const NAME: &str = "PNG";
 const SIGNATURE: usize = 8;
 
 /// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
@@ -71,7 +70,7 @@ fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::Png.name(), detail)
 }
 
 impl<'a> PngFile<'a> {

@@ -6,13 +6,12 @@ use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
 use super::vp8l;
-use crate::codec::CodecError;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
 use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(in crate::codec) use super::vp8l::NAME;
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
 /// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.
@@ -44,7 +43,7 @@ pub(in crate::codec) struct WebPFile<'a> {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::WebP.name(), detail)
 }
 
 /// What the chunks of a container hold, the first of each kind.

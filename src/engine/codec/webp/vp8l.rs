@@ -6,10 +6,8 @@
 //! bit that is read and each byte of the tables, whatever size the header claims: a transform may occur once, and an image whose symbols
 //! take no bits is skipped in one step.
 
-use crate::codec::CodecError;
 use crate::codec::work::StepCounter;
-
-pub(in crate::codec) const NAME: &str = "WebP";
+use crate::codec::{CodecError, Format};
 
 /// Tables of more bytes than this are refused. Encoders stay far below it: libwebp makes at most 2,600 groups, of some 20 KiB each.
 const MAX_CODE_BYTES: u64 = 128 << 20;
@@ -25,7 +23,7 @@ pub(super) fn most_code_bytes(pixels: u64) -> u64 {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::WebP.name(), detail)
 }
 
 fn damaged() -> CodecError {
