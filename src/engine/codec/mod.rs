@@ -1,6 +1,6 @@
-//! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `open` checks every limit on that header before
-//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`StepCounter`); `Writer` turns
-//! strips of rows into the bytes of a file, PNG strip by strip in any order.
+//! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks the limits on that header before memory
+//! is allocated for the picture, and [`Opened::decode`] decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a
+//! file, PNG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod alloc;

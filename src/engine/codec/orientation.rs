@@ -1,6 +1,6 @@
-//! EXIF orientation: which of the eight symmetries of a rectangle makes the stored picture upright, read from tag 0x0112 of
-//! IFD 0 (EXIF 2.32, 4.6.5) and applied once. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity, never an
-//! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
+//! EXIF orientation: reads tag 0x0112 of IFD 0 (EXIF 2.32, 4.6.5), one of the eight symmetries of a rectangle, and applies it. Shapes:
+//! samples `[height][width][N]`. Malformed EXIF is the identity, never an error. Cost: 1 to 4 work in place; 5 to 8 need a second picture
+//! and are copied in tiles that fit the first-level cache.
 
 use super::alloc::zeros;
 use super::{CodecError, StepCounter};
@@ -13,7 +13,7 @@ const TILE: usize = 64;
 /// Pixels that are mirrored at once.
 const RUN: usize = 1 << 10;
 
-/// How the stored rows must be turned to stand upright. The number is the one EXIF uses.
+/// The transformation that makes the stored rows upright, numbered as in EXIF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Orientation {
     #[default]
@@ -28,7 +28,7 @@ pub(super) enum Orientation {
 }
 
 impl Orientation {
-    /// Reads an EXIF block: a TIFF header, with or without the `Exif\0\0` that JPEG puts before it.
+    /// Reads an EXIF block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG.
     pub(super) fn from_exif(exif: &[u8]) -> Self {
         Self::parse(exif.strip_prefix(b"Exif\0\0").unwrap_or(exif)).unwrap_or_default()
     }
@@ -73,12 +73,12 @@ impl Orientation {
         })
     }
 
-    /// Width and height change places.
+    /// Whether width and height are swapped.
     pub(super) const fn swaps_sides(self) -> bool {
         matches!(self, Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270)
     }
 
-    /// Turns `stored: [rows][width][N]` upright, until that is no longer wanted.
+    /// Transforms `stored: [rows][width][N]` to the upright picture unless cancelled.
     pub(super) fn apply<T: Copy + Default, const N: usize>(
         self,
         mut stored: Vec<T>,

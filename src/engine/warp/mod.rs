@@ -1,9 +1,8 @@
-//! An image is warped: the only room that sees all four layers (codec, pixmap, deform, render). It knows no time, no sockets, no users.
+//! Warps an image: the only module that uses all of `codec`, `pixmap`, `deform` and `render`.
 //!
-//! The walk: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
-//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (its existence proves that nothing of the
-//! client's can fail any more) -> [`Warp::write`] or [`StripScheduler`] (strips of PNG, rendered and
-//! encoded in parallel, handed over in order).
+//! The steps: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
+//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in
+//! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 
 mod digest;
 mod drawing;

@@ -1,7 +1,7 @@
-//! JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): segments are walked for the header, `zune-jpeg` decodes baseline and
-//! progressive Huffman pictures of 8 bit to RGB. Decoders fill what is missing with grey, so completeness is proved here: the
-//! marker EOI must stand outside every segment, and it is handed on behind a run of one-bits. No Huffman code consists of ones
-//! alone (T.81, annex C), so a scan that ends early meets an invalid code instead of silent zeros. Cost: one copy of the file.
+//! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header; `zune-jpeg` decodes baseline and progressive
+//! Huffman pictures of 8 bit to RGB. Decoders fill missing data with grey, so completeness is checked here: the marker EOI must be present
+//! outside every segment, and is passed on behind a run of one-bits. No Huffman code consists of ones alone (T.81, annex C), so a
+//! truncated scan meets an invalid code instead of zeros. Cost: one copy of the file.
 
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -12,7 +12,7 @@ use crate::codec::work::{Bytes, StepCounter};
 use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
 
-/// Ones before EOI: enough to use up the magnitude bits that a cut code still asks for, and then a whole code of 16 bits.
+/// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still requests, and a whole code of 16 bits.
 const ONES: usize = 8;
 
 const SOF0: u8 = 0xC0;
@@ -36,12 +36,12 @@ pub(in crate::codec) struct JpegFile<'a> {
     bytes: &'a [u8],
     pub(in crate::codec) extent: Extent,
     progressive: bool,
-    /// Sampling factors, horizontal and vertical, of each component.
+    /// Horizontal and vertical sampling factor of each component.
     factors: Vec<(u64, u64)>,
     pub(in crate::codec) exif: Option<&'a [u8]>,
-    /// Sequence number, count of parts, part.
+    /// Sequence number, number of parts, part.
     profile: Vec<(u8, u8, &'a [u8])>,
-    /// Where the first scan's entropy-coded data begins.
+    /// Start of the first scan's entropy-coded data.
     scan: usize,
 }
 
@@ -51,9 +51,9 @@ struct Segment<'a> {
     end: usize,
 }
 
-/// Where the scans end.
+/// The end of the scans.
 struct End {
-    /// Behind the first scan's entropy-coded data.
+    /// End of the first scan's entropy-coded data.
     first_scan: usize,
     /// Position of EOI.
     eoi: usize,
@@ -69,7 +69,7 @@ fn cut_off() -> CodecError {
     bad("it is cut off before its end")
 }
 
-/// The segment whose marker stands at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
+/// The segment whose marker is at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
 fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &StepCounter<'_>) -> Result<Segment<'a>, CodecError> {
     if *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
         return Err(bad("a segment does not begin with a marker"));
@@ -119,7 +119,7 @@ impl<'a> JpegFile<'a> {
                 SOI | EOI => return Err(bad("it ends before its first scan")),
                 SOS => {
                     let Frame { extent, progressive, factors } = frame.ok_or_else(|| bad("a scan before the frame"))?;
-                    // The decoder drops the last rows of such a scan when they are short, without a word.
+                    // The decoder silently drops the last rows of such a scan if they are truncated.
                     if !progressive && segment.data.first().is_none_or(|&count| usize::from(count) != factors.len()) {
                         return Err(CodecError::unsupported("a baseline JPEG whose components come in separate scans"));
                     }
@@ -130,7 +130,7 @@ impl<'a> JpegFile<'a> {
         }
     }
 
-    /// Blocks of 8 x 8 in each component, rounded up to whole MCUs.
+    /// Number of 8 x 8 blocks of all components, rounded up to whole MCUs.
     fn padded_blocks(&self) -> u64 {
         let (h_max, v_max) = self.largest_factors();
         let columns = u64::from(self.extent.width()).div_ceil(8 * h_max);
@@ -138,7 +138,7 @@ impl<'a> JpegFile<'a> {
         self.factors.iter().map(|(h, v)| columns * rows * h * v).sum()
     }
 
-    /// Blocks that a file must code, each with at least one bit.
+    /// Number of blocks that a file must code, each with at least one bit.
     fn coded_blocks(&self) -> u64 {
         let (h_max, v_max) = self.largest_factors();
         let blocks = |side: u32, factor: u64, max: u64| (u64::from(side) * factor).div_ceil(8 * max);
@@ -149,8 +149,8 @@ impl<'a> JpegFile<'a> {
         self.factors.iter().fold((1, 1), |(h, v), factors| (h.max(factors.0), v.max(factors.1)))
     }
 
-    /// Beside the picture: the copy of the file, the coefficients of all blocks where scans build them up, and some
-    /// rows of MCUs before and after upsampling.
+    /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a progressive picture, and some rows of MCUs
+    /// before and after upsampling.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let coefficients = if self.progressive { 2 * 64 * self.padded_blocks() } else { 0 };
         let (h_max, v_max) = self.largest_factors();
@@ -195,7 +195,7 @@ impl<'a> JpegFile<'a> {
         }
     }
 
-    /// The rows as stored, RGB.
+    /// The stored rows, RGB.
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let end = self.find_end(work)?;
         if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
@@ -204,11 +204,11 @@ impl<'a> JpegFile<'a> {
         if !self.progressive && end.scans > 1 {
             return Err(bad("a second scan of components that are complete"));
         }
-        // A marker that the decoder sees ahead of the last rows makes it leave them out, so nothing may follow a lone scan.
+        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
         let data_end = if self.progressive { end.eoi } else { end.first_scan };
         let mut whole = room::<u8>((data_end + 2 * ONES + 2) as u64)?;
         whole.extend_from_slice(&self.bytes[..data_end]);
-        // The decoder looks for the marker right behind the first scan of a progressive picture, where ones would hide it.
+        // The decoder looks for the marker directly behind the first scan of a progressive picture, where ones would hide it.
         if !(self.progressive && end.scans == 1) {
             whole.extend_from_slice(&[0xFF, 0].repeat(ONES));
         }
@@ -239,7 +239,7 @@ impl<'a> JpegFile<'a> {
         !self.profile.is_empty()
     }
 
-    /// The profile, its parts put in order.
+    /// The profile, with its parts in order.
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         if self.factors.len() != 3 || self.profile.is_empty() {
             return None;

@@ -1,13 +1,13 @@
-//! JPEG: whole pictures through `jpeg-encoder`. Colour is kept at full resolution from quality 90 on, halved both ways below.
+//! Writes JPEG: whole pictures through `jpeg-encoder`. Colour has full resolution from quality 90 on, half below.
 
 use jpeg_encoder::{ColorType, Encoder, EncodingError, JfifWrite};
 
 use crate::pixmap::{Channels, Extent};
 
-/// Bytes of the file between two looks at whether someone still waits for it.
+/// Bytes of output between two calls of `wanted`.
 const LOOK: usize = 64 << 10;
 
-/// Takes the file as long as someone waits for it.
+/// Collects the file and stops when it is no longer wanted.
 pub(in crate::codec) struct Attended<'a> {
     out: &'a mut Vec<u8>,
     wanted: &'a dyn Fn() -> bool,
@@ -15,7 +15,7 @@ pub(in crate::codec) struct Attended<'a> {
 }
 
 impl<'a> Attended<'a> {
-    /// Appends to `out` until `wanted` says no.
+    /// Appends to `out` until `wanted` returns false.
     pub(in crate::codec) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
         let look = out.len() + LOOK;
         Self { out, wanted, look }
@@ -35,7 +35,8 @@ impl JfifWrite for Attended<'_> {
     }
 }
 
-/// Appends the file, or as much of it as someone waits for. What is transparent stands on `ground`: `(c a + g (255 - a)) / 255`, rounded. The sides are those of a JPEG.
+/// Appends the file, or its beginning if it is no longer wanted. Transparent pixels are blended with `ground`: `(c a + g (255 - a)) /
+/// 255`, rounded. The sides must be valid for JPEG.
 pub(in crate::codec) fn write(
     extent: Extent,
     channels: Channels,

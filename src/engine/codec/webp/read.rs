@@ -1,6 +1,6 @@
-//! WebP (RFC 9649): chunks are walked for the header, `image` decodes the bitstream. The decoder is given a container made
-//! here, which holds nothing but the frame: its size, its alpha and its length have been checked, so flags that promise absent
-//! chunks do no harm, and a frame larger than its canvas is refused before it takes memory. Cost: one copy of the file.
+//! Reads WebP (RFC 9649): walks the chunks for the header; `image` decodes the bitstream. The decoder gets a container made here that
+//! holds only the frame with validated size, alpha and length, so flags that promise absent chunks do no harm, and a frame larger than its
+//! canvas is refused before memory is allocated. Cost: one copy of the file.
 
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
@@ -14,21 +14,21 @@ use crate::pixmap::{Channels, Extent, Samples};
 
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
-/// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.
+/// The bits of an ALPH chunk's first byte that give its coding, and their value for a lossless stream.
 const ALPHA_CODING: u8 = 0b11;
 const ALPHA_LOSSLESS: u8 = 1;
-/// Position, size, duration and flags of an animation's frame, before its own chunks.
+/// Position, size, duration and flags of an animation's frame, before its chunks.
 const ANMF_HEAD: usize = 16;
 
 #[derive(Clone, Copy, Debug)]
 enum Coding<'a> {
-    /// VP8, and the ALPH chunk beside it.
+    /// VP8, and its ALPH chunk.
     Lossy(&'a [u8], Option<&'a [u8]>),
     /// VP8L.
     Lossless(&'a [u8], bool),
 }
 
-/// What is coded as VP8L, and its width and height where the stream does not say them.
+/// A VP8L stream, and its width and height if the stream does not contain them.
 type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 
 /// A WebP whose chunks have been walked.
@@ -38,7 +38,7 @@ pub(in crate::codec) struct WebPFile<'a> {
     coding: Coding<'a>,
     pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
-    /// The most that the tables of a lossless stream's prefix codes may take; what they do take once the codes have been read.
+    /// Memory for the tables of a lossless stream's prefix codes: an upper bound, and exact once the codes have been read.
     code_bytes: u64,
 }
 
@@ -46,7 +46,7 @@ fn bad(detail: impl ToString) -> CodecError {
     CodecError::bad(Format::WebP.name(), detail)
 }
 
-/// What the chunks of a container hold, the first of each kind.
+/// The chunks of a container, the first of each kind.
 #[derive(Default)]
 struct Chunks<'a> {
     canvas: Option<&'a [u8]>,
@@ -81,7 +81,7 @@ impl<'a> Chunks<'a> {
                 _ => &mut None,
             };
             place.get_or_insert(data);
-            // A last chunk of odd length may lack its padding: the container's own length has been checked.
+            // A last chunk of odd length may lack its padding, because the container's length has been checked.
             rest = behind.get(size + size % 2..).unwrap_or_default();
         }
         Ok(found)
@@ -139,7 +139,7 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Learns how much the tables of the prefix codes take.
+    /// Computes the memory for the tables of the prefix codes.
     pub(in crate::codec) fn read_codes(&mut self, work: &StepCounter<'_>) -> Result<(), CodecError> {
         if let Some((stream, size)) = self.lossless_stream() {
             self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
@@ -154,9 +154,9 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
-    /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
-    /// wanted, up to three quarter-size images of transforms and code groups, and the tables of its codes.
+    /// Memory beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes per pixel of
+    /// whole macroblocks, and a record of each); for ALPH its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up
+    /// to three quarter-size images of transforms and code groups, and the tables of its codes.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
@@ -172,7 +172,7 @@ impl<'a> WebPFile<'a> {
         (1 << 20) + data as u64 + planes + self.code_bytes
     }
 
-    /// A container of a canvas and the frame.
+    /// A container with a canvas and the frame.
     fn remade(&self) -> Result<Vec<u8>, CodecError> {
         let chunks: [(&[u8; 4], &[u8]); 2] = match self.coding {
             Coding::Lossy(vp8, alpha) => [(b"ALPH", alpha.unwrap_or_default()), (b"VP8 ", vp8)],
@@ -198,7 +198,7 @@ impl<'a> WebPFile<'a> {
         Ok(out)
     }
 
-    /// The rows as stored.
+    /// The stored rows.
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
         let len = sample_count(self.extent.pixels(), self.channels());

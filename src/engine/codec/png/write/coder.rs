@@ -1,20 +1,21 @@
-//! From filtered bytes to the bits of a deflate block. Bytes are taken apart into eights that are not all zero, runs of at least eight zeros
-//! (a literal and matches of distance 1), and an end of less than eight; the same walk counts symbols and writes codes. Bytes are looked up two at a
-//! time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
-//! store. A level may take many eights at once (`Lookup::many`). Cost: about 0.4 ns a byte with pairs, 0.6 without.
+//! Codes filtered bytes as a deflate block. Bytes are split into groups of eight that are not all zero, runs of at least eight zeros (a
+//! literal and matches of distance 1), and fewer than eight at the end; `walk` does this both to count symbols and to write codes. Codes
+//! are looked up for two bytes at a time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short
+//! for such a table, for one; four go to a store. A level may code many groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with
+//! pairs, 0.6 without.
 
 use super::bits::BitWriter;
 use super::huffman::{Codes, END, LITERALS};
 
-/// Longest code. Two fit 26 bits with room for their length in a `u32`; four fit a 64-bit store beside 7 waiting bits.
+/// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store together with 7 waiting bits.
 pub(super) const LIMIT: usize = 12;
 
 /// Filtered bytes that are coded at once; a multiple of 8.
 pub(super) const PIECE: usize = 4096;
 
-/// Most bytes a piece is coded to (12 bits a byte; a run is never longer than its bytes).
+/// Upper bound of a coded piece (12 bits per byte; a coded run is never longer than its bytes).
 const STAGE: usize = 8192;
-/// Where a piece is coded to; a store may reach 8 bytes beyond.
+/// Output of a coded piece; stores may reach 24 bytes beyond.
 pub(super) type Stage = [u8; STAGE + 24];
 
 /// An empty stage.
@@ -22,7 +23,7 @@ pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 24];
 
 const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
 
-/// What a strip is coded with.
+/// The tables of a strip's code.
 #[derive(Debug)]
 pub(super) struct Tables<'a, L> {
     pub(super) pairs: &'a L,
@@ -39,9 +40,9 @@ pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: 
     out.extend_from_slice(&stage[..at]);
 }
 
-/// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
+/// Receives the parts of filtered bytes: groups of eight that are not all zero, runs of zeros, and single bytes at the end.
 pub(super) trait Sink {
-    /// Takes as many whole eights from the front as it likes, up to the first that is all zero; returns how many bytes these are.
+    /// Takes any number of whole groups from the front, up to the first that is all zero; returns their number of bytes.
     #[inline(always)]
     fn many(&mut self, _bytes: &[u8]) -> usize {
         0
@@ -81,7 +82,7 @@ pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     }
 }
 
-/// Takes a run of zeros apart: a literal (length 1), matches of the longest length, and the rest as a match or, when too short, as literals.
+/// Splits a run of zeros into a literal (length 1), matches of the greatest length, and the rest as a match or, if too short, as literals.
 #[inline(always)]
 fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
     let mut length = 1;
@@ -180,10 +181,10 @@ impl Sink for Counts {
     }
 }
 
-/// Bits of an entry below its code. Six, although a length needs five: two entries may be added and their lengths with them.
+/// Bits of an entry below its code. Six, although a length needs five, because two entries may be added including their lengths.
 const LENGTH_BITS: u32 = 6;
 
-/// `code << 6 | length`: a shift by an entry is a shift by its length, because shifts of 64-bit words look at six bits.
+/// `code << 6 | length`: shifts of 64-bit words use six bits of their count, so shifting by an entry shifts by its length.
 const fn entry(code: u32, length: u32) -> u32 {
     code << LENGTH_BITS | length
 }
@@ -203,14 +204,15 @@ pub(super) const fn length(entry: u32) -> u32 {
 pub(super) trait Lookup {
     fn two(&self, bytes: u16) -> u32;
 
-    /// [`Sink::many`], coded.
+    /// Codes groups for [`Sink::many`].
     #[inline(always)]
     fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> usize {
         0
     }
 }
 
-/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a match with its extra bits and the distance's one bit.
+/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a match with its extra bits and the
+/// distance's one bit.
 #[derive(Debug)]
 pub(super) struct Single {
     bytes: [u32; 256],
@@ -281,16 +283,16 @@ pub(super) struct Staged<'a> {
     stage: &'a mut Stage,
 }
 
-/// For the kernel that codes many pixels at a time.
+/// For the kernel that codes many bytes at once.
 #[cfg(target_arch = "x86_64")]
 impl Staged<'_> {
-    /// The same place, to be kept in registers by a loop; its end goes back by [`Staged::go_on`].
+    /// A copy that a loop can keep in registers; [`Staged::go_on`] takes its result back.
     #[inline(always)]
     pub(super) fn lend(&mut self) -> Staged<'_> {
         Staged { waiting: self.waiting, filled: self.filled, at: self.at, stage: &mut *self.stage }
     }
 
-    /// Where a lent one ended.
+    /// The result of a copy.
     #[inline(always)]
     pub(super) fn ended(self) -> (u64, u32, usize) {
         (self.waiting, self.filled, self.at)
@@ -306,12 +308,12 @@ impl Staged<'_> {
     /// `length <= 56`.
     #[inline(always)]
     pub(super) fn put(&mut self, code: u64, length: u32) {
-        // Never masks anything (STAGE holds the longest coded piece); it stands for a bounds check.
+        // Never changes the value (STAGE holds the longest coded piece); it replaces a bounds check.
         self.at &= STAGE - 1;
         self.put_next(code, length);
     }
 
-    /// The same right after a `put`, whose mask serves both.
+    /// Like [`Self::put`], directly after it, so that its mask serves both.
     #[inline(always)]
     fn put_next(&mut self, code: u64, length: u32) {
         self.waiting |= code << self.filled;

@@ -1,8 +1,7 @@
-//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at most 12 bits for them, and runs of zeros as
-//! matches of distance 1. No match search. The code comes from a sample of the strip's own rows; every byte and every length has a code, so
-//! whatever the other rows hold can be written. Rows are filtered in pieces of 4 KiB that are coded while they are in the first-level cache.
-//! Residuals are looked up two at a time (256 KiB of table: 65536 codes of at most 24 bits with their lengths), four to a store.
-//! Cost: about 0.4 ns a byte, scratch 256 KiB a thread. What was tried: `notes.md`.
+//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at most 12 bits for them, and runs of
+//! zeros as matches of distance 1. No match search. The code is made from a sample of the strip's rows; every byte and every length has a
+//! code, so all other rows can be written too. Rows are filtered in pieces of 4 KiB that are coded while they are in the first-level
+//! cache. Cost: about 0.4 ns per byte, and scratch of 256 KiB per thread. Rejected variants: `notes.md`.
 
 use std::cell::Cell;
 
@@ -11,19 +10,19 @@ use super::coder::{Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single,
 use super::huffman::{self, Codes, END, LITERALS};
 use super::rows::{self, PAETH, Rows, SUB};
 
-/// Filtered bytes that the code table is made from.
+/// Size of the sample from which the code is made, filtered bytes.
 const SAMPLE: usize = 16 << 10;
 
-/// How much a byte that was sampled outweighs one that was not.
+/// Weight of a sampled byte relative to the minimum of every symbol.
 const SAMPLED: u32 = 8;
 
-/// Strips below this are looked up byte by byte: the table of pairs costs about 15 us.
+/// Smaller strips look up single bytes, because the table of pairs costs about 15 us.
 const PAIRS_FROM: usize = 48 << 10;
 
 /// The parts of `body` that differ between levels. The defaults are the portable code.
 pub(super) trait Way: Sized {
-    /// Codes all rows with the codes of single bytes: two bytes at a time, or one in strips that are too short for such a table.
-    /// A method and not a closure, so that it is compiled for the level of its caller.
+    /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a closure, so that it is compiled for the
+    /// level of its caller.
     #[inline(always)]
     fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
         if coder.rows.filtered_len() < PAIRS_FROM {
@@ -36,19 +35,19 @@ pub(super) trait Way: Sized {
         adler
     }
 
-    /// `code_piece` as a function of its own: inlined into the loop over rows, its variables do not all get registers.
+    /// Calls `code_piece` as a function of its own: inlined into the loop over rows, its variables do not all get registers.
     #[inline(never)]
     fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
         code_piece(piece, tables, stage, bits, out);
     }
 }
 
-/// Only the defaults.
+/// The defaults.
 pub(super) struct Portable;
 
 impl Way for Portable {}
 
-/// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
+/// Codes a strip; `None` as soon as `out` is longer than `most`. Compiled once per level.
 #[inline(always)]
 pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     let mut piece = [0; PIECE];
@@ -63,7 +62,7 @@ pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Ve
     (out.len() <= most).then_some(adler)
 }
 
-/// Ends a strip on a byte. An empty stored block does, where another strip follows.
+/// Ends a strip on a byte, with an empty stored block if another strip follows.
 pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     if !last {
         bits.put(out, 0, 3);
@@ -73,7 +72,7 @@ pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     bits.pad(out);
 }
 
-/// One block of filtered bytes with the code that is best for exactly them; for `Compression::Best`.
+/// One block of filtered bytes with the optimal code for exactly them; for `Compression::Best`.
 pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     let mut counts = Counts::default();
     filtered.chunks(PIECE).for_each(|piece| walk(piece, &mut counts));
@@ -90,16 +89,16 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
 }
 
 thread_local! {
-    /// The table of pairs outlives a strip: its 64 pages are not faulted in anew.
+    /// Kept between strips, which saves the page faults of its 64 pages.
     static PAIRS: Cell<Option<Box<PairTable>>> = const { Cell::new(None) };
 }
 
-/// Weights of all symbols, from about `SAMPLE` bytes of evenly spread rows.
+/// Weights of all symbols, from about `SAMPLE` bytes of evenly spaced rows.
 #[inline(always)]
 fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
     let mut counts = Counts::default();
     let step = (rows.filtered_len() / SAMPLE).clamp(1, rows.count());
-    // The middle of every stretch of `step` rows; never the first row alone, which has a filter of its own.
+    // The middle of every group of `step` rows; never the first row alone, which has another filter.
     let mut index = step / 2;
     while index < rows.count() {
         let mut from = 0;
@@ -126,7 +125,7 @@ fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
     }
 }
 
-/// The rows of a strip on their way to `out`.
+/// The state of coding a strip's rows.
 pub(super) struct RowCoder<'a> {
     rows: Rows<'a>,
     single: &'a Single,

@@ -1,8 +1,8 @@
-//! The PNG writer: a picture as head, strips and tail, which are independent of each other and joined are one file (PNG 3rd edition).
+//! The PNG writer: encodes a picture as a head, independent strips and a tail (PNG 3rd edition).
 //!
-//! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips may be encoded in
-//! any order and on any thread, and leave in order. The first one begins with the zlib header; the tail ends the stream with the
-//! Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
+//! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips can
+//! be encoded in any order and on any thread, and are sent in order. The first strip begins with the zlib header; the tail ends the stream
+//! with the Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
 //! Shapes: samples `[rows][width][channels]`, 16-bit ones big-endian. No sRGB or gAMA chunk is written; a profile becomes iCCP.
 
 #[forbid(unsafe_code)]
@@ -45,19 +45,19 @@ const ZLIB_HEADER: [u8; 2] = [0x78, 0x01];
 /// Bytes of the tail: the checksum as an IDAT of its own, and IEND.
 const TAIL: u64 = 2 * chunk::FRAME as u64 + 4;
 
-/// How hard to squeeze.
+/// The effort of compression.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Compression {
-    /// Stored.
+    /// Stored, not compressed.
     None,
-    /// The drag's encoder: filter and Huffman coding, no match search.
+    /// Filter and Huffman coding, without a match search.
     #[default]
     Fast,
-    /// Smallest.
+    /// The smallest files.
     Best,
 }
 
-/// What is written.
+/// The shape of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PngShape {
     /// Size.
@@ -68,7 +68,7 @@ pub struct PngShape {
     pub depth: Depth,
 }
 
-/// One encoded strip: complete PNG chunks, and what the trailer needs to know of it.
+/// One encoded strip: complete PNG chunks, and the input of [`PngWriter::tail`].
 #[derive(Debug, Clone)]
 pub struct Strip {
     /// The bytes to send.
@@ -79,7 +79,7 @@ pub struct Strip {
     pub filtered_len: u64,
 }
 
-/// A colour profile, and the chunk that carries it in a PNG: compressed once, for every picture that is written with it.
+/// A colour profile, and the PNG chunk that carries it, compressed once for all pictures.
 #[derive(Debug, Clone)]
 pub struct Profile {
     icc: Arc<[u8]>,
@@ -93,7 +93,7 @@ impl Profile {
         Self { icc: icc.into(), chunk: chunk::profile(icc).into() }
     }
 
-    /// As it was read.
+    /// The profile as read.
     #[must_use]
     pub fn icc(&self) -> &[u8] {
         &self.icc
@@ -106,11 +106,10 @@ impl Profile {
     }
 }
 
-/// What `PngWriter::tail` takes of a strip: the Adler-32 and the length of its filtered rows.
+/// Input of [`PngWriter::tail`]: the Adler-32 and the length of a strip's filtered rows.
 pub type StripChecksum = (u32, u64);
 
-/// Writes one PNG in strips that are independent of each other: `head`, every strip in order, `tail`.
-/// Cheap to make and to clone.
+/// Writes one PNG in independent strips: `head`, every strip in order, `tail`. Cheap to create and to clone.
 #[derive(Debug, Clone)]
 pub struct PngWriter {
     compression: Compression,
@@ -136,7 +135,7 @@ impl PngWriter {
         }
     }
 
-    /// The same writer at another level: the same bytes at another speed. A level that the machine lacks is scalar.
+    /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
     #[must_use]
     pub const fn with_level(mut self, level: Level) -> Self {
         self.level = level;
@@ -181,10 +180,10 @@ impl PngWriter {
         Strip { bytes, adler, filtered_len }
     }
 
-    /// `strip`, appended to a buffer of the caller's.
+    /// Like [`Self::strip`], appended to `out`.
     ///
     /// # Panics
-    /// As `strip`.
+    /// Like [`Self::strip`].
     pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
         let rows = Rows::new(samples, self.layout.row_bytes(), self.bpp);
         assert_eq!(rows.count(), self.rows(index).len(), "samples are the rows of strip {index}");
@@ -202,7 +201,7 @@ impl PngWriter {
         (adler, rows.filtered_len() as u64)
     }
 
-    /// What follows the last strip: the checksum of all (given `(adler, filtered_len)` of every strip in order) and IEND.
+    /// The bytes after the last strip: the checksum of all strips (`(adler, filtered_len)` of each in order) and IEND.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
         let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| adler::combine(sum, adler, len));
