@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::jpeg::write::Attended;
+use super::jpeg::write::WhileWanted;
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
 use super::{Format, jpeg, webp};
 use crate::pixmap::Depth;
@@ -147,7 +147,7 @@ impl Writer {
                 let icc = icc.as_ref().map(Profile::icc);
                 match *coding {
                     Coding::Jpeg { quality, ground } => {
-                        let out = Attended::new(out, wanted);
+                        let out = WhileWanted::new(out, wanted);
                         jpeg::write::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
                     }
                     Coding::WebP => webp::write::write(shape.extent, shape.channels, samples, icc, out),

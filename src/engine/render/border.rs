@@ -319,8 +319,8 @@ fn meets(a: Corner, b: Corner, near: i64, right: i64, bottom: i64) -> bool {
     !(sides == [1; 4] || sides == [-1; 4])
 }
 
-#[cfg(test)]
 #[expect(clippy::cast_possible_truncation, reason = "small numbers of the tests themselves")]
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -201,20 +201,20 @@ impl Setup {
 }
 
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
-    let vertices_limit = limits.plan_bytes / MESH_BYTES_PER_VERTEX;
-    let vertices = |columns: u32, rows: u32| u64::from(columns) * u64::from(rows);
     // Per axis too, because the working memory of a row, one per thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]
         let limit = (length * LINES_PER_PX).max(LINES_ALWAYS) as u64 + 1;
         at_most(what, limit, count.into())
     };
-    let with_cell = |cell: f64| {
-        let (columns, rows) = (1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
-        let count = vertices(columns, rows);
+    let check = |columns: u32, rows: u32| {
         along("grid_columns", width, columns)?;
         along("grid_rows", height, rows)?;
-        at_most("grid_vertices", vertices_limit, count).map(|()| Grid::with_cell(width, height, cell))
+        at_most("grid_vertices", limits.plan_bytes / MESH_BYTES_PER_VERTEX, u64::from(columns) * u64::from(rows))
+    };
+    let with_cell = |cell: f64| {
+        check(1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell))?;
+        Ok(Grid::with_cell(width, height, cell))
     };
     match spec {
         GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
@@ -222,9 +222,7 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("a grid's cell is a positive number of px: {cell}"))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
-            along("grid_columns", width, columns)?;
-            along("grid_rows", height, rows)?;
-            at_most("grid_vertices", vertices_limit, vertices(columns, rows))?;
+            check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }
         GridSpec::Counts { columns, rows } => {

@@ -5,28 +5,28 @@ use jpeg_encoder::{ColorType, Encoder, EncodingError, JfifWrite};
 use crate::pixmap::{Channels, Extent};
 
 /// Bytes of output between two calls of `wanted`.
-const LOOK: usize = 64 << 10;
+const CHECK_BYTES: usize = 64 << 10;
 
 /// Collects the file and stops when it is no longer wanted.
-pub(in crate::codec) struct Attended<'a> {
+pub(in crate::codec) struct WhileWanted<'a> {
     out: &'a mut Vec<u8>,
     wanted: &'a dyn Fn() -> bool,
-    look: usize,
+    next_check: usize,
 }
 
-impl<'a> Attended<'a> {
+impl<'a> WhileWanted<'a> {
     /// Appends to `out` until `wanted` returns false.
     pub(in crate::codec) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
-        let look = out.len() + LOOK;
-        Self { out, wanted, look }
+        let next_check = out.len() + CHECK_BYTES;
+        Self { out, wanted, next_check }
     }
 }
 
-impl JfifWrite for Attended<'_> {
+impl JfifWrite for WhileWanted<'_> {
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), EncodingError> {
         self.out.extend_from_slice(bytes);
-        if self.out.len() >= self.look {
-            self.look = self.out.len() + LOOK;
+        if self.out.len() >= self.next_check {
+            self.next_check = self.out.len() + CHECK_BYTES;
             if !(self.wanted)() {
                 return Err(EncodingError::Write(String::new()));
             }
@@ -44,7 +44,7 @@ pub(in crate::codec) fn write(
     quality: u8,
     ground: [u8; 3],
     icc: Option<&[u8]>,
-    out: Attended<'_>,
+    out: WhileWanted<'_>,
 ) {
     let side = |length: u32| u16::try_from(length).expect("the target was held against the format's longest side");
     let (width, height) = (side(extent.width()), side(extent.height()));

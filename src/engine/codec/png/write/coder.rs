@@ -96,42 +96,13 @@ fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
 const SHORTEST: usize = 3;
 const LONGEST: usize = 258;
 
-/// First length and number of extra bits of the symbols 257 and on (RFC 1951, 3.2.5).
-const LENGTHS: [(u16, u8); 29] = [
-    (3, 0),
-    (4, 0),
-    (5, 0),
-    (6, 0),
-    (7, 0),
-    (8, 0),
-    (9, 0),
-    (10, 0),
-    (11, 1),
-    (13, 1),
-    (15, 1),
-    (17, 1),
-    (19, 2),
-    (23, 2),
-    (27, 2),
-    (31, 2),
-    (35, 3),
-    (43, 3),
-    (51, 3),
-    (59, 3),
-    (67, 4),
-    (83, 4),
-    (99, 4),
-    (115, 4),
-    (131, 5),
-    (163, 5),
-    (195, 5),
-    (227, 5),
-    (258, 0),
-];
+/// First length of the symbols 257 and on, and their numbers of extra bits (RFC 1951, 3.2.5).
+const LENGTHS: [u16; 29] =
+    [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15, 17, 19, 23, 27, 31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258];
+const EXTRA_BITS: [u8; 29] = [0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 0];
 
 fn length_symbol(length: usize) -> usize {
-    let above = LENGTHS.partition_point(|&(first, _)| usize::from(first) <= length);
-    END + above
+    END + LENGTHS.partition_point(|&first| usize::from(first) <= length)
 }
 
 #[derive(Debug)]
@@ -227,7 +198,7 @@ impl Single {
                 return byte(0);
             }
             let symbol = length_symbol(length);
-            let (first, extra_bits) = LENGTHS[symbol - END - 1];
+            let (first, extra_bits) = (LENGTHS[symbol - END - 1], EXTRA_BITS[symbol - END - 1]);
             let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
             let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
             // The distance code is a single zero bit.

@@ -20,7 +20,7 @@ const SAMPLED: u32 = 8;
 const PAIRS_FROM: usize = 48 << 10;
 
 /// The parts of `body` that differ between levels. The defaults are the portable code.
-pub(super) trait Way: Sized {
+pub(super) trait Kernel: Sized {
     /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a closure, so that it is compiled for the
     /// level of its caller.
     #[inline(always)]
@@ -45,18 +45,18 @@ pub(super) trait Way: Sized {
 /// The defaults.
 pub(super) struct Portable;
 
-impl Way for Portable {}
+impl Kernel for Portable {}
 
 /// Codes a strip; `None` as soon as `out` is longer than `most`. Compiled once per level.
 #[inline(always)]
-pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+pub(super) fn body<K: Kernel>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     let mut piece = [0; PIECE];
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
     let single = Single::new(&codes);
     let coder = RowCoder { rows, single: &single, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
-    let adler = W::code(&single, coder)?;
+    let adler = K::code(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
     (out.len() <= most).then_some(adler)
@@ -138,7 +138,7 @@ pub(super) struct RowCoder<'a> {
 impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
-    pub(super) fn code<W: Way>(self, lookup: &impl Lookup) -> Option<u32> {
+    pub(super) fn code<K: Kernel>(self, lookup: &impl Lookup) -> Option<u32> {
         let Self { rows, single, piece, bits, most, out } = self;
         let mut stage = STAGE_EMPTY;
         let mut adler = simd_adler32::Adler32::new();
@@ -154,7 +154,7 @@ impl RowCoder<'_> {
                 filled += n;
                 if filled == PIECE {
                     adler.write(piece);
-                    W::piece(piece, Tables { pairs: lookup, single }, &mut stage, bits, out);
+                    K::piece(piece, Tables { pairs: lookup, single }, &mut stage, bits, out);
                     filled = 0;
                     if out.len() > most {
                         return None;
@@ -166,7 +166,7 @@ impl RowCoder<'_> {
             }
         }
         adler.write(&piece[..filled]);
-        W::piece(&piece[..filled], Tables { pairs: lookup, single }, &mut stage, bits, out);
+        K::piece(&piece[..filled], Tables { pairs: lookup, single }, &mut stage, bits, out);
         (out.len() <= most).then(|| adler.finish())
     }
 }

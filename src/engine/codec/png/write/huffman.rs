@@ -169,8 +169,8 @@ fn run_lengths(lengths: &[u8]) -> Vec<Run> {
     runs
 }
 
-#[cfg(test)]
 #[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[cfg(test)]
 mod tests {
     use super::*;
 

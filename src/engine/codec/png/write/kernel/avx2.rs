@@ -19,7 +19,7 @@ fn fast_avx2(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Opti
 /// Made by `fast_avx2` only.
 struct Avx2;
 
-impl fast::Way for Avx2 {
+impl fast::Kernel for Avx2 {
     #[inline(always)]
     fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
         // SAFETY: only `fast_avx2` names this type.

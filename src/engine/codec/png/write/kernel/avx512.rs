@@ -22,7 +22,7 @@ fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Op
 /// Looked up in registers.
 struct Registers;
 
-impl fast::Way for Registers {
+impl fast::Kernel for Registers {
     #[inline(always)]
     fn code(single: &Single, coder: fast::RowCoder<'_>) -> Option<u32> {
         coder.code::<Self>(&Wide::new(single))
