@@ -167,8 +167,8 @@ impl App {
             let pool = app.0.pool.clone();
             let decode = move |cancel: &Cancel| {
                 let is_cancelled = || cancel.is_cancelled();
-                let work = codec::Work::new(&is_cancelled);
-                let opened = codec::open(file.as_ref(), &limits, &work).map_err(WarpError::from)?;
+                let steps = codec::StepCounter::new(&is_cancelled);
+                let opened = codec::open(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
                 let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;
                 reservation.shrink_to(image.bytes());
