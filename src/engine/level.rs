@@ -1,5 +1,5 @@
-//! Which instruction set the kernels of `deform`, `render` and `codec::png` use: asked of the processor once, at run time, so that a plain
-//! build is fast everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it (tests run every level; a level that the processor lacks is not taken).
+//! The instruction set of the kernels of `deform`, `render` and `codec::png`: detected once at run time, so that a plain build is fast
+//! everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it for tests; a level that the processor lacks is not used.
 
 use std::sync::OnceLock;
 

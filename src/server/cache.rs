@@ -1,17 +1,13 @@
-//! Byte-weighted LRU shelves with one build for many waiting requests: decoded pictures by the digest of their file, plans by everything
-//! that their coefficients depend on, both for each owner of keys: what one owner has sent is never found by another. What is kept holds
-//! its reservation of the account of memory, also when it was taken off the shelf and someone still uses it. An entry larger than its
-//! shelf is used but not kept.
+//! Byte-weighted LRU caches in which concurrent requests for one value share its build.
 //!
-//! A build is a task of its own. It goes on while one request waits for it, whichever began it, and is dropped when the last one has left:
-//! that takes it out of the queue before the workers, or cancels its computation (`Pool::run`). A request that arrives then begins a new
-//! build.
+//! A value holds its reservation of memory as long as anyone uses it, also after it was evicted. A value larger than its cache is used but
+//! not cached. Each build is a task. It goes on while at least one request waits for it, and is dropped when the last one has left: that
+//! takes it out of the workers' queue, or cancels its computation (`Pool::run`). A later request then begins a new build.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::Future;
 use std::ops::Deref;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use lru::LruCache;
@@ -23,8 +19,7 @@ use crate::limits::memory::Reservation;
 use crate::observe::Scope;
 use crate::problem::Problem;
 
-/// What a value is found by. Owners share nothing: a hit would tell one of them what another has sent. Without keys there is one owner,
-/// and one cache.
+/// The key of a value. Owners share no values: a hit would tell one of them what another has sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key {
     owner: Owner,
@@ -32,7 +27,7 @@ pub struct Key {
 }
 
 impl Key {
-    /// Of everything that the value depends on.
+    /// `digest` covers everything that the value depends on.
     #[must_use]
     pub const fn new(owner: Owner, digest: Digest) -> Self {
         Self { owner, digest }
@@ -43,13 +38,13 @@ impl Key {
 #[derive(Debug)]
 pub struct CacheEntry<V> {
     value: V,
-    held: Reservation,
+    memory: Reservation,
 }
 
 impl<V> CacheEntry<V> {
-    /// `held` is what the value weighs.
-    pub const fn new(value: V, held: Reservation) -> Self {
-        Self { value, held }
+    /// The value weighs what is reserved.
+    pub const fn new(value: V, memory: Reservation) -> Self {
+        Self { value, memory }
     }
 }
 
@@ -61,42 +56,41 @@ impl<V> Deref for CacheEntry<V> {
     }
 }
 
-/// A value and whether this very call built it.
+/// The result of [`Cache::get`].
 #[derive(Debug)]
 pub struct Fetched<V> {
     /// The value.
     pub value: Arc<CacheEntry<V>>,
-    /// It was not there before and nobody else was building it.
+    /// This call began the build.
     pub built: bool,
 }
 
-/// What has happened at a shelf so far, and what is on it.
+/// What a cache has done and what it holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheStats {
-    /// Looks that found the value.
+    /// Values that were found.
     pub hits: u64,
     /// Values that were built.
     pub built: u64,
-    /// Values that made room for others.
+    /// Values that were evicted.
     pub evicted: u64,
-    /// Bytes on the shelf.
+    /// Bytes of the cached values.
     pub bytes: u64,
-    /// Values on the shelf.
+    /// The number of cached values.
     pub values: u64,
 }
 
 type Outcome<V> = Option<Result<Arc<CacheEntry<V>>, Problem>>;
 
-/// Every request that waits for a build holds this. When the last one drops it, the build learns that and stops.
+/// Held by every request that waits for a build. The build stops when the last one is dropped.
 type Interest = Arc<oneshot::Sender<Infallible>>;
 
 tokio::task_local! {
     static RETAINED: Retained;
 }
 
-/// Keeps builds going that were begun within [`Retained::during`], also after the request that began them was given up: a newer request of
-/// the same session takes the place of an older one and needs the same values, but may still be waiting for a worker. They stop when this
-/// is dropped too.
+/// Keeps builds going whose requests have ended, until it is dropped itself: a newer request of the same session supersedes an older one
+/// and needs the same values, but may still be waiting for a worker.
 #[derive(Clone, Debug, Default)]
 pub struct Retained(Arc<Mutex<Vec<Interest>>>);
 
@@ -114,40 +108,41 @@ impl Retained {
     }
 }
 
+/// A cache of built values. Cloning shares it.
 #[derive(Debug)]
-struct Entries<V> {
-    kept: LruCache<Key, Arc<CacheEntry<V>>>,
-    bytes: u64,
-    building: HashMap<Key, Pending<V>>,
-}
-
-/// A build under way, for requests that want the same value.
-#[derive(Debug)]
-struct Pending<V> {
-    outcome: watch::Receiver<Outcome<V>>,
-    /// Dead when all who waited have left: the build is being stopped.
-    interest: Weak<oneshot::Sender<Infallible>>,
-}
-
-impl<V> Pending<V> {
-    /// Joins those who wait, unless the build is being stopped.
-    fn join(&self) -> Option<(watch::Receiver<Outcome<V>>, Interest)> {
-        Some((self.outcome.clone(), self.interest.upgrade()?))
-    }
-}
+pub struct Cache<V>(Arc<CacheState<V>>);
 
 #[derive(Debug)]
 struct CacheState<V> {
     capacity: u64,
     entries: Mutex<Entries<V>>,
-    hits: AtomicU64,
-    built: AtomicU64,
-    evicted: AtomicU64,
 }
 
-/// A cache of built values. Cloning shares it.
 #[derive(Debug)]
-pub struct Cache<V>(Arc<CacheState<V>>);
+struct Entries<V> {
+    values: LruCache<Key, Arc<CacheEntry<V>>>,
+    builds: HashMap<Key, Build<V>>,
+    /// All but the number of values.
+    stats: CacheStats,
+}
+
+/// A build that requests can join.
+#[derive(Debug)]
+struct Build<V> {
+    outcome: watch::Receiver<Outcome<V>>,
+    /// Dead when all requests have left: the build is being stopped.
+    interest: Weak<oneshot::Sender<Infallible>>,
+}
+
+/// The task of a build. Dropping it ends the build for those who wait, whatever the outcome.
+struct BuildTask<V> {
+    cache: Cache<V>,
+    key: Key,
+    outcome: watch::Sender<Outcome<V>>,
+    interest: Weak<oneshot::Sender<Infallible>>,
+    /// Resolves when the last request has left.
+    abandoned: oneshot::Receiver<Infallible>,
+}
 
 impl<V> Clone for Cache<V> {
     fn clone(&self) -> Self {
@@ -155,167 +150,145 @@ impl<V> Clone for Cache<V> {
     }
 }
 
-/// The building side: those who wait learn of its end when it is dropped, whatever the outcome.
-struct Building<V> {
-    cache: Cache<V>,
-    key: Key,
-    told: watch::Sender<Outcome<V>>,
-    interest: Weak<oneshot::Sender<Infallible>>,
-    /// Resolves when the last request that waited has left.
-    abandoned: oneshot::Receiver<Infallible>,
-}
-
-impl<V> Drop for Building<V> {
-    fn drop(&mut self) {
-        let mut entries = self.cache.lock();
-        // A build that was stopped may have been replaced by a new one.
-        if entries.building.get(&self.key).is_some_and(|pending| pending.interest.ptr_eq(&self.interest)) {
-            entries.building.remove(&self.key);
-        }
-    }
-}
-
 impl<V> Entries<V> {
+    fn get(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
+        let value = self.values.get(&key).cloned();
+        self.stats.hits += u64::from(value.is_some());
+        value
+    }
+
     fn remove(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
-        let value = self.kept.pop(&key)?;
-        self.bytes -= value.held.bytes();
+        let value = self.values.pop(&key)?;
+        self.stats.bytes -= value.memory.bytes();
         Some(value)
     }
 }
 
 impl<V> Cache<V> {
-    /// Holds `capacity` bytes.
+    /// A cache of `capacity` bytes.
     #[must_use]
     pub fn new(capacity: u64) -> Self {
-        let entries = Entries { kept: LruCache::unbounded(), bytes: 0, building: HashMap::new() };
-        let none = || AtomicU64::new(0);
-        Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries), hits: none(), built: none(), evicted: none() }))
+        let entries = Entries { values: LruCache::unbounded(), builds: HashMap::new(), stats: CacheStats::default() };
+        Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries) }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Entries<V>> {
-        // Nothing panics half-way through a change.
+        // No operation leaves the entries half-changed where it could panic.
         self.0.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What has happened so far.
+    /// What it has done and what it holds.
     #[must_use]
     pub fn usage(&self) -> CacheStats {
         let entries = self.lock();
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        CacheStats {
-            hits: read(&self.0.hits),
-            built: read(&self.0.built),
-            evicted: read(&self.0.evicted),
-            bytes: entries.bytes,
-            values: entries.kept.len() as u64,
-        }
+        CacheStats { values: entries.values.len() as u64, ..entries.stats }
     }
 
-    /// The value is there. It counts as used: whoever asks wants it soon.
+    /// Whether the value is cached. It counts as used, not as found.
     #[must_use]
     pub fn touch(&self, key: Key) -> bool {
-        self.lock().kept.get(&key).is_some()
+        self.lock().values.get(&key).is_some()
     }
 
-    /// The value goes before all others when room is needed, unless it is used again.
+    /// Makes the value the next one to be evicted, unless it is used before.
     pub fn demote(&self, key: Key) {
-        self.lock().kept.demote(&key);
+        self.lock().values.demote(&key);
     }
 
-    /// The value of `key`, if it is there.
+    /// The value, if it is cached.
     #[must_use]
     pub fn peek(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
-        let value = self.lock().kept.get(&key).cloned();
-        self.0.hits.fetch_add(value.is_some().into(), Ordering::Relaxed);
-        value
+        self.lock().get(key)
     }
 
-    /// Takes the value of `key` off the shelf.
+    /// Removes the value.
     pub fn remove(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
         self.lock().remove(key)
     }
 
-    /// Drops everything, as if it had been evicted.
+    /// Removes all values.
     pub fn clear(&self) {
         let mut entries = self.lock();
-        entries.bytes = 0;
-        // Dropped when the lock is free again.
-        let _kept = std::mem::replace(&mut entries.kept, LruCache::unbounded());
+        entries.stats.bytes = 0;
+        let values = std::mem::replace(&mut entries.values, LruCache::unbounded());
+        // The values are dropped without the lock.
         drop(entries);
+        drop(values);
     }
 
-    /// Something could give way.
+    /// Whether [`Cache::evict_idle`] would find a value.
     #[must_use]
     pub fn is_any_idle(&self) -> bool {
-        self.lock().kept.iter().any(|(_, value)| Arc::strong_count(value) == 1)
+        self.lock().values.iter().any(|(_, value)| Arc::strong_count(value) == 1)
     }
 
-    /// Takes the value off that was used least recently of those that nobody uses now. False when there is none.
+    /// Evicts the least recently used value that nobody uses now. `false`: there is none.
     pub fn evict_idle(&self) -> bool {
         let mut entries = self.lock();
-        let idle = entries.kept.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
-        let gone = idle.and_then(|key| entries.remove(key));
+        let idle = entries.values.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
+        let evicted = idle.and_then(|key| entries.remove(key));
+        entries.stats.evicted += u64::from(evicted.is_some());
         drop(entries);
-        self.0.evicted.fetch_add(gone.is_some().into(), Ordering::Relaxed);
-        gone.is_some()
+        evicted.is_some()
     }
 
-    /// Puts a value that was built on the shelf.
+    /// Caches a value that was built.
     fn put(&self, key: Key, value: Arc<CacheEntry<V>>) {
-        let bytes = value.held.bytes();
+        let bytes = value.memory.bytes();
+        // Dropped after the lock.
+        let mut removed = Vec::new();
+        let mut entries = self.lock();
+        entries.stats.built += 1;
         if bytes > self.0.capacity {
             return;
         }
-        let mut gone = Vec::new();
-        let mut entries = self.lock();
-        gone.extend(entries.remove(key));
-        while entries.bytes + bytes > self.0.capacity {
-            let Some((_, value)) = entries.kept.pop_lru() else { break };
-            entries.bytes -= value.held.bytes();
-            self.0.evicted.fetch_add(1, Ordering::Relaxed);
-            gone.push(value);
+        removed.extend(entries.remove(key));
+        while entries.stats.bytes + bytes > self.0.capacity {
+            let Some((_, value)) = entries.values.pop_lru() else { break };
+            entries.stats.bytes -= value.memory.bytes();
+            entries.stats.evicted += 1;
+            removed.push(value);
         }
-        entries.bytes += bytes;
-        entries.kept.put(key, value);
-        drop(entries);
+        entries.stats.bytes += bytes;
+        entries.values.put(key, value);
     }
 }
 
 impl<V: Send + Sync + 'static> Cache<V> {
-    /// The value of `key`; `build` runs when it is not there and nobody else builds it.
+    /// The value of `key`. `build` runs if the value is neither cached nor being built.
     ///
     /// # Errors
-    /// Those of the build; they are told to everyone who waits and then forgotten. `lost` makes the error of a build that was torn down.
+    /// Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
     pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,
     {
-        let (mut outcome, interest, begun) = {
+        let (mut outcome, interest, task) = {
             let mut entries = self.lock();
-            if let Some(value) = entries.kept.get(&key).cloned() {
-                self.0.hits.fetch_add(1, Ordering::Relaxed);
+            if let Some(value) = entries.get(key) {
                 return Ok(Fetched { value, built: false });
             }
-            match entries.building.get(&key).and_then(Pending::join) {
+            let running = entries.builds.get(&key).and_then(|build| Some((build.outcome.clone(), build.interest.upgrade()?)));
+            match running {
                 Some((outcome, interest)) => (outcome, interest, None),
                 None => {
-                    let (told, outcome) = watch::channel(None);
+                    let (sender, outcome) = watch::channel(None);
                     let (interest, abandoned) = oneshot::channel();
                     let interest = Arc::new(interest);
-                    let weak = || Arc::downgrade(&interest);
-                    entries.building.insert(key, Pending { outcome: outcome.clone(), interest: weak() });
-                    let building = Building { cache: self.clone(), key, told, interest: weak(), abandoned };
-                    (outcome, interest, Some(building))
+                    let weak = Arc::downgrade(&interest);
+                    entries.builds.insert(key, Build { outcome: outcome.clone(), interest: weak.clone() });
+                    let task = BuildTask { cache: self.clone(), key, outcome: sender, interest: weak, abandoned };
+                    (outcome, interest, Some(task))
                 }
             }
         };
         let _ = RETAINED.try_with(|retained| retained.retain(&interest));
-        let built = begun.is_some();
-        match begun {
-            Some(building) => drop(tokio::spawn(Scope::current().wrap(building.finish(build)))),
+        let built = task.is_some();
+        match task {
+            Some(task) => drop(tokio::spawn(Scope::current().wrap(task.run(build)))),
             None => drop(build),
         }
-        // The sender goes without a word when the build was torn down.
+        // The sender is dropped without an outcome when the build was torn down.
         let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
         let value = outcome.ok().flatten().ok_or_else(lost)??;
         drop(interest);
@@ -323,18 +296,27 @@ impl<V: Send + Sync + 'static> Cache<V> {
     }
 }
 
-impl<V> Building<V> {
-    async fn finish(mut self, build: impl Future<Output = Result<CacheEntry<V>, Problem>>) {
+impl<V> BuildTask<V> {
+    async fn run(mut self, build: impl Future<Output = Result<CacheEntry<V>, Problem>>) {
         let outcome = tokio::select! {
             biased;
             outcome = build => outcome.map(Arc::new),
             _ = &mut self.abandoned => return,
         };
         if let Ok(value) = &outcome {
-            self.cache.0.built.fetch_add(1, Ordering::Relaxed);
             self.cache.put(self.key, Arc::clone(value));
         }
-        self.told.send_replace(Some(outcome));
+        self.outcome.send_replace(Some(outcome));
+    }
+}
+
+impl<V> Drop for BuildTask<V> {
+    fn drop(&mut self) {
+        let mut entries = self.cache.lock();
+        // A build that was stopped may have been replaced by a new one.
+        if entries.builds.get(&self.key).is_some_and(|build| build.interest.ptr_eq(&self.interest)) {
+            entries.builds.remove(&self.key);
+        }
     }
 }
 
@@ -383,7 +365,7 @@ mod tests {
         assert_eq!(fetched.iter().filter(|f| f.built).count(), 1);
         assert_eq!(cache.usage(), CacheStats { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
         assert_eq!(budget.taken(), 7);
-        assert!(cache.lock().building.is_empty());
+        assert!(cache.lock().builds.is_empty());
     }
 
     #[tokio::test]
@@ -462,7 +444,7 @@ mod tests {
             assert!(left.await.unwrap_err().is_cancelled());
         }
         assert_eq!(hears.recv().await, Some("dropped"));
-        while !cache.lock().building.is_empty() {
+        while !cache.lock().builds.is_empty() {
             tokio::task::yield_now().await;
         }
         assert_eq!(cache.usage(), CacheStats::default());
@@ -477,7 +459,7 @@ mod tests {
         assert_eq!(hears.recv().await, Some("began"));
         // One thread: the task of the build cannot have seen it when the next request comes.
         drop(abandoned);
-        assert!(!cache.lock().building.is_empty());
+        assert!(!cache.lock().builds.is_empty());
         let gate = Arc::new(Semaphore::new(0));
         let (opens, built) = (Arc::clone(&gate), kept(&budget, 7));
         let next = async move {
@@ -492,7 +474,7 @@ mod tests {
         assert!((&mut third).now_or_never().is_none());
         gate.add_permits(1);
         assert_eq!((next.await.map(|f| (**f.value, f.built)), third.await.map(|f| (**f.value, f.built))), (Ok((7, true)), Ok((7, false))));
-        assert!(cache.lock().building.is_empty());
+        assert!(cache.lock().builds.is_empty());
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -603,18 +585,18 @@ mod tests {
         cache.demote(key(2));
         put(&cache, &budget, 8, 1024).await;
         put(&cache, &budget, 9, 1024).await;
-        let there = [0, 1, 2].map(|key| cache.lock().kept.contains(&self::key(key)));
+        let there = [0, 1, 2].map(|key| cache.lock().values.contains(&self::key(key)));
         assert_eq!(there, [true, false, false]);
     }
 
     #[tokio::test]
-    async fn an_entry_larger_than_the_shelf_is_used_but_not_kept() {
+    async fn an_entry_larger_than_the_cache_is_used_but_not_kept() {
         let (cache, budget) = (Cache::new(4 << 10), budget());
         put(&cache, &budget, 2, 1024).await;
         let large = put(&cache, &budget, 1, 1 << 20).await;
         assert_eq!(**large, 1 << 20);
         assert!(!cache.touch(KEY) && cache.touch(key(2)));
-        assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, on the shelf or not");
+        assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, cached or not");
         drop(large);
         assert_eq!(budget.taken(), 1024);
     }

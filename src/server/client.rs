@@ -14,13 +14,11 @@ impl Owner {
     pub const ANYBODY: Self = Self([0; 16]);
 
     /// An owner by what names it.
-    #[must_use]
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(bytes)
     }
 
     /// What names it.
-    #[must_use]
     pub const fn to_bytes(self) -> [u8; 16] {
         self.0
     }
@@ -58,7 +56,6 @@ pub enum Tenant {
 
 impl Tenant {
     /// The client at an address, while no key is known or needed.
-    #[must_use]
     pub fn of_address(address: IpAddr) -> Self {
         Self::Address(match address.to_canonical() {
             IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> V6_HOST_BITS << V6_HOST_BITS)),
@@ -69,7 +66,6 @@ impl Tenant {
 
 impl Client {
     /// As which client it is counted.
-    #[must_use]
     pub fn tenant(self) -> Tenant {
         if self.owner == Owner::ANYBODY { Tenant::of_address(self.address) } else { Tenant::Key(self.owner) }
     }

@@ -16,15 +16,12 @@ pub struct SessionId {
 
 impl SessionId {
     /// A new name.
-    #[must_use]
     pub fn random(owner: Owner) -> Self {
         Self { owner, uuid: Uuid::new_v4() }
     }
 
     /// Reads a name, in the hyphenated form alone: one session has one name.
-    ///
-    /// # Errors
-    /// It is no UUID of version 4.
+    /// Errors: It is no UUID of version 4.
     pub fn parse(owner: Owner, text: &str) -> Result<Self, NotASessionId> {
         let uuid = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
         let version_4 = uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122;
@@ -32,13 +29,11 @@ impl SessionId {
     }
 
     /// Whose session it is.
-    #[must_use]
     pub const fn owner(&self) -> Owner {
         self.owner
     }
 
     /// Owner and name, for stores.
-    #[must_use]
     pub fn to_bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];
         bytes[..16].copy_from_slice(&self.owner.to_bytes());
@@ -47,7 +42,6 @@ impl SessionId {
     }
 
     /// What [`SessionId::to_bytes`] gave.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         let (owner, uuid) = bytes.split_at(16);
         let half = |half: &[u8]| half.try_into().expect("half of 32 bytes");
@@ -61,19 +55,16 @@ pub struct Revision(Uuid);
 
 impl Revision {
     /// A new one.
-    #[must_use]
     pub fn random() -> Self {
         Self(Uuid::new_v4())
     }
 
     /// What [`Revision::as_bytes`] gave.
-    #[must_use]
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(Uuid::from_bytes(bytes))
     }
 
     /// Its 16 bytes.
-    #[must_use]
     pub const fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
     }

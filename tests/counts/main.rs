@@ -24,7 +24,7 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter, Work};
+use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter, StepCounter};
 use mlswarp::deform::{Method, Plan};
 use mlswarp::geometry::{Grid, Mesh};
 use mlswarp::level::Level;
@@ -72,7 +72,7 @@ fn files(folder: &Path) {
     let limits = Limits::default();
     for path in listed(folder) {
         let bytes = std::fs::read(&path).expect("a file");
-        let header = codec::probe(&bytes, &Work::new(&|| false)).ok().filter(|header| limits.check(header.extent).is_ok());
+        let header = codec::probe(&bytes, &StepCounter::new(&|| false)).ok().filter(|header| limits.check(header.extent).is_ok());
         let pixels = header.map_or(0, |header| header.extent.pixels());
         println!("{}\t{pixels}\t{}", bytes.len(), path.file_name().expect("a file").to_string_lossy());
     }

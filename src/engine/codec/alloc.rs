@@ -1,14 +1,14 @@
-//! Memory for samples: asked for before it is used, and refused as an error.
+//! Fallible allocation of sample buffers.
 
-use super::{CodecError, Work};
+use super::{CodecError, StepCounter};
 use crate::pixmap::Channels;
 
-/// The allocator refused. How much it had left is not known, so the limit reads 0.
+/// The allocator refused. The available memory is unknown, so the limit is 0.
 pub(super) const fn no_room(asked: u64) -> CodecError {
     CodecError::TooLarge { what: "image_bytes", limit: 0, actual: asked }
 }
 
-/// An empty vector with room for `len` samples.
+/// An empty vector with capacity for `len` samples.
 pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
     let refused = no_room(len.saturating_mul(size_of::<T>() as u64));
     let mut samples = Vec::new();
@@ -17,8 +17,8 @@ pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
     Ok(samples)
 }
 
-/// `len` samples of zero. Memory is touched for the first time here, which takes as long as some decoders: the question is asked meanwhile.
-pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+/// `len` zero samples. Touching the memory takes as long as some decoders, so cancellation is checked meanwhile.
+pub(super) fn zeros<T: Copy + Default>(len: u64, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
     const PART: usize = 1 << 22;
     let mut samples = room(len)?;
     let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));
@@ -29,7 +29,7 @@ pub(super) fn zeros<T: Copy + Default>(len: u64, work: &Work<'_>) -> Result<Vec<
     Ok(samples)
 }
 
-/// Samples of a picture.
+/// Number of samples of a picture.
 pub(super) const fn sample_count(pixels: u64, channels: Channels) -> u64 {
     pixels.saturating_mul(channels.count() as u64)
 }

@@ -1,22 +1,22 @@
-//! Bytes to an upright picture. Order: header, limits on its numbers, completeness of the file's structure, memory, pixels.
-//! The three decoders are other people's code fed with hostile bytes, so they run behind their own limits and inside
-//! `catch_unwind`: a panic there is a damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the
-//! decoder; a second picture only when the orientation swaps the sides.
+//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's structure, memory, pixels. The three decoders
+//! are third-party code that reads hostile bytes, so they run with their own limits and inside `catch_unwind`: a panic there means a
+//! damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the decoder; a second picture only when the
+//! orientation swaps the sides.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Format, Header, Limits, Work};
+use super::{CodecError, Format, Header, Limits, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
-/// An upright picture and what must travel with it.
+/// An upright picture and its colour profile.
 #[derive(Debug, Clone)]
 pub struct Decoded {
     /// The upright pixels.
     pub pixmap: Pixmap,
-    /// The file's ICC profile when it describes RGB, to be written back.
+    /// The file's ICC profile if it describes RGB, to be written back.
     pub icc: Option<Vec<u8>>,
-    /// The file has a profile that is not kept.
+    /// Whether the file has a profile that is not kept.
     pub profile_dropped: bool,
 }
 
@@ -25,15 +25,15 @@ pub struct Decoded {
 pub struct Opened<'a> {
     parsed: Parsed<'a>,
     header: Header,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
-/// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads what else decides on the
-/// memory that decoding takes.
+/// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads the rest of what
+/// determines the memory for decoding.
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
-pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<Opened<'a>, CodecError> {
+pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
     limits.check(parsed.header().extent)?;
     if let Parsed::WebP(file) = &mut parsed {
@@ -43,30 +43,30 @@ pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a Work<'a>) -> Result<
     Ok(Opened { parsed, header, work })
 }
 
-/// Opens and decodes a file; ends early when `gone` says that the picture is no longer wanted.
+/// Opens and decodes a file; stops early when `cancelled` returns true.
 ///
 /// # Errors
 /// Those of [`open`] and [`Opened::decode`].
-pub fn decode(bytes: &[u8], limits: &Limits, gone: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
-    open(bytes, limits, &Work::new(gone))?.decode()
+pub fn decode(bytes: &[u8], limits: &Limits, cancelled: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
+    open(bytes, limits, &StepCounter::new(cancelled))?.decode()
 }
 
 impl Opened<'_> {
-    /// What the header says. `decode_bytes` is exact here where [`super::probe`] knows no more than a bound.
+    /// The header. `decode_bytes` is exact here where [`super::probe`] only knows an upper bound.
     #[must_use]
     pub const fn header(&self) -> Header {
         self.header
     }
 
-    /// The picture.
+    /// Decodes the picture.
     ///
     /// # Errors
     /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
     /// file's end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;
-        // What ends because its input is withheld calls it damage.
-        let wanted = |error| if work.is_gone() { CodecError::Cancelled } else { error };
+        // A decoder whose input is withheld reports damage.
+        let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { error };
         let samples = contained(header.format, || match parsed {
             Parsed::Png(file) => file.samples(header.decode_bytes, work),
             Parsed::Jpeg(file) => file.samples(work),
@@ -94,7 +94,7 @@ impl Opened<'_> {
     }
 }
 
-/// A decoder that panics has met a damaged file.
+/// Treats a panic of the decoder as a damaged file.
 fn contained<T>(format: Format, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
     catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
 }

@@ -1,12 +1,12 @@
-//! Limits of one picture, checked on numbers in a header, not on memory.
+//! Limits of one picture, checked on the header.
 
 use super::CodecError;
 use crate::pixmap::Extent;
 
-/// What one picture may ask for.
+/// The largest picture that is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Pixels in all.
+    /// Number of pixels.
     pub max_pixels: u64,
     /// Pixels along either side.
     pub max_side: u32,
@@ -19,7 +19,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The side is checked first: it is what a client can correct most easily.
+    /// Checks the side first, because a client can correct it most easily.
     ///
     /// # Errors
     /// [`CodecError::TooLarge`] naming `image_side` or `image_pixels`.

@@ -1,6 +1,6 @@
-//! Bytes to pixels and pixels to bytes. `probe` reads a header and allocates nothing; `open` checks every limit on that header before
-//! anything grows with the picture, and `Opened::decode` makes the pixels, until they are no longer wanted (`Work`); `Writer` turns
-//! strips of rows into the bytes of a file, PNG strip by strip in any order.
+//! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks the limits on that header before memory
+//! is allocated for the picture, and [`Opened::decode`] decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a
+//! file, PNG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod alloc;
@@ -8,6 +8,10 @@ mod alloc;
 mod decode;
 #[forbid(unsafe_code)]
 mod error;
+#[forbid(unsafe_code)]
+mod format;
+#[forbid(unsafe_code)]
+mod jpeg;
 #[forbid(unsafe_code)]
 mod limits;
 #[forbid(unsafe_code)]
@@ -17,27 +21,21 @@ mod png;
 mod probe;
 #[forbid(unsafe_code)]
 mod profile;
-mod read_jpeg;
-mod read_png;
-mod read_webp;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
-mod vp8l;
+mod webp;
 #[forbid(unsafe_code)]
 mod work;
 #[forbid(unsafe_code)]
 mod write;
-#[forbid(unsafe_code)]
-mod write_jpeg;
-#[forbid(unsafe_code)]
-mod write_webp;
 
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
+pub use format::Format;
 pub use limits::Limits;
-pub use png::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
-pub use probe::{Format, Header, probe};
+pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
+pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
-pub use work::Work;
+pub use work::StepCounter;
 pub use write::{Encoding, Writer};

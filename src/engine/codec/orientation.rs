@@ -1,9 +1,9 @@
-//! EXIF orientation: which of the eight symmetries of a rectangle makes the stored picture upright, read from tag 0x0112 of
-//! IFD 0 (EXIF 2.32, 4.6.5) and applied once. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity, never an
-//! error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles that stay in the first-level cache.
+//! EXIF orientation: reads tag 0x0112 of IFD 0 (EXIF 2.32, 4.6.5), one of the eight symmetries of a rectangle, and applies it. Shapes:
+//! samples `[height][width][N]`. Malformed EXIF is the identity, never an error. Cost: 1 to 4 work in place; 5 to 8 need a second picture
+//! and are copied in tiles that fit the first-level cache.
 
 use super::alloc::zeros;
-use super::{CodecError, Work};
+use super::{CodecError, StepCounter};
 
 const ORIENTATION_TAG: u16 = 0x0112;
 const TYPE_SHORT: u16 = 3;
@@ -13,7 +13,7 @@ const TILE: usize = 64;
 /// Pixels that are mirrored at once.
 const RUN: usize = 1 << 10;
 
-/// How the stored rows must be turned to stand upright. The number is the one EXIF uses.
+/// The transformation that makes the stored rows upright, numbered as in EXIF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Orientation {
     #[default]
@@ -28,7 +28,7 @@ pub(super) enum Orientation {
 }
 
 impl Orientation {
-    /// Reads an EXIF block: a TIFF header, with or without the `Exif\0\0` that JPEG puts before it.
+    /// Reads an EXIF block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG.
     pub(super) fn from_exif(exif: &[u8]) -> Self {
         Self::parse(exif.strip_prefix(b"Exif\0\0").unwrap_or(exif)).unwrap_or_default()
     }
@@ -73,17 +73,17 @@ impl Orientation {
         })
     }
 
-    /// Width and height change places.
+    /// Whether width and height are swapped.
     pub(super) const fn swaps_sides(self) -> bool {
         matches!(self, Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270)
     }
 
-    /// Turns `stored: [rows][width][N]` upright, until that is no longer wanted.
+    /// Transforms `stored: [rows][width][N]` to the upright picture unless cancelled.
     pub(super) fn apply<T: Copy + Default, const N: usize>(
         self,
         mut stored: Vec<T>,
         width: usize,
-        work: &Work<'_>,
+        work: &StepCounter<'_>,
     ) -> Result<Vec<T>, CodecError> {
         match self {
             Self::Upright => {}
@@ -100,7 +100,7 @@ impl Orientation {
         Ok(stored)
     }
 
-    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &Work<'_>) -> Result<Vec<T>, CodecError> {
+    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
         let mut upright = zeros(stored.len() as u64, work)?;
         let from = stored.as_chunks::<N>().0;
         let into = upright.as_chunks_mut::<N>().0;
@@ -124,7 +124,7 @@ impl Orientation {
 }
 
 /// Reverses the pixels, from both ends to the middle.
-fn rotate<P>(pixels: &mut [P], work: &Work<'_>) -> Result<(), CodecError> {
+fn rotate<P>(pixels: &mut [P], work: &StepCounter<'_>) -> Result<(), CodecError> {
     let half = pixels.len() / 2;
     let (front, back) = pixels.split_at_mut(half);
     let odd = back.len() - half;
@@ -137,7 +137,7 @@ fn rotate<P>(pixels: &mut [P], work: &Work<'_>) -> Result<(), CodecError> {
     Ok(())
 }
 
-fn mirror_rows<T>(samples: &mut [T], row: usize, work: &Work<'_>) -> Result<(), CodecError> {
+fn mirror_rows<T>(samples: &mut [T], row: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
     let height = samples.len() / row;
     let (above, below) = samples.split_at_mut(height / 2 * row);
     for (upper, lower) in above.chunks_exact_mut(row).zip(below.rchunks_exact_mut(row)) {
@@ -216,7 +216,7 @@ pub(super) mod tests {
 
     #[test]
     fn orientation_turns_letters() {
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for (number, _, expected) in UPRIGHT {
             let orientation = Orientation::from_number(number).unwrap();
             assert_eq!(orientation.apply::<_, 1>(b"abcdef".to_vec(), 3, &work).unwrap(), expected, "{number}");
@@ -227,7 +227,7 @@ pub(super) mod tests {
     /// Sides around the tile, several samples a pixel: turning there and back is the identity.
     #[test]
     fn orientation_and_its_inverse_cancel() {
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for (width, height) in [(1, 1), (1, 70), (70, 1), (64, 65), (130, 63)] {
             let stored: Vec<u16> = (0..).take(3 * width * height).collect();
             for (there, back) in [(2, 2), (3, 3), (4, 4), (5, 5), (6, 8), (7, 7), (8, 6)] {

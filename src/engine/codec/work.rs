@@ -1,6 +1,5 @@
-//! The work of reading one file: how many steps this crate's own parsers have taken, and whether the result is still wanted. The library
-//! decoders are stopped through their input: the readers here fail as soon as the result is no longer wanted. Cost: one counter; the
-//! question is asked once in [`STEPS`] steps.
+//! Counts the steps of reading one file, and cancels it. Third-party decoders are stopped through their input: the readers here fail once
+//! the work is cancelled. Cost: one counter; `cancelled` is called once in [`STEPS`] steps.
 
 use std::cell::Cell;
 use std::fmt;
@@ -10,40 +9,41 @@ use zune_jpeg::zune_core::bytestream::{ZByteIoError, ZByteReaderTrait, ZCursor, 
 
 use super::CodecError;
 
-/// Steps between two questions: a step takes some nanoseconds.
+/// Steps between two calls of `cancelled`; a step takes some nanoseconds.
 const STEPS: u64 = 1 << 16;
-/// Bytes that a decoder is given at once. Deflate makes 33 MB of so many at most, which takes 10 to 30 ms.
+/// Bytes that a decoder gets at once. Deflate expands them to at most 33 MB, which takes 10 to 30 ms.
 const PIECE: usize = 1 << 15;
-/// Requests for input between two questions: where symbols take no bits, a decoder asks for input at every symbol and uses none.
+/// Requests for input between two calls of `cancelled`: where symbols take no bits, a decoder requests input at every symbol and uses
+/// none.
 const REQUESTS: u32 = 1 << 10;
 
-/// One file's work, on one thread.
-pub struct Work<'a> {
-    gone: &'a dyn Fn() -> bool,
+/// The steps of reading one file, on one thread.
+pub struct StepCounter<'a> {
+    cancelled: &'a dyn Fn() -> bool,
     steps: Cell<u64>,
     asked: Cell<u64>,
 }
 
-impl fmt::Debug for Work<'_> {
+impl fmt::Debug for StepCounter<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Work").field("steps", &self.steps).finish_non_exhaustive()
+        f.debug_struct("StepCounter").field("steps", &self.steps).finish_non_exhaustive()
     }
 }
 
-impl<'a> Work<'a> {
-    /// `gone` says that the result is no longer wanted.
+impl<'a> StepCounter<'a> {
+    /// `cancelled` returns true when the result is no longer needed.
     #[must_use]
-    pub fn new(gone: &'a dyn Fn() -> bool) -> Self {
-        Self { gone, steps: Cell::new(0), asked: Cell::new(0) }
+    pub fn new(cancelled: &'a dyn Fn() -> bool) -> Self {
+        Self { cancelled, steps: Cell::new(0), asked: Cell::new(0) }
     }
 
-    /// Steps taken so far: chunks, segments, bytes that were searched, reads from a bit stream; a decoder's requests for input, by the thousand.
+    /// Steps so far: chunks, segments, bytes searched, reads from a bit stream, and a decoder's requests for input.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.get()
     }
 
-    /// Counts steps.
+    /// Adds steps, and checks cancellation when enough have passed.
     pub(super) fn step(&self, count: u64) -> Result<(), CodecError> {
         let steps = self.steps.get() + count;
         self.steps.set(steps);
@@ -54,33 +54,33 @@ impl<'a> Work<'a> {
         self.check()
     }
 
-    /// Counts a decoder's requests, and asks.
+    /// Adds a decoder's requests, and returns whether the work is cancelled.
     fn requests(&self, count: u32) -> bool {
         self.steps.set(self.steps.get() + u64::from(count));
-        self.is_gone()
+        self.is_cancelled()
     }
 
-    /// Asks at once.
+    /// Checks cancellation.
     pub(super) fn check(&self) -> Result<(), CodecError> {
-        if self.is_gone() { Err(CodecError::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() { Err(CodecError::Cancelled) } else { Ok(()) }
     }
 
-    pub(super) fn is_gone(&self) -> bool {
-        (self.gone)()
+    pub(super) fn is_cancelled(&self) -> bool {
+        (self.cancelled)()
     }
 }
 
-/// Bytes in memory as a decoder reads them, piece by piece.
+/// Bytes in memory as input of a decoder, in pieces.
 pub(super) struct Pieces<'a, B> {
     bytes: B,
     at: usize,
     end: usize,
     requests: u32,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl<'a, B: AsRef<[u8]>> Pieces<'a, B> {
-    pub(super) const fn new(bytes: B, work: &'a Work<'a>) -> Self {
+    pub(super) const fn new(bytes: B, work: &'a StepCounter<'a>) -> Self {
         Self { bytes, at: 0, end: 0, requests: 0, work }
     }
 }
@@ -122,17 +122,17 @@ impl<B: AsRef<[u8]>> Seek for Pieces<'_, B> {
     }
 }
 
-/// The same for the JPEG decoder, which reads byte by byte and asks each time whether that was the last one.
+/// Like [`Pieces`], for the JPEG decoder, which reads byte by byte and calls `is_eof` each time.
 pub(super) struct Bytes<'a> {
     cursor: ZCursor<&'a [u8]>,
     requests: u32,
-    /// The answer was no: nothing is handed out any more.
+    /// Cancelled: no more input.
     stopped: bool,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl<'a> Bytes<'a> {
-    pub(super) fn new(bytes: &'a [u8], work: &'a Work<'a>) -> Self {
+    pub(super) fn new(bytes: &'a [u8], work: &'a StepCounter<'a>) -> Self {
         Self { cursor: ZCursor::new(bytes), requests: 0, stopped: false, work }
     }
 
@@ -149,7 +149,7 @@ impl ZByteReaderTrait for Bytes<'_> {
     }
 
     fn read_exact_bytes(&mut self, into: &mut [u8]) -> Result<(), ZByteIoError> {
-        // Heads of segments: a scan behind one may pass over the whole picture in a few bytes.
+        // Called for the heads of segments: a scan may pass over the whole picture in a few bytes.
         self.ask()?;
         self.cursor.read_exact_bytes(into)
     }

@@ -1,14 +1,14 @@
-//! Pixels to the bytes of a file, whatever its format: head, strips in any order, tail. PNG is written in strips that are rendered and encoded in
-//! parallel and leave as they are done; JPEG and WebP are one strip, for their encoders take whole pictures.
+//! Writes a picture in any format: head, strips in any order, tail. PNG has several strips, rendered and encoded in parallel and sent in
+//! order; JPEG and WebP are one strip, because their encoders need whole pictures.
 
 use std::ops::Range;
 
-use super::png::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::write_jpeg::Attended;
-use super::{Format, write_jpeg, write_webp};
+use super::jpeg::write::WhileWanted;
+use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
+use super::{Format, jpeg, webp};
 use crate::pixmap::Depth;
 
-/// How a picture is written.
+/// The encoding of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Lossless, 8 or 16 bit.
@@ -17,7 +17,7 @@ pub enum Encoding {
     Jpeg {
         /// 1 to 100.
         quality: u8,
-        /// The colour on which stands what is transparent.
+        /// The background of transparent pixels.
         ground: [u8; 3],
     },
     /// Lossless, 8 bit.
@@ -36,7 +36,7 @@ impl Encoding {
     }
 }
 
-/// Writes one picture. Cheap to make and to clone.
+/// Writes one picture. Cheap to create and to clone.
 #[derive(Clone, Debug)]
 pub struct Writer(Kind);
 
@@ -53,7 +53,7 @@ enum Coding {
 }
 
 impl Writer {
-    /// A writer for one picture.
+    /// Creates a writer for one picture.
     ///
     /// # Panics
     /// If a row is longer than 1 GiB.
@@ -93,12 +93,12 @@ impl Writer {
     pub fn max_bytes(&self) -> u64 {
         /// Markers and tables.
         const FRAME: u64 = 64 << 10;
-        /// A JPEG coefficient takes at most 26 bits, each byte of which may have to be stuffed; a WebP sample less.
+        /// A JPEG coefficient takes at most 26 bits, each byte of which may need stuffing; a WebP sample takes less.
         const SAMPLE: u64 = 8;
         match &self.0 {
             Kind::Strips(png) => png.max_bytes(),
             Kind::Whole { shape, icc, .. } => {
-                // Both pad a picture to blocks.
+                // Both encoders pad a picture to blocks.
                 let side = |length: u32| u64::from(length).next_multiple_of(16);
                 let samples = side(shape.extent.width()) * side(shape.extent.height()) * shape.channels.count() as u64;
                 samples * SAMPLE + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64 + FRAME
@@ -106,11 +106,11 @@ impl Writer {
         }
     }
 
-    /// Upper bound of the memory that writing takes, the file included, bytes: what to reserve before it begins. For whole pictures that is their
-    /// samples, what an encoder makes of them, and a file that is no larger than they are: noise compresses a little, and nothing is worse.
+    /// Upper bound of the memory for writing, the file included, bytes. For whole pictures: their samples, the encoder's buffers, and a
+    /// file no larger than the samples, because even noise compresses a little.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
-        /// Of the samples: themselves, a copy without alpha or in 8 bit, what the encoder holds, the file.
+        /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's buffers, the file.
         const COPIES: u64 = 4;
         match &self.0 {
             Kind::Strips(png) => png.max_bytes(),
@@ -121,7 +121,7 @@ impl Writer {
         }
     }
 
-    /// What comes before the first strip.
+    /// The bytes before the first strip.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         match &self.0 {
@@ -130,8 +130,8 @@ impl Writer {
         }
     }
 
-    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian. Where a strip is long (a whole JPEG), `wanted` is asked
-    /// now and then, and encoding ends when it says no: what has been appended is then no picture.
+    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian. During long strips (a whole JPEG)
+    /// `wanted` is called from time to time, and encoding stops when it returns false; the output is then incomplete.
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
@@ -147,17 +147,17 @@ impl Writer {
                 let icc = icc.as_ref().map(Profile::icc);
                 match *coding {
                     Coding::Jpeg { quality, ground } => {
-                        let out = Attended::new(out, wanted);
-                        write_jpeg::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
+                        let out = WhileWanted::new(out, wanted);
+                        jpeg::write::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
                     }
-                    Coding::WebP => write_webp::write(shape.extent, shape.channels, samples, icc, out),
+                    Coding::WebP => webp::write::write(shape.extent, shape.channels, samples, icc, out),
                 }
                 StripChecksum::default()
             }
         }
     }
 
-    /// What follows the last strip.
+    /// The bytes after the last strip.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
         match &self.0 {
@@ -167,36 +167,11 @@ impl Writer {
     }
 }
 
-/// 16 bit to the nearest 8: `(s * 255 + 32767) / 65535`, rounded.
+/// Converts 16 bit to the nearest 8 bit: `(s * 255 + 32767) / 65535`.
 fn to_eight(samples: &[u8]) -> Vec<u8> {
     #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
     let nearest = |s: &[u8]| ((u32::from(u16::from_be_bytes([s[0], s[1]])) * 255 + 32_767) / 65_535) as u8;
     samples.chunks_exact(2).map(nearest).collect()
-}
-
-impl Format {
-    /// What is written, the default first.
-    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
-
-    /// The longest side that a file of the format can have, px.
-    #[must_use]
-    pub const fn max_side(self) -> u32 {
-        match self {
-            Self::Png => u32::MAX >> 1,
-            Self::Jpeg => u16::MAX as u32,
-            Self::WebP => 1 << 14,
-        }
-    }
-
-    /// The media type.
-    #[must_use]
-    pub const fn media_type(self) -> &'static str {
-        match self {
-            Self::Png => "image/png",
-            Self::Jpeg => "image/jpeg",
-            Self::WebP => "image/webp",
-        }
-    }
 }
 
 #[cfg(test)]

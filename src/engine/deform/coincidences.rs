@@ -1,9 +1,9 @@
-//! Where handles meet at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once a plan; each pose
-//! then only compares the two targets of every meeting (mathematics section 6: where they differ, f is discontinuous).
+//! Coincidences of handles at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once per field;
+//! each pose then only compares the two targets of every coincidence (mathematics section 6: where they differ, f is discontinuous).
 //!
-//! The work is bounded for every set. Points are compared with a few others of the square cells around them: O(points). Segments are
-//! compared with what overlaps them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set that
-//! leaves more pairs than [`MOST_WORK`] allows is refused; at the default limit of columns that is only one with a million pairs of which
+//! The work is bounded for every set. Points are compared with a few others of the surrounding grid cells: O(points). Segments are
+//! compared with those that overlap them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set
+//! with more pairs than [`MOST_WORK`] allows is refused; at the default limit of columns that takes a million pairs of segments of which
 //! neither lies beside the other.
 
 use std::collections::HashMap;
@@ -15,47 +15,47 @@ use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
 const CONTRADICTION_SHARE: f64 = 1e-6;
-/// Points nearer than this are looked at for a warning, px.
+/// Distance below which points are examined for a warning, px.
 const NEAR: f64 = 1.0;
-/// Targets so many times as far apart as their points at rest are worth a warning.
+/// The ratio of the targets' distance to the rest distance from which a warning is given.
 const NEAR_FACTOR: f64 = 10.0;
-/// More meetings than this in one set is a set that nobody drew by hand.
+/// The largest number of coincidences in a set.
 const MOST: usize = 200_000;
-/// Points of a cell that other points are compared with, the first ones of the client's order. Of a crowd nearer than 1 px a warning needs
-/// some pairs, not all. Of a crowd within [`COINCIDENT_SHARE`] the first point stands for all others of its cell.
+/// The number of points of a cell that other points are compared with, in the client's order. A warning needs some close pairs, not all.
+/// For points within [`COINCIDENT_SHARE`] the first one represents all others of its cell.
 const CROWD: usize = 8;
-/// The side of a cell whose points all coincide, as a share of the distance up to which they do: its diagonal is shorter.
+/// The side of a cell whose points all coincide, as a share of the distance of coincidence: its diagonal is shorter.
 const SAME_CELL: f64 = 0.7;
-/// Work that the search for meetings of segments may take: a pair that overlaps along the direction of the sweep is 1, and [`COMPARISON`]
-/// more if it is compared, because neither lies on one side of the other's line.
+/// Limit of the work to search coincidences of segments: a pair that overlaps along the direction of the sweep costs 1, and [`COMPARISON`]
+/// more if neither lies on one side of the other's line and the two must be compared.
 const MOST_WORK: u64 = 16 << 20;
 /// See [`MOST_WORK`].
 const COMPARISON: u64 = 16;
-/// Directions that a sweep may take, evenly spread over half a turn.
+/// Number of sweep directions, evenly spaced over half a turn.
 const DIRECTIONS: u32 = 8;
-/// A sweep along x that leaves at most this number of pairs for each element is good enough.
+/// A sweep along x that leaves at most this number of pairs per element is used without trying others.
 const FEW_PAIRS: u64 = 8;
 
-/// A place on an element: the element's index and the parameter along it (0 for a point).
+/// A position on an element: the element's index and the parameter along it (0 for a point).
 type On = (usize, f64);
 
-/// The meetings of one set.
+/// The coincidences of one set.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Coincidences {
-    /// Elements that share a place.
+    /// Elements that share a position.
     touching: Vec<(On, On)>,
-    /// Points nearer than 1 px that do not share one, and their distance.
+    /// Points nearer than 1 px that do not coincide, and their distance.
     near: Vec<(usize, usize, f64)>,
     tolerance: f64,
 }
 
 impl Coincidences {
-    /// `gone` is asked after each element.
+    /// Calls `cancelled` after each element.
     ///
     /// # Errors
-    /// Too many meetings, too many pairs to compare, given up.
-    pub(super) fn find(elements: &[Element], extent: f64, gone: &dyn Fn() -> bool) -> Result<Self, DeformError> {
-        let mut search = Search::new(elements, extent, gone);
+    /// Too many coincidences, too many pairs to compare, cancelled.
+    pub(super) fn find(elements: &[Element], extent: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+        let mut search = Search::new(elements, extent, cancelled);
         search.run()?;
         Ok(search.found)
     }
@@ -63,7 +63,7 @@ impl Coincidences {
     /// Compares a segment with another element; `i < j`.
     fn meet(&mut self, elements: &[Element], i: usize, j: usize, coincident: f64) {
         match (&elements[i], &elements[j]) {
-            // Found by their cells.
+            // Found by the grid cells.
             (Element::Point { .. }, Element::Point { .. }) => {}
             (Element::Point { p, .. }, Element::Segment(s)) => {
                 if let Some(t) = on(s, *p, coincident) {
@@ -93,7 +93,7 @@ impl Coincidences {
         }
     }
 
-    /// Compares the targets wherever handles meet. `owners`: the handle of every element.
+    /// Compares the targets of every coincidence. `owners`: the handle of every element.
     ///
     /// # Errors
     /// The first contradiction, naming both handles.
@@ -109,7 +109,7 @@ impl Coincidences {
         Ok(())
     }
 
-    /// Some points nearer than 1 px go more than ten times as far apart.
+    /// Whether some points nearer than 1 px move more than ten times as far apart.
     pub(super) fn tears(&self, elements: &[Element], pose: &Pose) -> bool {
         self.near
             .iter()
@@ -117,45 +117,45 @@ impl Coincidences {
     }
 }
 
-/// The search for the meetings of one set.
+/// The search for the coincidences of one set.
 struct Search<'a> {
     elements: &'a [Element],
     coincident: f64,
-    gone: &'a dyn Fn() -> bool,
+    cancelled: &'a dyn Fn() -> bool,
     found: Coincidences,
     /// Pairs of points that were compared.
     compared: u64,
-    /// Of the search for meetings of segments, see [`MOST_WORK`].
+    /// Work of the search for coincidences of segments, see [`MOST_WORK`].
     work: u64,
 }
 
 impl<'a> Search<'a> {
-    fn new(elements: &'a [Element], extent: f64, gone: &'a dyn Fn() -> bool) -> Self {
+    fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
         let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
         let found = Coincidences { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Coincidences::default() };
-        Self { elements, coincident, gone, found, compared: 0, work: 0 }
+        Self { elements, coincident, cancelled, found, compared: 0, work: 0 }
     }
 
     fn run(&mut self) -> Result<(), DeformError> {
         self.points()?;
         self.segments()?;
-        // Stable: the meetings of one pair stay in the order in which `meet` finds them.
+        // Stable: the coincidences of one pair stay in the order in which `meet` finds them.
         self.found.touching.sort_by_key(|(x, y)| (x.0, y.0));
         Ok(())
     }
 
-    fn unless_gone(&self) -> Result<(), DeformError> {
-        if (self.gone)() { Err(DeformError::Cancelled) } else { Ok(()) }
+    fn check_cancelled(&self) -> Result<(), DeformError> {
+        if (self.cancelled)() { Err(DeformError::Cancelled) } else { Ok(()) }
     }
 
-    /// Points that coincide, each with the first of the client's order; and pairs that are near each other.
+    /// Finds coincident points, each paired with the first in the client's order, and points that are near each other.
     fn points(&mut self) -> Result<(), DeformError> {
         let points = || self.elements.iter().enumerate().filter_map(|(index, element)| point(element).map(|p| (index, p)));
         let origin = points().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, (_, p)| Point::new(o.x.min(p.x), o.y.min(p.y)));
         let (mut close, mut same) = (Cells::new(origin, NEAR), Cells::new(origin, SAME_CELL * self.coincident));
         let (mut touching, mut near, mut compared) = (Vec::new(), Vec::new(), 0);
         for (j, p) in points() {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             let before = compared;
             close.around(p, 1, |i, other| {
                 compared += 1;
@@ -181,17 +181,17 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// Segments with segments and points.
+    /// Finds coincidences of segments with segments and points.
     fn segments(&mut self) -> Result<(), DeformError> {
         if self.elements.iter().all(|element| point(element).is_some()) {
             return Ok(());
         }
-        // At least what rounding moves a projection.
+        // At least the rounding error of a projection.
         let reach = self.coincident.max(ONE_PLACE);
         let few = FEW_PAIRS * self.elements.len() as u64;
         let mut best: Option<Sweep> = None;
         for turn in 0..DIRECTIONS {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             if best.as_ref().is_some_and(|best| best.pairs <= few) {
                 break;
             }
@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
         let Some(Sweep { segments, points, .. }) = best else { return Ok(()) };
         let boxes: Vec<[f64; 4]> = self.elements.iter().map(bounds).collect();
         for (k, &Interval { low, high, index: i }) in segments.iter().enumerate() {
-            self.unless_gone()?;
+            self.check_cancelled()?;
             let later = segments[k + 1..].iter().take_while(|other| other.low <= high + reach).map(|other| other.index);
             let from = points.partition_point(|p| p.low < low - reach);
             let on_it = points[from..].iter().take_while(|p| p.low <= high + reach).map(|p| p.index);
@@ -228,7 +228,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Square cells, each with the first [`CROWD`] of the points that were put into it.
+/// Grid cells, each with the first [`CROWD`] of the points inserted.
 struct Cells {
     origin: Point,
     side: f64,
@@ -240,7 +240,7 @@ impl Cells {
         Self { origin, side, cells: HashMap::new() }
     }
 
-    /// Points lie within a few extents of the origin, and a side is no less than a billionth of the extent.
+    /// Points lie within a few extents of the origin, and a side is at least a billionth of the extent.
     #[expect(clippy::cast_possible_truncation, reason = "some 2^32 cells at most")]
     fn cell(&self, p: Point) -> (i64, i64) {
         let from = p - self.origin;
@@ -267,7 +267,7 @@ impl Cells {
     }
 }
 
-/// What an element covers along a direction.
+/// The interval that an element covers along a direction.
 #[derive(Clone, Copy)]
 struct Interval {
     low: f64,
@@ -275,7 +275,7 @@ struct Interval {
     index: usize,
 }
 
-/// The elements in their order along a direction, and the number of pairs that overlap there, those of two points left out.
+/// The elements in their order along a direction, and the number of overlapping pairs, pairs of points excluded.
 struct Sweep {
     segments: Vec<Interval>,
     points: Vec<Interval>,
@@ -309,7 +309,7 @@ impl Sweep {
     }
 }
 
-/// All of the other element lies on one side of a segment's line, farther than `reach` from it.
+/// Whether the other element lies on one side of a segment's line, farther than `reach` from it.
 fn is_beside(element: &Element, other: &Element, reach: f64) -> bool {
     let Element::Segment(s) = element else { return false };
     let side = |p: Point| s.tau.cross(p - s.a);
@@ -320,7 +320,7 @@ fn is_beside(element: &Element, other: &Element, reach: f64) -> bool {
     a.min(b) > reach || a.max(b) < -reach
 }
 
-/// The place of a point.
+/// The position of a point element.
 fn point(element: &Element) -> Option<Point> {
     match element {
         Element::Point { p, .. } => Some(*p),
@@ -342,7 +342,7 @@ fn on(s: &Segment, p: Point, within: f64) -> Option<f64> {
     (d2 <= within * within).then_some(t)
 }
 
-/// The parameters at which two segments cross in their interiors; parallel ones meet at their ends or not at all.
+/// The parameters at which two segments cross in their interiors; parallel segments coincide at their ends or not at all.
 fn crossing(s: &Segment, other: &Segment) -> Option<(f64, f64)> {
     let sin = s.tau.cross(other.tau);
     if sin.abs() < 1e-12 {
@@ -536,8 +536,8 @@ mod tests {
         let (elements, extent) = elements_of(points.chain(lines).collect());
         for looks in [0, 1, 499, 501, 520, 900] {
             let asked = Cell::new(0);
-            let gone = || asked.replace(asked.get() + 1) >= looks;
-            assert_eq!(Coincidences::find(&elements, extent, &gone).unwrap_err(), DeformError::Cancelled);
+            let cancelled = || asked.replace(asked.get() + 1) >= looks;
+            assert_eq!(Coincidences::find(&elements, extent, &cancelled).unwrap_err(), DeformError::Cancelled);
             assert_eq!(asked.get(), looks + 1);
         }
     }

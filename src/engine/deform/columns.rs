@@ -1,18 +1,18 @@
-//! Handles at rest as elements with columns: one column a point, two a segment (mathematics of sections 3.1 and 4).
-//! Degeneracy is a property of the set, decided here once from its geometry and never per vertex from a determinant.
+//! Handles at rest as elements with columns: one column per point, two per segment (mathematics sections 3.1 and 4). Degeneracy is decided
+//! once from the geometry of the set, never per vertex from a determinant.
 
 use super::handles::{COINCIDENT_SHARE, Handle, Handles};
 use crate::geometry::{Point, Vec2};
 
-/// A set of points that all lie within this of their mean is one place, px.
+/// Points that all lie within this distance of their mean count as one position, px.
 pub(super) const ONE_PLACE: f64 = 1e-6;
 
-/// A source of weight: a point or a segment at rest.
+/// An element: a point or a segment at rest.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Element {
     /// A point: `w = mass |p - v|^(-2 alpha)`.
     Point { p: Point, mass: f64, column: usize },
-    /// A segment with a density of `weight` a px: two columns, `column` for `a` and the next for `b`.
+    /// A segment with a density of `weight` per px: two columns, `column` for `a` and the next for `b`.
     Segment(Segment),
 }
 
@@ -37,7 +37,7 @@ pub(super) struct PointSource {
     pub(super) column: usize,
 }
 
-/// The elements by kind, each with its own columns: what a row is summed over.
+/// The elements by kind, each with its columns, over which a row is summed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sources {
     pub(super) points: Vec<PointSource>,
@@ -57,20 +57,20 @@ impl Sources {
     }
 }
 
-/// What the set's geometry allows.
+/// The rank of a set of handles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rank {
     /// No handles: the identity.
     Empty,
-    /// All at one place: a translation.
+    /// All at one position: a translation.
     OnePlace,
     /// All on one line: affine has a one-parameter family of minimisers.
     Collinear,
-    /// Anything else.
+    /// No degeneracy.
     Full,
 }
 
-/// The elements of `handles` in their order, and for each the handle it belongs to.
+/// The elements of `handles` in their order, and the handle of each.
 pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec<usize>) {
     let mut elements = Vec::with_capacity(handles.columns());
     let mut owners = Vec::with_capacity(handles.columns());
@@ -101,7 +101,7 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
 pub(super) fn rank(handles: &Handles) -> Rank {
     let places = || handles.handles().iter().flat_map(|h| h.places().iter().copied());
     let Some(first) = places().next() else { return Rank::Empty };
-    // A segment has a direction however short it is.
+    // A segment has a direction, however short.
     if handles.extent() <= ONE_PLACE && !handles.has_lines() {
         return Rank::OnePlace;
     }

@@ -1,18 +1,16 @@
-//! What can be wrong with handles, and what is unusual about them. Every variant names the handle by its index.
+//! Errors and warnings about handles and poses. Variants name a handle by its index.
 
-use thiserror::Error;
+use std::fmt;
 
 /// Why a set of handles, or a pose of it, has no deformation.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum DeformError {
     /// A coordinate, weight or parameter is NaN or infinite.
-    #[error("handle {handle} has a coordinate that is not a finite number")]
     NotFinite {
         /// Index of the handle.
         handle: usize,
     },
     /// A coordinate is beyond what the arithmetic promises, 1e6 px.
-    #[error("handle {handle} has a coordinate of {value} px; at most {limit} px either way")]
     OutOfRange {
         /// Index of the handle.
         handle: usize,
@@ -22,7 +20,6 @@ pub enum DeformError {
         limit: f64,
     },
     /// A polyline needs two places or more.
-    #[error("handle {handle} is a line of {places} places; at least 2")]
     TooFewPlaces {
         /// Index of the handle.
         handle: usize,
@@ -30,7 +27,6 @@ pub enum DeformError {
         places: usize,
     },
     /// The posed handles differ from the rest handles in number.
-    #[error("q has {}, p has {rest}", counted(*posed, "handle"))]
     CountMismatch {
         /// Handles at rest.
         rest: usize,
@@ -38,7 +34,6 @@ pub enum DeformError {
         posed: usize,
     },
     /// A posed handle is of another kind than its rest handle.
-    #[error("handle {handle}: q has {posed}, p has {rest}")]
     ShapeMismatch {
         /// Index of the handle.
         handle: usize,
@@ -48,7 +43,6 @@ pub enum DeformError {
         posed: String,
     },
     /// `weights` has another length than `p`.
-    #[error("weights has {}, p has {}", counted(*weights, "number"), counted(*rest, "handle"))]
     WeightCount {
         /// Handles at rest.
         rest: usize,
@@ -56,7 +50,6 @@ pub enum DeformError {
         weights: usize,
     },
     /// A weight is not a positive finite number within range.
-    #[error("the weight of handle {handle} is {value}; it must be a positive number between 1e-9 and 1e9")]
     BadWeight {
         /// Index of the handle.
         handle: usize,
@@ -64,13 +57,11 @@ pub enum DeformError {
         value: f64,
     },
     /// The mass of a point is not a positive finite number within range.
-    #[error("point_mass is {value}; it must be a positive length between 1e-9 and 1e9 px")]
     BadPointMass {
         /// The mass, px.
         value: f64,
     },
     /// A segment at rest without length: it has no weight and no direction.
-    #[error("handle {handle}: segment {segment} has zero length at rest; send a point instead")]
     DegenerateLine {
         /// Index of the handle.
         handle: usize,
@@ -78,7 +69,6 @@ pub enum DeformError {
         segment: usize,
     },
     /// Two handles that meet at rest are asked to go to different places.
-    #[error("handles {first} and {second} meet at rest at ({x}, {y}) but their targets there are {apart} px apart")]
     Contradictory {
         /// Index of the first handle.
         first: usize,
@@ -92,24 +82,18 @@ pub enum DeformError {
         apart: f64,
     },
     /// The handles meet at more places than are looked at.
-    #[error("the handles meet at more than {limit} places")]
     TooManyMeetings {
         /// The limit.
         limit: usize,
     },
     /// The handles lie so close to each other that more pairs would have to be compared than are.
-    #[error(
-        "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; send fewer or shorter lines"
-    )]
     TooManyNeighbours {
         /// The limit.
         limit: u64,
     },
     /// Nobody waits for the result any more.
-    #[error("cancelled: the result is no longer wanted")]
     Cancelled,
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
-    #[error("alpha is {alpha}; it must be {}", if *.lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" })]
     AlphaOutOfRange {
         /// The exponent.
         alpha: f64,
@@ -118,12 +102,54 @@ pub enum DeformError {
     },
 }
 
+impl fmt::Display for DeformError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFinite { handle } => write!(f, "handle {handle} has a coordinate that is not a finite number"),
+            Self::OutOfRange { handle, value, limit } => {
+                write!(f, "handle {handle} has a coordinate of {value} px; at most {limit} px either way")
+            }
+            Self::TooFewPlaces { handle, places } => write!(f, "handle {handle} is a line of {places} places; at least 2"),
+            Self::CountMismatch { rest, posed } => write!(f, "q has {}, p has {rest}", counted(*posed, "handle")),
+            Self::ShapeMismatch { handle, rest, posed } => write!(f, "handle {handle}: q has {posed}, p has {rest}"),
+            Self::WeightCount { rest, weights } => {
+                write!(f, "weights has {}, p has {}", counted(*weights, "number"), counted(*rest, "handle"))
+            }
+            Self::BadWeight { handle, value } => {
+                write!(f, "the weight of handle {handle} is {value}; it must be a positive number between 1e-9 and 1e9")
+            }
+            Self::BadPointMass { value } => {
+                write!(f, "point_mass is {value}; it must be a positive length between 1e-9 and 1e9 px")
+            }
+            Self::DegenerateLine { handle, segment } => {
+                write!(f, "handle {handle}: segment {segment} has zero length at rest; send a point instead")
+            }
+            Self::Contradictory { first, second, x, y, apart } => {
+                write!(f, "handles {first} and {second} meet at rest at ({x}, {y}) but their targets there are {apart} px apart")
+            }
+            Self::TooManyMeetings { limit } => write!(f, "the handles meet at more than {limit} places"),
+            Self::TooManyNeighbours { limit } => write!(
+                f,
+                "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; \
+                 send fewer or shorter lines"
+            ),
+            Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
+            Self::AlphaOutOfRange { alpha, lines } => {
+                let range = if *lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" };
+                write!(f, "alpha is {alpha}; it must be {range}")
+            }
+        }
+    }
+}
+
+impl std::error::Error for DeformError {}
+
 /// A number of things: `1 handle`, `2 handles`.
 fn counted(n: usize, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{n} {thing}s") }
 }
 
-/// Something a client should know though a result exists.
+/// An unusual property of handles or a pose that does not prevent a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Warning {
     /// Affine with all handles on one line: the similarity rows are used.
@@ -136,14 +162,10 @@ pub enum Warning {
     NearDuplicateHandles,
     /// Lines with alpha below 1: infinite slope across the line.
     LineAlphaBelowOne,
-    /// No posed cell intersects the canvas.
-    NothingVisible,
-    /// The picture's file has a colour profile that is not carried over: it is damaged, too large, or not for RGB.
-    ProfileDropped,
 }
 
 impl Warning {
-    /// The stable code of the `Warp-Warning` header.
+    /// The stable code in responses.
     #[must_use]
     pub const fn code(self) -> &'static str {
         match self {
@@ -152,8 +174,6 @@ impl Warning {
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
-            Self::NothingVisible => "nothing_visible",
-            Self::ProfileDropped => "profile_dropped",
         }
     }
 }

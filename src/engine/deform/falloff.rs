@@ -1,16 +1,16 @@
-//! The fall-off `w = |p - v|^(-2 alpha)`, always as a power of a ratio of squared distances so that it never overflows.
+//! The fall-off `w = |p - v|^(-2 alpha)`, always computed as a power of a ratio of squared distances, so that it never overflows.
 
 use super::DeformError;
 use super::lane_math::pow;
 
-/// The exponent alpha, checked. `0 < alpha <= 8`, with lines at least 1/2.
+/// The validated exponent alpha: `0 < alpha <= 8`, and at least 1/2 with lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Falloff {
     alpha: f64,
     power: Power,
 }
 
-/// Powers that need only multiplications and roots; all others cost a logarithm and an exponential.
+/// Powers that need only multiplications and roots; all others need a logarithm and an exponential.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Power {
     Half,
@@ -23,11 +23,11 @@ pub(super) enum Power {
 
 /// Largest exponent.
 const MOST: f64 = 8.0;
-/// Below this a line is not interpolated (mathematics section 3.4).
+/// Below this exponent a line is not interpolated (mathematics section 3.4).
 const LEAST_WITH_LINES: f64 = 0.5;
 
 impl Falloff {
-    /// Checks the exponent.
+    /// Validates the exponent.
     ///
     /// # Errors
     /// [`DeformError::AlphaOutOfRange`], also for NaN.

@@ -5,7 +5,7 @@ use super::Method;
 use super::lanes::Rows;
 use crate::geometry::Vec2;
 
-/// Below this |m| no rotation is better than another (f64).
+/// Below this |m| the rotation is undefined (f64).
 const UNDEFINED: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
@@ -25,7 +25,7 @@ fn pull<const N: usize>(rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
     rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d))
 }
 
-/// |m| of the fitted rotation for rigid, 1 for the other families: near 0 every rotation fits.
+/// |m| of the fitted rotation for rigid, 1 for the other families; near 0 all rotations fit equally.
 #[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
 pub(super) fn rotation<const N: usize>(family: Method, rows: &Rows<N>, k: usize, d: &[Vec2]) -> f32 {
     match family {
@@ -37,7 +37,7 @@ pub(super) fn rotation<const N: usize>(family: Method, rows: &Rows<N>, k: usize,
     }
 }
 
-/// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes and every rotation fits.
+/// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes and all rotations fit equally.
 pub(super) fn rho(u: Vec2) -> Vec2 {
     let n = (1.0 + u.x).hypot(u.y);
     if n < UNDEFINED {

@@ -1,5 +1,5 @@
-//! The deformation f of one set of handles at rest: exact at any place, for any pose. Everything that does not depend on a place is decided
-//! once here: degenerate sets, meetings, the effective family.
+//! The deformation f of one set of handles at rest: exact at any position, for any pose. Everything that does not depend on a position is
+//! decided once here: degenerate sets, coincidences, the effective family.
 
 use std::cell::RefCell;
 
@@ -15,10 +15,10 @@ use super::span::Scratch;
 use super::{DeformError, Handle, Method, Pose, Warning};
 use crate::geometry::Point;
 
-/// Masses outside of this range would leave f64's ratios, px.
+/// Masses outside of this range would overflow or underflow the ratios in f64, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 
-/// Handles at rest with method, fall-off and point mass: all that f depends on beside the pose.
+/// Handles at rest with method, fall-off and point mass: everything that f depends on except the pose.
 #[derive(Clone, Debug)]
 pub struct Field {
     handles: Handles,
@@ -34,7 +34,7 @@ pub struct Field {
     warnings: Vec<Warning>,
 }
 
-/// Rows and scratch that a caller keeps while it maps many places, N at once.
+/// Rows and scratch, reused while many positions are mapped, N at once.
 #[derive(Debug)]
 pub(super) struct Workspace<const N: usize> {
     pub(super) rows: Rows<N>,
@@ -48,30 +48,30 @@ impl<const N: usize> Workspace<N> {
 }
 
 impl Field {
-    /// `point_mass`: the length whose pull a point has from afar, px; matters only where points and lines are mixed.
+    /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where points and lines are mixed.
     ///
     /// # Errors
-    /// A mass out of range, handles that meet at too many places, or lines of which too many lie close to each other.
+    /// A mass out of range, too many coincidences of handles, or too many lines close to each other.
     pub fn new(handles: Handles, method: Method, falloff: Falloff, point_mass: f64) -> Result<Self, DeformError> {
         Self::new_unless(handles, method, falloff, point_mass, &|| false)
     }
 
-    /// The same, given up when `gone` says that nobody waits any more.
+    /// Like [`Field::new`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`Field::new`]; given up.
+    /// Those of [`Field::new`]; cancelled.
     pub fn new_unless(
         handles: Handles,
         method: Method,
         falloff: Falloff,
         point_mass: f64,
-        gone: &dyn Fn() -> bool,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, DeformError> {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
         let (elements, owners) = elements(&handles, point_mass);
-        let coincidences = Coincidences::find(&elements, handles.extent(), gone)?;
+        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {
@@ -114,7 +114,7 @@ impl Field {
         self.family
     }
 
-    /// Pairs posed handles with the rest handles and checks that no place is asked to be in two.
+    /// Pairs posed handles with the rest handles and checks that coincident handles have the same target.
     ///
     /// # Errors
     /// Shapes, numbers, contradictory targets.
@@ -124,7 +124,7 @@ impl Field {
         Ok(pose)
     }
 
-    /// What a client should know of this set and pose, in the order of [`Warning`]; of rotations that are undefined the plan knows.
+    /// Warnings for this set and pose, in the order of [`Warning`], except undefined rotations, which only the plan finds.
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
@@ -135,7 +135,7 @@ impl Field {
         warnings
     }
 
-    /// f of a place, in f64 by the quadrature nodes: the definition, not the grid.
+    /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
     #[must_use]
     pub fn map(&self, pose: &Pose, place: Point) -> Point {
         thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
@@ -161,7 +161,7 @@ impl Field {
         }
     }
 
-    /// All handles at one place: the mass-weighted mean of their displacements, for every family.
+    /// All handles at one position: the mass-weighted mean of their displacements, for every family.
     fn translation<const N: usize>(&self, rows: &mut Rows<N>) {
         rows.clear();
         let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();

@@ -1,12 +1,13 @@
-//! Steps 4 to 6 of mathematics 7.1: centroid, second moments, and the rows of the family, rotated back from the frame.
-//! The mass of a segment is spread along its direction t: sums over it need its moments alone, so it stands beside a point as a few more terms.
+//! Fits the map at a vertex (steps 4 to 6 of mathematics 7.1): centroid, second moments, and the rows of the family, rotated back from the
+//! frame. The mass of a segment is distributed along its direction; sums need only its moments, so it adds a few terms to those of a
+//! point.
 
 use super::Method;
 use super::columns::{PointSource, Segment, Sources};
 use super::lanes::{PointMass, Rows};
 use super::span::{Scratch, Span};
 
-/// `tau`: direction of the frame, `at_v`: v in it. Leaves places relative to p* and masses that add up to 1.
+/// `tau`: direction of the frame, `at_v`: v in it. Leaves positions relative to p* and masses that add up to 1.
 #[inline(always)]
 pub(super) fn fit<const N: usize>(
     method: Method,
@@ -47,7 +48,7 @@ pub(super) fn fit<const N: usize>(
     }
 }
 
-/// The last step of similarity and rigid.
+/// The final step of similarity and rigid.
 struct Rotation<'a, const N: usize> {
     rigid: bool,
     tau: &'a [[f64; N]; 2],
@@ -55,8 +56,8 @@ struct Rotation<'a, const N: usize> {
 }
 
 impl<const N: usize> Rotation<'_, N> {
-    /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, turned back by conj(tau), and wn; similarity `C = wn + e H`, where
-    /// turning back cancels.
+    /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, rotated back by conj(tau), and wn; similarity `C = wn + e
+    /// H`, where the rotation cancels.
     #[inline(always)]
     fn put(&self, gx: &[f64; N], gy: &[f64; N], w: &[f64; N], h: &mut [[f64; N]; 2], wn: &mut [f64; N]) {
         let ([tx, ty], [ex, ey], [re, im]) = (self.tau, self.e, h);
@@ -75,7 +76,7 @@ impl<const N: usize> Rotation<'_, N> {
     }
 }
 
-/// Normalises masses and moves places to p*. Returns `v - p*` in the frame, and 1/mu.
+/// Normalises masses and moves positions to p*. Returns `v - p*` in the frame, and 1/mu.
 #[inline(always)]
 fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[f64; N]; 2], [f64; N]) {
     let (mut total, mut px, mut py, mut mu) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
@@ -120,13 +121,13 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
     (e, mu)
 }
 
-/// The masses of points and segments alike.
+/// The masses of points and segments.
 #[inline(always)]
 fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMass<N>> {
     scratch.places.iter().chain(scratch.spans.iter().map(|span| &span.place))
 }
 
-/// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first: next to a line S has a condition of h^(3 - 2 alpha).
+/// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first, because next to a line S has a condition of h^(3 - 2 alpha).
 #[inline(always)]
 fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N], scratch: &Scratch<N>, rows: &mut Rows<N>) {
     let (mut a, mut b, mut c) = ([0.0; N], [0.0; N], [0.0; N]);

@@ -1,16 +1,16 @@
-//! Handles at rest and posed: points, segments, polylines, mixed.
-//! Shapes: a handle is one place (a point) or two and more (a polyline of segments).
+//! Handles at rest and posed: points, segments, polylines, mixed. Shapes: a handle is one position (a point) or two and more (a polyline
+//! of segments).
 
 use super::DeformError;
 use crate::geometry::{Point, Vec2};
 
 /// Largest coordinate either way, px.
 pub const MAX_COORDINATE: f64 = 1e6;
-/// Weights outside of this range would leave f64's ratios.
+/// Weights outside of this range would overflow or underflow the ratios in f64.
 const WEIGHTS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
-/// A segment shorter than this is no segment, px.
+/// The shortest segment, px.
 const SHORTEST_SEGMENT: f64 = 1e-6;
-/// Nor one shorter than this share of the set's extent.
+/// The shortest segment as a share of the set's extent.
 pub(super) const COINCIDENT_SHARE: f64 = 1e-9;
 
 /// One handle, at rest or posed, px.
@@ -18,12 +18,12 @@ pub(super) const COINCIDENT_SHARE: f64 = 1e-9;
 pub enum Handle {
     /// A point.
     Point(Point),
-    /// A segment (two places) or polyline (more): its consecutive segments.
+    /// A segment (two positions) or polyline (more): its consecutive segments.
     Polyline(Vec<Point>),
 }
 
 impl Handle {
-    /// The places of the handle.
+    /// The positions of the handle.
     #[must_use]
     pub fn places(&self) -> &[Point] {
         match self {
@@ -32,7 +32,7 @@ impl Handle {
         }
     }
 
-    /// Columns of the plan that the handle takes: one a point, two a segment.
+    /// Columns of the plan that the handle needs: one per point, two per segment.
     #[must_use]
     pub fn columns(&self) -> usize {
         match self {
@@ -88,31 +88,31 @@ impl Handles {
         &self.handles
     }
 
-    /// One weight a handle.
+    /// One weight per handle.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
         &self.weights
     }
 
-    /// Largest distance of a place from the mean of all, px.
+    /// Largest distance of a position from the mean of all, px.
     #[must_use]
     pub const fn extent(&self) -> f64 {
         self.extent
     }
 
-    /// Columns of the plan: one a point, two a segment.
+    /// Columns of the plan: one per point, two per segment.
     #[must_use]
     pub fn columns(&self) -> usize {
         self.handles.iter().map(Handle::columns).sum()
     }
 
-    /// Some handle is a segment or polyline.
+    /// Whether some handle is a segment or polyline.
     #[must_use]
     pub fn has_lines(&self) -> bool {
         self.handles.iter().any(|h| matches!(h, Handle::Polyline(_)))
     }
 
-    /// Some handle is a point.
+    /// Whether some handle is a point.
     #[must_use]
     pub fn has_points(&self) -> bool {
         self.handles.iter().any(|h| matches!(h, Handle::Point(_)))
@@ -128,14 +128,14 @@ impl Handles {
     }
 }
 
-/// The displacement of every column, `d = Q - P`, px: the only way in which q enters.
+/// The displacement of every column, `d = Q - P`, px: the only form in which q is used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pose {
     displacements: Vec<Vec2>,
 }
 
 impl Pose {
-    /// Pairs posed handles with the rest handles of the same order and shape. Whether targets contradict each other is decided by the field.
+    /// Pairs posed handles with the rest handles of the same order and shape. The field decides whether targets contradict each other.
     ///
     /// # Errors
     /// A coordinate that is not finite or out of range, or a shape that differs, by handle.
@@ -165,13 +165,13 @@ impl Pose {
         Self { displacements: vec![Vec2::ZERO; rest.columns()] }
     }
 
-    /// One displacement a column, px.
+    /// One displacement per column, px.
     #[must_use]
     pub fn displacements(&self) -> &[Vec2] {
         &self.displacements
     }
 
-    /// Nothing moves.
+    /// Whether nothing moves.
     #[must_use]
     pub fn is_identity(&self) -> bool {
         self.displacements.iter().all(|d| *d == Vec2::ZERO)
@@ -197,7 +197,7 @@ fn check_places(handles: &[Handle]) -> Result<(), DeformError> {
     Ok(())
 }
 
-/// `max |P - mean(P)|` over all places of all columns.
+/// `max |P - mean(P)|` over all positions of all columns.
 fn extent(handles: &[Handle]) -> f64 {
     let places = || handles.iter().flat_map(|h| h.places().iter().copied());
     let count = places().count();

@@ -1,5 +1,5 @@
-//! Powers and angles without a branch and without a library call, so that loops over lanes become vectors and every instruction set (and every
-//! C library) gives the same bits. After fdlibm (Sun Microsystems, 1993: `e_pow.c`, `s_atan.c`), whose constants these are.
+//! Powers and angles without branches and library calls, so that loops over lanes are vectorised and every instruction set (and C library)
+//! gives the same bits. After fdlibm (Sun Microsystems, 1993: `e_pow.c`, `s_atan.c`), the source of the constants.
 
 /// The upper 21 bits of a mantissa: products of two such numbers are exact.
 const UPPER: u64 = 0xFFFF_FFFF_0000_0000;
@@ -14,11 +14,11 @@ fn upper(x: f64) -> f64 {
     f64::from_bits(x.to_bits() & UPPER)
 }
 
-/// `x^y` to 1 ulp for 0 <= x <= 2 and 0 < y <= 8; 0 where x or the power is below the normal numbers.
+/// `x^y` to 1 ulp for 0 <= x <= 2 and 0 < y <= 8; 0 if x or the power is below the normal numbers.
 #[inline(always)]
 pub(super) fn pow(x: f64, y: f64) -> f64 {
     let (log, tail) = log2(x);
-    // y * (log + tail) as an exact product and a rest.
+    // y * (log + tail) as an exact product and a remainder.
     let y_upper = upper(y);
     let rest = (y - y_upper) * log + y * tail;
     let product = y_upper * log;
@@ -26,7 +26,7 @@ pub(super) fn pow(x: f64, y: f64) -> f64 {
     if x < f64::MIN_POSITIVE || product < -1021.0 { 0.0 } else { power }
 }
 
-/// log2 as a number of 21 bits and a rest, together good to some 2^-65 of the larger of it and 1.
+/// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger of the result and 1.
 #[inline(always)]
 fn log2(x: f64) -> (f64, f64) {
     const L: [f64; 6] = [
@@ -48,7 +48,7 @@ fn log2(x: f64) -> (f64, f64) {
     let bits = x.to_bits();
     let mantissa = f64::from_bits(bits & MANTISSA | ONE);
     let exponent = f64::from_bits(bits >> 52 | TWO_52.to_bits()) - (TWO_52 + 1023.0);
-    // x = 2^n a, a beside 1 or 1.5 by a factor of less than sqrt(1.5).
+    // x = 2^n a, where a differs from 1 or 1.5 by a factor of less than sqrt(1.5).
     let high = mantissa >= 1.732_050_807_568_877_2;
     let middle = mantissa >= 1.224_744_871_391_589 && !high;
     let a = if high { 0.5 * mantissa } else { mantissa };
@@ -130,7 +130,7 @@ pub(super) fn angle(y: f64, x: f64) -> f64 {
     ];
     use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
     let across = x.abs();
-    // To [0, pi/4] by the diagonal, then to [-pi/8, pi/8] by a turn of pi/4.
+    // Reduces to [0, pi/4] by the diagonal, then to [-pi/8, pi/8] by a rotation of pi/4.
     let steep = y > across;
     let (small, large) = if steep { (across, y) } else { (y, across) };
     let turned = small > 0.414_213_562_373_095_03 * large;

@@ -1,5 +1,5 @@
-//! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in the anchored, ratio-first form that keeps
-//! its digits next to handles and on the extension of segments. No pixels, no bytes, no time.
+//! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in an anchored form that computes ratios first
+//! and keeps full precision next to handles and on the extension of segments.
 
 #[forbid(unsafe_code)]
 mod coincidences;
@@ -37,9 +37,9 @@ pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
-pub use plan::{Gone, Plan, PoseQuality, pose_without_table};
+pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 
-/// The class of maps that is fitted at every place.
+/// The class of maps that is fitted at every position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Method {
     /// `xM + T`, eq. (5).

@@ -1,8 +1,8 @@
-//! The plan: the coefficients A_j of every vertex of a grid, built once in f64 and kept as f32, so that each later q costs two to six
+//! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as f32, so that each later q costs two to six
 //! multiplications per vertex and handle.
 //!
-//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re, im of H,
-//! wn), then for rigid two more (e). A block streams from front to back.
+//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re,
+//! im of H, wn), and two more per block for rigid (e). A block is read from front to back.
 
 use rayon::prelude::*;
 
@@ -13,15 +13,15 @@ use super::{Method, Pose};
 use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
-/// Blocks that one task builds: a hundred rows or so, enough to forget the hand-over.
+/// Blocks that one task computes: about a hundred rows, which makes the cost of a task negligible.
 const BLOCKS_PER_TASK: usize = 8;
-/// Tables up to this are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
+/// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
-/// Tables are filled and posed in pieces of this size, bytes, with a look between them at whether someone still waits: a few milliseconds.
+/// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds; cancellation is checked between them.
 const PIECE_BYTES: usize = 16 << 20;
 
-/// Says that nobody waits for the result any more; asked by any thread.
-pub type Gone<'a> = &'a (dyn Fn() -> bool + Sync);
+/// Returns true when the result is no longer needed; called by any thread.
+pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The A_j table of a set of vertices.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ pub struct Plan {
     table: Vec<Lanes>,
 }
 
-/// What posing a plan saw on the way.
+/// Quality of a pose, measured while it is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseQuality {
     /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
@@ -47,7 +47,7 @@ impl Plan {
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
     }
 
-    /// Whether a table of so many bytes is posed on one thread, whatever the current rayon pool has.
+    /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
     #[must_use]
     pub const fn is_posed_on_one_thread(bytes: u64) -> bool {
         bytes <= SERIAL_BYTES
@@ -65,11 +65,11 @@ impl Plan {
         Self::of_grid_unless(field, grid, &|| false).expect("nothing gives it up")
     }
 
-    /// The same; `None` when `gone` said that nobody waits any more. It is asked for each block of vertices.
+    /// Like [`Plan::of_grid`]; `None` when cancelled, which is checked for each block of vertices.
     #[must_use]
-    pub fn of_grid_unless(field: &Field, grid: &Grid, gone: Gone<'_>) -> Option<Self> {
+    pub fn of_grid_unless(field: &Field, grid: &Grid, cancelled: IsCancelled<'_>) -> Option<Self> {
         let columns = grid.columns() as usize;
-        Self::fill(field, grid.len(), |k| vertex(grid, columns, k), gone)
+        Self::fill(field, grid.len(), |k| vertex(grid, columns, k), cancelled)
     }
 
     /// Fills the table for any vertices, `vertex(0..vertices)`.
@@ -78,21 +78,21 @@ impl Plan {
         Self::fill(field, vertices, vertex, &|| false).expect("nothing gives it up")
     }
 
-    fn fill(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync, gone: Gone<'_>) -> Option<Self> {
+    fn fill(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync, cancelled: IsCancelled<'_>) -> Option<Self> {
         let (family, columns) = (field.family(), field.handles().columns());
         let per_block = lanes_per_block(family, columns);
         let blocks = vertices.div_ceil(LANES);
         let mut table = Vec::with_capacity(blocks * per_block);
         let per_piece = blocks_per_piece(per_block);
         for piece in (0..if per_block > 0 { blocks } else { 0 }).step_by(per_piece) {
-            // The memory of a large table is not touched all at once either, which takes tenths of a second.
+            // Reserves a piece at a time, because touching the memory of a large table takes tenths of a second.
             let start = table.len();
             table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
             table[start..].par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().try_for_each_init(
                 || Workspace::<LANES>::new(columns),
                 |workspace, (task, blocks)| {
                     for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
-                        if gone() {
+                        if cancelled() {
                             return None;
                         }
                         let first = (piece + task * BLOCKS_PER_TASK + k) * LANES;
@@ -113,7 +113,7 @@ impl Plan {
         self.displace_unless(pose, &|| false).expect("nothing gives it up")
     }
 
-    fn displace_unless(&self, pose: &Pose, gone: Gone<'_>) -> Option<(Vec<[f32; 2]>, PoseQuality)> {
+    fn displace_unless(&self, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Vec<[f32; 2]>, PoseQuality)> {
         assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
         let mut quality = PoseQuality { least_rotation: 1.0 };
         if pose.is_identity() || self.columns == 0 {
@@ -127,7 +127,7 @@ impl Plan {
         let piece = blocks_per_piece(per_block) * per_block;
         if threads == 1 || Self::is_posed_on_one_thread(self.bytes()) {
             for table in self.table.chunks(piece) {
-                if gone() {
+                if cancelled() {
                     return None;
                 }
                 quality.least_rotation = quality.least_rotation.min(kernel::displace(self.family, table, &d, &mut out));
@@ -138,7 +138,7 @@ impl Plan {
                 .par_chunks((blocks.div_ceil(4 * threads) * per_block).min(piece))
                 .map(|table| {
                     let mut out = Vec::new();
-                    (!gone()).then(|| (kernel::displace(self.family, table, &d, &mut out), out))
+                    (!cancelled()).then(|| (kernel::displace(self.family, table, &d, &mut out), out))
                 })
                 .collect();
             for (least, part) in parts? {
@@ -158,23 +158,23 @@ impl Plan {
         self.pose_unless(grid, pose, &|| false).expect("nothing gives it up")
     }
 
-    /// The same; `None` when `gone` said that nobody waits any more.
+    /// Like [`Plan::pose`]; `None` when cancelled.
     #[must_use]
-    pub fn pose_unless(&self, grid: &Grid, pose: &Pose, gone: Gone<'_>) -> Option<(Mesh, PoseQuality)> {
-        let (displacement, quality) = self.displace_unless(pose, gone)?;
+    pub fn pose_unless(&self, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
+        let (displacement, quality) = self.displace_unless(pose, cancelled)?;
         Some((Mesh::new(*grid, displacement), quality))
     }
 }
 
-/// Blocks of a table in a piece of it.
+/// Blocks per piece of a table.
 fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: every row is weighed anew, for grids whose table would not fit. O(vertices x elements) with weights.
-/// `gone` is asked for each block of vertices; `None` when it said that nobody waits any more.
+/// The posed mesh without a table: computes every row for each pose, for grids whose table would not fit. O(vertices x elements) with
+/// weights. `None` when cancelled, which is checked for each block of vertices.
 #[must_use]
-pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: Gone<'_>) -> Option<(Mesh, PoseQuality)> {
+pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
     let mut displacement = vec![[0.0f32; 2]; grid.len()];
     let mut least_rotation = 1.0;
@@ -187,7 +187,7 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, gone: Gone<'_
                 |workspace, (task, out)| {
                     let mut least = f32::INFINITY;
                     for (k, out) in out.chunks_mut(LANES).enumerate() {
-                        if gone() {
+                        if cancelled() {
                             return None;
                         }
                         let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
@@ -278,11 +278,11 @@ mod tests {
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
         let plan = Plan::of_grid(&field, &grid);
         assert!(plan.bytes() > PIECE_BYTES as u64);
-        type GivesUp<'a> = &'a (dyn Fn(Gone<'_>) -> bool + Sync);
+        type GivesUp<'a> = &'a (dyn Fn(IsCancelled<'_>) -> bool + Sync);
         let works: [(&str, usize, GivesUp<'_>); 3] = [
-            ("filling", grid.len() / LANES, &|gone| Plan::of_grid_unless(&field, &grid, gone).is_none()),
-            ("posing", 2, &|gone| plan.pose_unless(&grid, &pose, gone).is_none()),
-            ("without a table", grid.len() / LANES, &|gone| pose_without_table(&field, &grid, &pose, gone).is_none()),
+            ("filling", grid.len() / LANES, &|cancelled| Plan::of_grid_unless(&field, &grid, cancelled).is_none()),
+            ("posing", 2, &|cancelled| plan.pose_unless(&grid, &pose, cancelled).is_none()),
+            ("without a table", grid.len() / LANES, &|cancelled| pose_without_table(&field, &grid, &pose, cancelled).is_none()),
         ];
         let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         for (name, looks, work) in works {

@@ -1,9 +1,9 @@
-//! The narrow waist: everything that vertices know of the handles at rest, with no q anywhere (mathematics 7.1).
-//! Equations (1) to (8), (12) to (14), anchored at the heaviest handle and ratio first, so that no digit is lost next to a handle, on the
-//! extension of a segment, or for large alpha. Cost: O(elements), for segments O(nodes); no allocation once the scratch has grown.
+//! The rows: all coefficients of vertices that depend on the handles at rest, without q (mathematics 7.1). Equations (1) to (8), (12) to
+//! (14), anchored at the heaviest handle and computing ratios first, so that no precision is lost next to a handle, on the extension of a
+//! segment, or for large alpha. Cost: O(elements), for segments O(nodes); no allocation once the scratch has grown.
 //!
-//! N vertices are weighed at once: every step is a loop over them without a branch, which the compiler turns into vectors of the width that it
-//! is allowed (`kernel`). One vertex is N = 1. A point is a mass at a place; a segment is one too, with moments along its direction.
+//! N vertices are computed at once: every step is a branch-free loop over them, which the compiler vectorises for the enabled instruction
+//! set (`kernel`). One vertex is N = 1. A point is a mass at a position; a segment is one too, with moments along its direction.
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
@@ -16,33 +16,33 @@ use super::segments::{Moments, View};
 use super::span::{Scratch, Span};
 use crate::geometry::{Point, Vec2};
 
-/// Within this share of the set's extent v is on a handle.
+/// Within this share of the set's extent v lies on a handle.
 const SNAP_SHARE: f64 = 1e-12;
 /// No source; sources are numbered points first.
 const NONE: u64 = u64::MAX;
 
-/// What a row needs of the set.
+/// The input of a row that depends on the set.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowInputs<'a> {
     pub(super) sources: &'a Sources,
     pub(super) extent: f64,
     pub(super) falloff: Falloff,
     pub(super) method: Method,
-    /// Always the quadrature nodes, at their full number.
+    /// Always use the quadrature nodes, at their full number.
     pub(super) exact: bool,
 }
 
-/// The heaviest source of each vertex, and the frame that all places are brought into: `(place - o) conj(tau) + shift`.
+/// The heaviest source of each vertex, and the frame of all positions: `(place - o) conj(tau) + shift`.
 struct Anchor<const N: usize> {
     weight: [f64; N],
     source: [u64; N],
     /// The point itself; v where a segment is the anchor.
     o: Vertices<N>,
-    /// The direction of the segment; zero until `frame` where a point is the anchor. Points come first, so they never reset it.
+    /// The direction of the segment; zero until `choose_frame` if a point is the anchor. Points come first, so they never reset it.
     tau: [[f64; N]; 2],
-    /// v from the place of the anchor segment nearest to it, in the frame, exact.
+    /// v from the position of the anchor segment nearest to it, in the frame, exact.
     shift: [[f64; N]; 2],
-    /// The point that defines the frame of an anchor point lies exactly on its axis, this far from the anchor.
+    /// The point that defines the frame of an anchor point; it lies exactly on the axis, at this distance from the anchor.
     defining: [u64; N],
     reach: [f64; N],
 }
@@ -66,7 +66,7 @@ impl RowInputs<'_> {
         }
     }
 
-    /// Squared distance of the nearest source; a point's own is left in its mass.
+    /// Squared distance of the nearest source; stores each point's own in its mass.
     #[inline(always)]
     fn nearest<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>) -> [f64; N] {
         let mut nearest = [f64::INFINITY; N];
@@ -84,7 +84,7 @@ impl RowInputs<'_> {
         nearest
     }
 
-    /// Weights relative to the nearest source's, ratio first and power after; the heaviest source becomes the anchor.
+    /// Weights relative to the nearest source's, the ratio before the power; the heaviest source becomes the anchor.
     #[inline(always)]
     fn weights<const N: usize>(&self, v: &Vertices<N>, r2min: &[f64; N], scratch: &mut Scratch<N>) -> Anchor<N> {
         let mut anchor = Anchor {
@@ -116,7 +116,7 @@ impl RowInputs<'_> {
         anchor
     }
 
-    /// Where a point is the anchor, the frame looks from it to the place with the largest mass * distance^2.
+    /// If a point is the anchor, the frame points from it to the position with the largest mass * distance^2.
     #[inline(always)]
     fn choose_frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
         let mut axis = Axis { moment: [0.0; N], x: [1.0; N], y: [0.0; N], defining: [NONE; N] };
@@ -137,7 +137,8 @@ impl RowInputs<'_> {
         }
     }
 
-    /// Brings all places into the anchor's frame, formed from the handles themselves: exact where they are whole numbers. Returns v's place.
+    /// Transforms all positions to the anchor's frame, computed from the handles themselves: exact for whole numbers. Returns v's
+    /// position.
     #[inline(always)]
     fn in_frame<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
         let ([tx, ty], [sx, sy], o) = (&anchor.tau, &anchor.shift, &anchor.o);
@@ -199,7 +200,7 @@ impl RowInputs<'_> {
 }
 
 impl<const N: usize> Anchor<N> {
-    /// Point `index` is the anchor of the vertices for which it is heavier than all points before it.
+    /// Makes point `index` the anchor of the vertices for which it is heavier than all earlier points.
     #[inline(always)]
     fn take_point(&mut self, index: u64, w: &[f64; N], p: Point) {
         for k in 0..N {
@@ -211,7 +212,7 @@ impl<const N: usize> Anchor<N> {
         }
     }
 
-    /// The same for a segment, seen from `o = v`.
+    /// Like [`Self::take_point`] for a segment, seen from `o = v`.
     #[inline(always)]
     fn take_segment(&mut self, index: u64, w: &[f64; N], o: &Vertices<N>, tau: Vec2, shift: &[[f64; N]; 2]) {
         for k in 0..N {
@@ -228,7 +229,7 @@ impl<const N: usize> Anchor<N> {
     }
 }
 
-/// The search for the direction of a frame: the place with the largest moment so far, from the anchor.
+/// The search for the direction of a frame: the position with the largest moment so far, from the anchor.
 struct Axis<const N: usize> {
     moment: [f64; N],
     x: [f64; N],

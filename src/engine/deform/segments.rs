@@ -1,6 +1,6 @@
-//! A segment seen from N vertices: its moments about the place nearest to v, by quadrature (section 3 of the paper for any alpha), and
-//! by the robust closed form for alpha = 2 that replaces the paper's appendix B.
-//! Units: lengths along the segment in lengths of the segment; weights relative to `(r2min)^-alpha`.
+//! Moments of a segment relative to N vertices, about the position nearest to v: by quadrature (section 3 of the paper for any alpha), and
+//! by a robust closed form for alpha = 2 that replaces the paper's appendix B. Units: lengths along the segment in lengths of the segment;
+//! weights relative to `(r2min)^-alpha`.
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
@@ -10,26 +10,27 @@ use super::lane_math::angle;
 use super::lanes::Vertices;
 use super::quadrature::Sight;
 
-/// The closed form stands for the nodes of a segment that is further away than this share of its length: nearer, its second moment cancels
-/// by (L/h)^2.
+/// The closed form replaces the nodes for a segment further away than this share of its length: nearer, its second moment cancels by
+/// (L/h)^2.
 const CLOSED_FROM: f64 = 1e-3;
 
-/// Where N vertices see a segment.
+/// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View<const N: usize> {
-    /// How far v's foot on the line is from the nearest place of the segment, lengths: 0 beside it, positive before a, negative beyond b.
+    /// Distance of v's foot on the line from the nearest position of the segment, lengths: 0 beside it, positive before a, negative beyond
+    /// b.
     beyond: [f64; N],
-    /// Shares of the ends a and b at the nearest place, `1 - t` and `t`: also its distances from b and a.
+    /// Shares of the ends a and b at the nearest position, `1 - t` and `t`: also its distances from b and a.
     pub(super) share_a: [f64; N],
     pub(super) share_b: [f64; N],
-    /// Signed distance of v from the line, px, positive to the left of `tau` (y-up words).
+    /// Signed distance of v from the line, px, positive to the left of `tau` in y-up terms.
     off: [f64; N],
     /// Squared distance of v from the segment, px^2.
     pub(super) r2: [f64; N],
 }
 
-/// `sum w y^m` over the places of a segment, y from the place nearest to v towards b, lengths. Sums of terms of one sign or about the place
-/// where the weight is largest: nothing cancels however near v is.
+/// `sum w y^m` over the positions of a segment, y from the position nearest to v towards b, lengths. Sums of terms of one sign, or about
+/// the position of the largest weight: nothing cancels however near v is.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moments<const N: usize>(pub(super) [[f64; N]; 3]);
 
@@ -45,7 +46,7 @@ impl<const N: usize> View<N> {
             let (bx, by) = (v.x[k] - s.b.x, v.y[k] - s.b.y);
             let (u1, u2) = (-(ax * s.tau.x + ay * s.tau.y) * per_length, -(bx * s.tau.x + by * s.tau.y) * per_length);
             let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
-            // The nearer end gives the offset with the smaller rounding.
+            // The nearer end gives the offset with the smaller rounding error.
             let (nx, ny) = if a2 <= b2 { (ax, ay) } else { (bx, by) };
             let off = s.tau.x * ny - s.tau.y * nx;
             let (before, after) = (u1 >= 0.0, u2 <= 0.0);
@@ -82,7 +83,7 @@ impl<const N: usize> View<N> {
         view
     }
 
-    /// v from the place nearest to it, px, in the frame of `tau`.
+    /// v from the position nearest to it, px, in the frame of `tau`.
     #[inline(always)]
     pub(super) fn off_nearest(&self, s: &Segment) -> [[f64; N]; 2] {
         let mut along = self.beyond;
@@ -92,7 +93,7 @@ impl<const N: usize> View<N> {
         [along, self.off]
     }
 
-    /// The moments, weights relative to `r2min`. `exact`: by the nodes, at their full number.
+    /// The moments, with weights relative to `r2min`. `exact`: by the nodes, at their full number.
     #[inline(always)]
     pub(super) fn moments(&self, s: &Segment, v: &Vertices<N>, falloff: Falloff, r2min: &[f64; N], exact: bool) -> Moments<N> {
         let closed = !exact && falloff.power() == Power::Two;

@@ -1,4 +1,4 @@
-//! A segment in a row: its mass and moments as N vertices see them, and what each of its ends takes of them.
+//! A segment in a row: its mass and moments relative to N vertices, and the shares of its two ends.
 
 use super::lanes::PointMass;
 use super::segments::View;
@@ -18,7 +18,7 @@ impl<const N: usize> Span<N> {
     pub(super) const ZERO: Self =
         Self { view: View::ZERO, place: PointMass::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
 
-    /// Mass and first moment along the direction of what belongs to end a.
+    /// Mass and first moment along the direction, the share of end a.
     #[inline(always)]
     pub(super) fn of_a(&self) -> [[f64; N]; 2] {
         let (mut mass, mut along) = ([0.0; N], [0.0; N]);
@@ -29,7 +29,7 @@ impl<const N: usize> Span<N> {
         [mass, along]
     }
 
-    /// The same of end b.
+    /// Mass and first moment along the direction, the share of end b.
     #[inline(always)]
     pub(super) fn of_b(&self) -> [[f64; N]; 2] {
         let (mut mass, mut along) = ([0.0; N], [0.0; N]);
@@ -41,7 +41,7 @@ impl<const N: usize> Span<N> {
     }
 }
 
-/// Reused from row to row: one place a point, one span a segment.
+/// Buffers reused from row to row: one mass per point, one span per segment.
 #[derive(Debug, Default)]
 pub(super) struct Scratch<const N: usize> {
     pub(super) places: Vec<PointMass<N>>,

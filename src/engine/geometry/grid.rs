@@ -13,8 +13,8 @@ pub struct Grid {
     rows: u32,
 }
 
-/// A line 0, cell, 2 cell, ... closer than this share of a cell to the far edge is the far edge: a thinner last cell would fold by the rounding
-/// of its f32 displacements alone.
+/// A line 0, cell, 2 cell, ... closer than this share of a cell to the far edge becomes the far edge: the rounding of its f32
+/// displacements alone would fold a thinner last cell.
 const LAST_CELL_AT_LEAST: f64 = 1e-3;
 
 impl Grid {
@@ -38,7 +38,7 @@ impl Grid {
         Self { width, height, cell_width: width / f64::from(columns - 1), cell_height: height / f64::from(rows - 1), columns, rows }
     }
 
-    /// How many cells of `cell` px cover `length` px; saturates, so that a caller may compare it with a limit.
+    /// Number of cells of `cell` px that cover `length` px; saturates, so that callers can compare it with a limit.
     #[must_use]
     pub fn cells_along(length: f64, cell: f64) -> u32 {
         let cells = (length / cell - LAST_CELL_AT_LEAST).ceil().max(1.0);
@@ -77,7 +77,7 @@ impl Grid {
         self.rows
     }
 
-    /// Vertices in all.
+    /// Number of vertices.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.columns as usize * self.rows as usize
@@ -107,7 +107,8 @@ impl Grid {
         Point::new(self.x(column), self.y(row))
     }
 
-    /// The cell (its column and row) that holds `p`, and where in it: `(column, row, s, t)` with s, t in [0, 1]; `None` outside the rectangle.
+    /// The cell (its column and row) that contains `p`, and the position in it: `(column, row, s, t)` with s, t in [0, 1]; `None` outside
+    /// the rectangle.
     #[must_use]
     pub fn locate(&self, p: Point) -> Option<(u32, u32, f64, f64)> {
         if !(0.0..=self.width).contains(&p.x) || !(0.0..=self.height).contains(&p.y) {

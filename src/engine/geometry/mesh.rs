@@ -1,11 +1,11 @@
-//! The posed grid: the only thing that the mathematics hands to the pixels.
+//! The posed grid: the result of the mathematics and the input of the renderer.
 
 use super::{Grid, Point, Vec2};
 
-/// A grid and the displacement of each of its vertices. What is drawn is the bilinear patch of every cell.
+/// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch.
 ///
-/// Displacements are f32: a displacement is small beside a position, so the posed place `rest + displacement`, added in f64, keeps
-/// its digits on images of any size (absolute f32 positions would be off by 8e-3 px at 1e5 px).
+/// Displacements are f32: a displacement is small relative to a position, so the posed position `rest + displacement`, added in f64, keeps
+/// its precision on images of any size (absolute f32 positions would be off by 8e-3 px at 1e5 px).
 #[derive(Clone, Debug)]
 pub struct Mesh {
     grid: Grid,
@@ -41,7 +41,7 @@ impl Mesh {
         &self.displacement
     }
 
-    /// Every vertex is exactly at rest.
+    /// Whether every vertex is exactly at rest.
     #[must_use]
     pub fn is_identity(&self) -> bool {
         self.displacement.iter().all(|d| *d == [0.0; 2])
@@ -60,7 +60,7 @@ impl Mesh {
         self.grid.vertex(column, row) + self.displaced(column, row)
     }
 
-    /// Where the drawn picture puts the rest place `p`: the bilinear patch of its cell. `None` outside the image.
+    /// The drawn position of the rest position `p`: the bilinear patch of its cell. `None` outside the image.
     #[must_use]
     pub fn map(&self, p: Point) -> Option<Point> {
         let (i, j, s, t) = self.grid.locate(p)?;
@@ -69,17 +69,17 @@ impl Mesh {
         Some(p + top * (1.0 - t) + bottom * t)
     }
 
-    /// Cells of which a corner's cross product is not positive: the bilinear patch is not one-to-one there
-    /// (its Jacobian is affine in the parameters, so the minimum is at a corner). `(column, row)` of each, row by row.
+    /// Cells with a corner whose cross product is not positive: the bilinear patch is not one-to-one there (its Jacobian is affine in the
+    /// parameters, so the minimum is at a corner). `(column, row)` of each, row by row.
     pub fn folded_cells(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
         (0..rows - 1).flat_map(move |j| (0..columns - 1).filter(move |&i| self.is_folded(i, j)).map(move |i| (i, j)))
     }
 
-    /// How many cells fold: `folded_cells().count()`, a row of edges at a time, for each belongs to two cells. `None` when `gone` said that
-    /// nobody waits any more; it is asked for each row.
+    /// Number of folded cells, equal to `folded_cells().count()`; computes a row of edges at a time, because each edge belongs to two
+    /// cells. `None` when cancelled, which is checked for each row.
     #[must_use]
-    pub fn folded_cell_count(&self, gone: &dyn Fn() -> bool) -> Option<u64> {
+    pub fn folded_cell_count(&self, cancelled: &dyn Fn() -> bool) -> Option<u64> {
         let columns = self.grid.columns() as usize;
         let rest: Vec<f64> = (0..self.grid.columns()).map(|i| self.grid.x(i)).collect();
         let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {
@@ -93,7 +93,7 @@ impl Mesh {
         line(0, &mut above, &mut top);
         let mut folded = 0;
         for j in 1..self.grid.rows() {
-            if gone() {
+            if cancelled() {
                 return None;
             }
             line(j, &mut below, &mut bottom);
@@ -112,11 +112,11 @@ impl Mesh {
         Some(folded)
     }
 
-    /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; to touch its border is not enough. A cell counts as the convex
-    /// hull of its corners, which is exact for convex cells. Looks at one vertex as a rule, at most at every cell; `None` when `gone` says, asked
-    /// once a row, that the answer is no longer wanted.
+    /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; touching its border is not enough. A cell counts as the
+    /// convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell; `None` when
+    /// cancelled, which is checked for each row.
     #[must_use]
-    pub fn intersects_picture(&self, gone: &dyn Fn() -> bool) -> Option<bool> {
+    pub fn intersects_picture(&self, cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
         let picture = Point::new(self.grid.width(), self.grid.height());
         let middle = self.posed(columns / 2, rows / 2);
@@ -125,7 +125,7 @@ impl Mesh {
         }
         let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
         for j in 0..rows - 1 {
-            if gone() {
+            if cancelled() {
                 return None;
             }
             if (0..columns - 1).any(|i| overlaps(corners(i, j), picture)) {
@@ -143,8 +143,8 @@ impl Mesh {
     }
 }
 
-/// Whether the convex hull of four points and the rectangle from the origin to `far` have more than a border in common: no line along an
-/// edge of either separates them.
+/// Whether the convex hull of four points and the rectangle from the origin to `far` share more than a border: no line along an edge of
+/// either separates them.
 fn overlaps(corners: [Point; 4], far: Point) -> bool {
     let range = |values: [f64; 4]| values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     let apart = |(a, b): (f64, f64), (c, d): (f64, f64)| b <= c || d <= a;

@@ -1,9 +1,9 @@
-//! Places and displacements of the plane, f64, px. A [`Vec2`] doubles as the complex number `x + iy`: a rotation or
-//! similarity of the paper, `x -> x M` with `M2 = M1_perp`, is a multiplication by a complex `m`.
+//! Positions and displacements in the plane, f64, px. A [`Vec2`] is also the complex number `x + iy`: a rotation or similarity of the
+//! paper, `x -> x M` with `M2 = M1_perp`, is a multiplication by a complex `m`.
 
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
-/// A place in the plane, px.
+/// A position in the plane, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Point {
     /// Rightwards, px.
@@ -22,13 +22,13 @@ pub struct Vec2 {
 }
 
 impl Point {
-    /// The place `(x, y)`.
+    /// The position `(x, y)`.
     #[must_use]
     pub const fn new(x: f64, y: f64) -> Self {
         Self { x, y }
     }
 
-    /// The place a fraction `t` of the way to `other`; exactly `self` at 0 and `other` at 1.
+    /// The position a fraction `t` of the way to `other`; exactly `self` at 0 and `other` at 1.
     #[must_use]
     pub fn lerp(self, other: Self, t: f64) -> Self {
         Self::new((1.0 - t) * self.x + t * other.x, (1.0 - t) * self.y + t * other.y)
@@ -40,7 +40,7 @@ impl Point {
         (other - self).norm()
     }
 
-    /// Neither coordinate is NaN or infinite.
+    /// Whether neither coordinate is NaN or infinite.
     #[must_use]
     pub fn is_finite(self) -> bool {
         self.x.is_finite() && self.y.is_finite()

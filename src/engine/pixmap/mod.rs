@@ -35,14 +35,14 @@ impl Extent {
         self.height.get()
     }
 
-    /// Pixels in all.
+    /// Number of pixels.
     #[must_use]
     pub const fn pixels(self) -> u64 {
         self.width() as u64 * self.height() as u64
     }
 }
 
-/// What a pixel holds.
+/// The samples of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Channels {
     /// Red, green, blue.
@@ -52,7 +52,7 @@ pub enum Channels {
 }
 
 impl Channels {
-    /// Samples in a pixel.
+    /// Samples per pixel.
     #[must_use]
     pub const fn count(self) -> usize {
         match self {
@@ -62,7 +62,7 @@ impl Channels {
     }
 }
 
-/// Bits in a sample.
+/// Bits per sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Depth {
     /// 0..=255.
@@ -72,7 +72,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// Bytes in a sample.
+    /// Bytes per sample.
     #[must_use]
     pub const fn bytes(self) -> usize {
         match self {
@@ -145,7 +145,7 @@ impl Pixmap {
         &self.samples
     }
 
-    /// No pixel lets anything through: RGB, or RGBA with alpha at its maximum everywhere.
+    /// Whether no pixel is transparent: RGB, or RGBA with maximum alpha everywhere.
     #[must_use]
     pub const fn is_opaque(&self) -> bool {
         self.opaque

@@ -1,7 +1,7 @@
-//! Box reduction by powers of two, for sampling at a much smaller size. Shapes: `[height][width][channels]` to
-//! `[ceil(height / n)][ceil(width / n)][channels]`, `n = 2^k`. Every pixel is the average of the `n x n` block above it, colours weighed by
-//! alpha (premultiplied), rounded once, to nearest; blocks at the right and lower border average what exists of them (their mean then stands
-//! up to half a block beside the centre that samplers assume). O(source pixels).
+//! Box reduction by powers of two, for sampling at a much smaller size. Shapes: `[height][width][channels]` to `[ceil(height /
+//! n)][ceil(width / n)][channels]`, `n = 2^k`. Every pixel is the average of its `n x n` block, colours weighted by alpha (premultiplied),
+//! rounded once, to nearest; blocks at the right and lower border average their existing pixels (so their mean lies up to half a block
+//! beside the centre that samplers assume). Cost: O(source pixels).
 
 use super::{Channels, Depth, Extent, Pixmap, Samples};
 

@@ -1,11 +1,10 @@
-//! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides without drawing whether the target is covered,
-//! and finds the border's places nearest to the bare pixels for `Outside::Edge`. Lattice steps in, sampler coordinates out.
+//! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides without drawing whether the target is
+//! covered, and finds the border position nearest to each uncovered pixel for `Outside::Edge`. Lattice steps in, sampler coordinates out.
 //!
-//! A square of pixels has a list of the segments that may be nearest to one of its pixels: those that are no farther from its centre than
-//! the nearest one and the square's diagonal together. The lists of the largest squares come from a binary tree of boxes over consecutive
-//! segments, those of the squares within from the list around them. So the segments of a border that crosses the picture back and forth,
-//! whose boxes overlap everywhere, are looked at once a square and not once a pixel. The work has a bound for every border, because lists
-//! have one ([`SQUARES`]).
+//! Each square of pixels has a list of candidate segments: those no farther from its centre than the nearest one plus the square's
+//! diagonal. The lists of the largest squares come from a binary tree of boxes over consecutive segments; smaller squares filter the list
+//! of the square around them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is therefore searched
+//! once per square and not once per pixel. The work is bounded for every border, because list lengths are ([`SQUARES`]).
 
 use super::kernel::UNCOVERED;
 use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
@@ -14,13 +13,13 @@ use crate::pixmap::Extent;
 
 /// Segments in a leaf of the tree.
 const LEAF: usize = 4;
-/// Squares of pixels: their side, px, and the most segments in the list of one. Where more segments lie as near, those nearest to the
-/// centre are kept: then the place that is found may be farther away than the nearest one, by the square's diagonal at most. Places of the
-/// target alone decide which squares there are, so that any banding gives the same bytes.
+/// Squares of pixels: side, px, and the largest number of candidates of one. If more segments are as near, those nearest to the centre are
+/// kept; the result may then be farther away than the nearest position, by at most the square's diagonal. Squares depend on target
+/// positions alone, so every division into bands gives the same bytes.
 const SQUARES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
 /// Lists up to this length are searched for each pixel without smaller squares.
 const SHORT: usize = 12;
-/// What rounding may move a distance, lattice steps, and more.
+/// Upper bound of rounding errors in distances, lattice steps.
 const MARGIN: f64 = 1.0;
 
 /// The border polygon, and its tree of boxes.
@@ -48,8 +47,8 @@ impl Border {
         self.vertices.windows(2).map(|pair| (pair[0], pair[1]))
     }
 
-    /// Whether every pixel centre of the target is certainly inside: no segment meets the rectangle of the centres, and the polygon winds around it.
-    /// Then the map of the picture has one degree on the whole rectangle, which is not zero, so that no centre is left out.
+    /// Whether every pixel centre of the target is certainly inside: no segment meets the rectangle of the centres, and the polygon winds
+    /// around it. The picture's map then has the same non-zero degree on the whole rectangle, so every centre is covered.
     pub(super) fn surrounds(&self, target: Extent) -> bool {
         let far = |pixels: u32| i64::from(pixels) * i64::from(ONE) - i64::from(HALF);
         let near = i64::from(HALF);
@@ -96,8 +95,7 @@ impl Border {
         self.boxes.len().div_ceil(2)
     }
 
-    /// Of two segments equally near to `place` the one that a search down the tree finds first: nearer boxes come first, of equal ones the
-    /// left one.
+    /// Whether a search down the tree finds `segment` before `other` at equal distance: nearer boxes come first, then the left one.
     fn comes_first(&self, segment: usize, other: usize, place: Point) -> bool {
         let node = |segment: usize| segment / LEAF + self.leaves() - 1;
         let (mut a, mut b) = (node(segment.min(other)), node(segment.max(other)));
@@ -112,7 +110,7 @@ impl Border {
     }
 }
 
-/// Rows of coordinates some of which are bare: `[rows][pitch]`, of which `width` are pixels.
+/// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which `width` are pixels.
 #[derive(Debug)]
 pub(super) struct Rows<'a> {
     pub(super) first: u32,
@@ -133,26 +131,25 @@ impl Rows<'_> {
     }
 }
 
-/// A segment that may be the nearest one, by its distance from the centre of the square.
+/// A candidate for the nearest segment, with its distance from the centre of the square.
 type Candidate = (f64, u32);
 
-/// The search for the nearest places of a border.
+/// The search for the nearest border positions.
 #[derive(Debug)]
 pub(super) struct Search<'a> {
     border: &'a Border,
     lists: [Vec<Candidate>; SQUARES.len()],
-    /// Boxes, segments and pixels that were looked at.
+    /// Boxes, segments and pixels examined.
     work: u64,
 }
 
 impl<'a> Search<'a> {
-    /// For a border that was indexed.
+    /// Requires an indexed border.
     pub(super) fn new(border: &'a Border) -> Self {
         Self { border, lists: Default::default(), work: 0 }
     }
 
-    /// Gives every bare pixel the sampler's coordinates of the border's place nearest to it; among equals that of the segment that comes
-    /// first.
+    /// Gives every uncovered pixel the sampler's coordinates of the nearest border position; among equals, of the first segment.
     pub(super) fn fill(&mut self, rows: &mut Rows<'_>) {
         let (side, _) = SQUARES[0];
         let before = self.work;
@@ -164,7 +161,8 @@ impl<'a> Search<'a> {
         debug_assert!(self.work - before <= self.most_work(rows), "{} of {}", self.work - before, self.most_work(rows));
     }
 
-    /// The most work that rows take: each square its parent's whole list (the tree, at first), each pixel the longest list of the last one.
+    /// Upper bound of the work for these rows: each square its parent's whole list (first the tree), each pixel the longest list of the
+    /// last size.
     fn most_work(&self, rows: &Rows<'_>) -> u64 {
         let tree = self.border.boxes.len() + self.border.vertices.len();
         let above = [tree, SQUARES[0].1, SQUARES[1].1];
@@ -176,7 +174,7 @@ impl<'a> Search<'a> {
         (lists.sum::<usize>() + pixels) as u64
     }
 
-    /// The bare pixels of a square, the part of it that lies in the rows.
+    /// Fills the uncovered pixels of a square, as far as it lies in the rows.
     fn square(&mut self, level: usize, x0: usize, y0: usize, rows: &mut Rows<'_>) {
         let (side, most) = SQUARES[level];
         let (xs, ys) = (x0..(x0 + side).min(rows.width), y0.max(rows.first as usize)..(y0 + side).min(rows.end()));
@@ -232,18 +230,18 @@ impl Border {
         (self.vertices[index], self.vertices[index + 1])
     }
 
-    /// Distance of a segment from a place.
+    /// Distance of a segment from a position.
     fn distance(&self, index: usize, place: Point) -> f64 {
         let (a, b) = self.segment(index);
         nearest_on(a, b, place).0.sqrt()
     }
 
-    /// Appends all segments that are no farther from `place` than the nearest one and `beyond`, and some more; the distance of the nearest
-    /// one.
+    /// Appends all segments no farther from `place` than the nearest one plus `beyond`, and possibly more; returns the distance of the
+    /// nearest one.
     fn gather(&self, place: Point, beyond: f64, list: &mut Vec<Candidate>, work: &mut u64) -> f64 {
         let leaves = self.leaves();
         let mut nearest = f64::INFINITY;
-        // Depth first, the nearer child first: two entries a level at most.
+        // Depth first, nearer child first: at most two entries per level.
         let mut pending = [(0_usize, 0.0_f64); 2 * usize::BITS as usize];
         let mut depth = usize::from(!self.boxes.is_empty());
         while depth > 0 {
@@ -274,7 +272,7 @@ impl Border {
         nearest
     }
 
-    /// The sampler's coordinates of the place nearest to `place` on the segments of a list.
+    /// The sampler's coordinates of the position nearest to `place` on the listed segments.
     fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
         let mut best = (f64::INFINITY, (self.vertices[0].u, self.vertices[0].v), usize::MAX);
         for &(_, index) in list {
@@ -296,7 +294,7 @@ fn box_distance(&[left, top, right, bottom]: &[f64; 4], place: Point) -> f64 {
     dx * dx + dy * dy
 }
 
-/// Squared distance to a segment, and the coordinates of the place nearest.
+/// Squared distance to a segment, and the coordinates of the nearest position.
 #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
 fn nearest_on(a: Corner, b: Corner, place: Point) -> (f64, (f32, f32)) {
     let (from, to) = (Point::new(f64::from(a.x), f64::from(a.y)), Point::new(f64::from(b.x), f64::from(b.y)));
@@ -314,15 +312,15 @@ fn meets(a: Corner, b: Corner, near: i64, right: i64, bottom: i64) -> bool {
     if apart(a.x, b.x, right) || apart(a.y, b.y, bottom) {
         return false;
     }
-    // The boxes overlap: they are apart only if the rectangle lies on one side of the line.
+    // The boxes overlap, so they are disjoint only if the rectangle lies on one side of the line.
     let (dx, dy) = (i128::from(b.x) - i128::from(a.x), i128::from(b.y) - i128::from(a.y));
     let side = |x: i64, y: i64| (dx * (i128::from(y) - i128::from(a.y)) - dy * (i128::from(x) - i128::from(a.x))).signum();
     let sides = [side(near, near), side(right, near), side(right, bottom), side(near, bottom)];
     !(sides == [1; 4] || sides == [-1; 4])
 }
 
-#[cfg(test)]
 #[expect(clippy::cast_possible_truncation, reason = "small numbers of the tests themselves")]
+#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -348,7 +346,7 @@ mod tests {
         assert!(polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(extent(10, 8)), "a slanted one");
     }
 
-    /// The nearest place by a search down the tree for this place alone: the definition of which one is found among equals.
+    /// The nearest position by a search of the tree for this position alone; it defines the result among equals.
     fn by_the_tree(border: &Border, node: usize, place: Point, best: &mut (f64, (f32, f32))) {
         if node + 1 >= border.leaves() {
             let first = (node + 1 - border.leaves()) * LEAF;
@@ -372,7 +370,7 @@ mod tests {
         }
     }
 
-    /// The coordinates of all pixels of a target, and the work a pixel that it took; two bands, the second of which begins in a square.
+    /// The coordinates of all pixels of a target, and the work per pixel; two bands, the second beginning inside a square.
     fn filled(border: &mut Border, width: usize, height: usize) -> (Vec<(f32, f32)>, f64) {
         border.index();
         let mut found = Vec::new();
@@ -402,7 +400,7 @@ mod tests {
         work
     }
 
-    /// In lattice steps; each vertex has coordinates of its own.
+    /// In lattice steps; each vertex has its own coordinates.
     fn steps(vertices: &[(i32, i32)]) -> Border {
         let closed = vertices.iter().chain(vertices.first()).zip(0_u16..);
         let vertices = closed.map(|(&(x, y), k)| Corner { x, y, u: f32::from(k), v: -f32::from(k) }).collect();
@@ -426,7 +424,7 @@ mod tests {
         agrees("spiral", &spiral, 70, 50);
         agrees("one place", &[(300, 400); 50], 40, 40);
         agrees("rectangle", &[(2560, 2560), (7680, 2560), (7680, 7680), (2560, 7680)], 45, 45);
-        // There and back on the same line, and mirrored: everything is found twice, equally near.
+        // Back and forth on the same line, and mirrored: every result occurs twice at equal distance.
         agrees("there and back", &(0..40).chain((0..40).rev()).map(|k| (k * 256, 5000)).collect::<Vec<_>>(), 41, 41);
         agrees("two sides", &(0..60).map(|k| (k * 150, if k % 2 == 0 { 256 } else { 38 * 256 })).collect::<Vec<_>>(), 40, 39);
         for seed in 0..12 {
@@ -443,7 +441,7 @@ mod tests {
         let mut chaos = |count: usize| (0..count).map(|_| (next(256 * 256), next(256 * 256))).collect::<Vec<_>>();
         let few = agrees("400 segments across the target", &chaos(400), 256, 256);
         assert!(few < 100.0, "{few}");
-        // More than lists hold: no search for each pixel alone to compare with.
+        // More segments than lists can hold, so the per-pixel search is no reference.
         let comb = |count: i32, reach: i32| (0..count).map(|k| (k % 700, if k % 2 == 0 { -reach } else { reach })).collect::<Vec<_>>();
         let sets = [
             ("4,000 across", chaos(4000)),

@@ -1,7 +1,6 @@
-//! The general way: one cell at a time, in painter's order, any shape. A convex cell is its bilinear patch, every other cell is two triangles,
-//! each affine. Cells as they are as a rule are drawn in lanes (`kernel::cells`); those with longer sides row by row in double precision, between
-//! the exact places where a row of pixel centres enters and leaves. Sampler coordinates into rows of pixels; O(rows touched + pixels painted) a
-//! cell.
+//! Draws single cells of any shape, in drawing order. A convex cell is its bilinear patch; every other cell is two triangles, each affine.
+//! Most cells are drawn in lanes (`kernel::cells`); cells with longer sides are drawn row by row in double precision, between the exact
+//! crossings of their edges. Writes sampler coordinates into rows of pixels. Cost: O(rows touched + pixels painted) per cell.
 
 use std::cmp::Ordering;
 use std::ops::Range;
@@ -12,11 +11,11 @@ use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centr
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
 
-/// Blocks of cells between two looks at what is still bare.
+/// Blocks of cells after which the uncovered pixels are counted again.
 const BLOCKS_PER_LOOK: usize = 16;
 
-/// Draws what a row of cells covers of the rows that are open, from its last cell to its first; of each block of cells those whose bits are set,
-/// and of these the rows of their column.
+/// Draws a row of cells, last cell first, into the open rows: in each block the cells whose bits are set, and of these the rows of their
+/// column.
 pub(super) fn draw_row(
     kernel: Kernel,
     lattice: &Lattice,
@@ -35,7 +34,7 @@ pub(super) fn draw_row(
         if cells == 0 || !lattice.block_touches(j, b, rows) {
             continue;
         }
-        kernel.glance(lattice, j, b, canvas, &mut seen);
+        kernel.classify(lattice, j, b, canvas, &mut seen);
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
@@ -54,13 +53,13 @@ pub(super) fn draw_row(
     }
 }
 
-/// Draws a cell that is not convex, or has long sides.
+/// Draws a cell that is not convex or has long sides.
 fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, canvas: &mut Canvas<'_>) {
     match shape(corners) {
         Shape::Convex(sign) => large(corners, Some(Patch::new(corners, sign)), lattice.unit, rows, canvas),
         Shape::Other => {
             let ((left, right), (top, bottom)) = (bounds(corners.map(|c| c.x)), bounds(corners.map(|c| c.y)));
-            // Vertices lie within +-LIMIT, so differences fit.
+            // Vertices lie within +-LIMIT, so differences do not overflow.
             let small = (right - left).max(bottom - top) <= lattice.longest_side;
             for triangle in triangles(corners).into_iter().rev() {
                 let rows = rows & canvas.open & rows_of(&triangle, canvas);
@@ -87,8 +86,8 @@ fn rows_of(corners: &[Corner; 4], canvas: &Canvas<'_>) -> u32 {
     below(from_first(top)) & !below(from_first(bottom))
 }
 
-/// A cell that is not convex, divided along the diagonal 00-11 unless only the other one gives two triangles of one orientation (a dart whose
-/// notch is at 10 or 01). Triangles have their last corner twice.
+/// Splits a cell that is not convex along the diagonal 00-11, unless only the other diagonal gives two triangles of one orientation (a
+/// dart with its notch at 10 or 01). Triangles repeat their last corner.
 fn triangles([a, b, c, d]: &[Corner; 4]) -> [[Corner; 4]; 2] {
     let same = |p: i64, q: i64| p.signum() * q.signum() >= 0;
     if !same(turn(*a, *b, *c), turn(*a, *c, *d)) && same(turn(*a, *b, *d), turn(*b, *c, *d)) {
@@ -102,10 +101,10 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
     places.iter().fold((i32::MAX, i32::MIN), |(low, high), &p| (low.min(p), high.max(p)))
 }
 
-/// A polygon with sides that are long: row by row between its exact crossings, along which coordinates are linear, or each the inverse of a patch
-/// that is too far from it.
+/// Draws a polygon with long sides row by row between its exact crossings. Coordinates are linear along the row, or the exact inverse of
+/// the patch where that differs too much.
 fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, canvas: &mut Canvas<'_>) {
-    // Where the area is lost in f64 the error is no number, and the patch stays.
+    // If the area vanishes in f64, the error is NaN and the patch is used.
     let patch = patch.filter(|patch| patch.linear_error(unit).partial_cmp(&TOLERANCE).is_none_or(Ordering::is_gt));
     let range = canvas.first + rows.trailing_zeros()..canvas.first + (u32::BITS - rows.leading_zeros());
     edge::walk(corners, range, |row, a, b| {
@@ -128,7 +127,7 @@ fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, canv
     });
 }
 
-/// The line between two places of a row.
+/// The line between two positions of a row.
 struct Along {
     x: f64,
     per_step: f64,
@@ -139,23 +138,24 @@ struct Along {
 impl Along {
     fn new(left: &Crossing, right: &Crossing) -> Self {
         let breadth = right.x - left.x;
-        // Crossings that are told apart in integers only: one place.
+        // Crossings that only integers can distinguish: one position.
         let per_step = if breadth > 0.0 { 1.0 / breadth } else { 0.0 };
         Self { x: left.x, per_step, u: [left.u, right.u - left.u], v: [left.v, right.v - left.v] }
     }
 
     fn at(&self, pixel: usize) -> (f64, f64) {
-        // Between 0 and 1 but for rounding, which a hair's breadth would magnify.
+        // Between 0 and 1 except for rounding, which a very short breadth would magnify.
         let share = ((column_centre(pixel) - self.x) * self.per_step).clamp(0.0, 1.0);
         (self.u[0] + share * self.u[1], self.v[0] + share * self.v[1])
     }
 }
 
-/// Paints a run of pixels, each with its own place.
+/// Paints a run of pixels, each at its own position.
 fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
     let index = (row - canvas.first) as usize;
     let start = index * canvas.pitch;
-    let pixels = if canvas.over { pixels } else { pixels.start.max(canvas.bare[index].start)..pixels.end.min(canvas.bare[index].end) };
+    let pixels =
+        if canvas.over { pixels } else { pixels.start.max(canvas.uncovered[index].start)..pixels.end.min(canvas.uncovered[index].end) };
     if pixels.is_empty() {
         return;
     }

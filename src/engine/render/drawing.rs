@@ -1,6 +1,6 @@
-//! A posed grid drawn a few rows at a time. Two ways lead to a row's coordinates: column crossings, and cells over them where crossings do not show
-//! them well enough or in the right order (`ways`). Which way is taken depends on the mesh and the row alone: any banding gives the same bytes.
-//! O(cells touched + pixels).
+//! A posed grid drawn in strips of rows. Coordinates come from column crossings, and from single cells where crossings are inaccurate or
+//! out of order (`row_strategy`). The strategy depends on the mesh and the row alone, so every division into bands gives the same bytes.
+//! Cost: O(cells touched + pixels).
 
 use std::ops::Range;
 
@@ -16,25 +16,25 @@ use super::source::Source;
 use super::{Outside, RenderOptions};
 use crate::pixmap::Channels;
 
-/// Rows whose coordinates are made together.
+/// Rows whose coordinates are computed together.
 const STRIP: u32 = 32;
-/// Pixels beyond the row that kernels may write.
+/// Pixels behind the end of a row that kernels may write.
 const SLACK: usize = LANES;
-/// A mesh that is ready to be drawn.
+/// A prepared mesh.
 #[derive(Debug)]
 pub(super) struct Drawing {
     pub(super) lattice: Lattice,
     border: Border,
     options: RenderOptions,
     kernel: Kernel,
-    /// The source is read reduced by 2^level.
+    /// The source is sampled at a reduction by 2^level.
     level: u32,
-    ways: RowStrategies,
+    strategies: RowStrategies,
     /// Every pixel of the target is certainly covered.
     pub(super) covered: bool,
 }
 
-/// Coordinates of a strip and what they are made from; one a band.
+/// Coordinates of a strip and the buffers to compute them; one per band.
 #[derive(Debug, Default)]
 struct Scratch {
     u: Vec<f32>,
@@ -44,13 +44,13 @@ struct Scratch {
     notes: Vec<[f32; BLOCK]>,
     first: Vec<u32>,
     runs: Vec<Range<usize>>,
-    /// The row of cells where each column last crossed a row.
+    /// The row of cells in which each column last crossed a row.
     cells: Vec<usize>,
-    /// What each row of the strip covers that is drawn by crossings.
+    /// The pixels that each row drawn by crossings covers.
     covered: Vec<Range<usize>>,
-    /// Where each row has pixels that nothing is painted on.
-    bare: Vec<Range<usize>>,
-    division: RowSplit,
+    /// The range of each row that has uncovered pixels.
+    uncovered: Vec<Range<usize>>,
+    split: RowSplit,
 }
 
 impl Drawing {
@@ -60,8 +60,8 @@ impl Drawing {
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let ways = RowStrategies::new(&lattice, options.target, kernel);
-        Self { lattice, border, options, kernel, level, ways, covered }
+        let strategies = RowStrategies::new(&lattice, options.target, kernel);
+        Self { lattice, border, options, kernel, level, strategies, covered }
     }
 
     /// Draws target rows.
@@ -86,12 +86,12 @@ impl Drawing {
         }
     }
 
-    /// The picture's edge is painted where the picture does not reach.
+    /// Whether uncovered pixels show the picture's edge.
     fn is_extended(&self) -> bool {
         !self.covered && self.options.outside == Outside::Edge
     }
 
-    /// Finds the coordinates of all pixels of a strip.
+    /// Computes the coordinates of all pixels of a strip.
     fn extend(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
         let pitch = width + SLACK;
@@ -106,7 +106,7 @@ impl Drawing {
         Search::new(&self.border).fill(&mut Rows { first: strip.start, width, pitch, u, v });
     }
 
-    /// Where the row of an extended strip begins in the scratch: one run, as wide as the target.
+    /// Start of a row of an extended strip in the scratch: one run, as wide as the target.
     fn extended(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let width = self.options.target.width() as usize;
         scratch.runs.clear();
@@ -127,20 +127,22 @@ impl Drawing {
         }
     }
 
-    /// What the rows of a strip have in common: crossings of the columns, and all that is drawn cell by cell.
+    /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.options.target.width();
-        let all_plain = strip.clone().all(|row| self.ways.of(row) == RowStrategy::Plain);
+        let all_plain = strip.clone().all(|row| self.strategies.of(row) == RowStrategy::Scanline);
         let pitch = width as usize + SLACK;
-        // Plain rows are made and used one by one, in the first place, unless they are extended; the others stand behind it.
+        // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless they are extended; the others follow
+        // it.
         let size = if all_plain && !self.is_extended() { 1 } else { 1 + strip.len() } * pitch;
         if scratch.u.len() < size {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        let rows_of = |way: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.ways.of(row) == way));
-        let (mended, divided) = (rows_of(RowStrategy::Mended), rows_of(RowStrategy::Divided));
-        if strip.clone().any(|row| self.ways.of(row) != RowStrategy::Divided || self.ways.is_divisible(row)) {
+        let rows_of =
+            |strategy: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.strategies.of(row) == strategy));
+        let (mended, divided) = (rows_of(RowStrategy::ScanlineWithFixups), rows_of(RowStrategy::Mixed));
+        if strip.clone().any(|row| self.strategies.of(row) != RowStrategy::Mixed || self.strategies.is_splittable(row)) {
             scratch.x_crossings.fill(0.0);
             scratch.v_crossings.fill(0.0);
             self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
@@ -148,95 +150,97 @@ impl Drawing {
         if all_plain {
             return;
         }
-        scratch.division.look(&self.lattice, &self.ways, strip, divided);
+        scratch.split.prepare(&self.lattice, &self.strategies, strip, divided);
         scratch.covered.clear();
-        scratch.bare.clear();
+        scratch.uncovered.clear();
         for (index, row) in strip.clone().enumerate() {
             scratch.runs.clear();
-            let mut bare = 0..0;
-            match self.ways.of(row) {
-                RowStrategy::Plain => {}
-                RowStrategy::Mended => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
-                RowStrategy::Divided => bare = self.divided(row, index, (index + 1) * pitch, scratch),
+            let mut uncovered = 0..0;
+            match self.strategies.of(row) {
+                RowStrategy::Scanline => {}
+                RowStrategy::ScanlineWithFixups => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
+                RowStrategy::Mixed => uncovered = self.divided(row, index, (index + 1) * pitch, scratch),
             }
-            scratch.bare.push(bare);
+            scratch.uncovered.push(uncovered);
             scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
         }
         let drawn = mended | divided;
-        let (u, v, bare) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.bare);
-        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, bare, open: drawn };
-        let RowSplit { loose, blocks, .. } = &scratch.division;
-        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !loose[b * BLOCK + k] != 0) << k);
+        let (u, v, uncovered) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.uncovered);
+        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, uncovered, open: drawn };
+        let RowSplit { per_cell, blocks, .. } = &scratch.split;
+        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k);
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
-            let bent = self.ways.bent(j);
-            cell::draw_row(self.kernel, &self.lattice, j, |b| bent[b] & ordered[b], |i| drawn & !loose[i], strip, &mut canvas);
+            let inaccurate = self.strategies.inaccurate(j);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| inaccurate[b] & ordered[b], |i| drawn & !per_cell[i], strip, &mut canvas);
         }
-        // From the last cell back, bare pixels only: the same picture, and no more work where the strip is full, however often it is covered.
+        // From the last cell back and into uncovered pixels only: the same picture, without repeated work where cells overlap.
         (canvas.over, canvas.open) = (false, divided);
         for j in self.lattice.rows_touching(strip).rev() {
             if canvas.open == 0 {
                 break;
             }
-            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| loose[i], strip, &mut canvas);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| per_cell[i], strip, &mut canvas);
         }
         canvas.shrink();
     }
 
-    /// Finds a row's coordinates and notes the runs of pixels that the picture covers; returns where the row begins in the scratch.
+    /// Computes a row's coordinates and its covered runs; returns where the row begins in the scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.options.target.width() as usize;
-        let way = self.ways.of(row);
-        let start = if way == RowStrategy::Plain && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
+        let strategy = self.strategies.of(row);
+        let start = if strategy == RowStrategy::Scanline && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
-        match way {
-            RowStrategy::Plain => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
-            RowStrategy::Mended => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            RowStrategy::Divided if scratch.bare[index].is_empty() => scratch.runs.push(0..width),
-            RowStrategy::Divided => runs(&scratch.u[start..start + width], &mut scratch.runs),
+        match strategy {
+            RowStrategy::Scanline => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
+            RowStrategy::ScanlineWithFixups => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            RowStrategy::Mixed if scratch.uncovered[index].is_empty() => scratch.runs.push(0..width),
+            RowStrategy::Mixed => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
     }
 
-    /// Coordinates of a divided row between the columns that are not loose, from `start` on in the scratch, all else bare; returns from where to where.
+    /// Coordinates of a split row between the columns drawn by cells, from `start` on in the scratch, the rest uncovered; returns the
+    /// covered range.
     fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
         let width = self.options.target.width() as usize;
         let stride = self.lattice.pitch + BLOCK;
-        scratch.division.divide(index, &scratch.x_crossings[index * stride..]);
-        let parts = std::mem::take(&mut scratch.division.parts);
-        let (mut column, mut end, mut bare) = (0, 0, width..0);
+        scratch.split.split(index, &scratch.x_crossings[index * stride..]);
+        let parts = std::mem::take(&mut scratch.split.parts);
+        let (mut column, mut end, mut uncovered) = (0, 0, width..0);
         let mut clear = |pixels: Range<usize>, u: &mut [f32]| {
             if !pixels.is_empty() {
-                bare = bare.start.min(pixels.start)..pixels.end;
+                uncovered = uncovered.start.min(pixels.start)..pixels.end;
                 u[start..][pixels].fill(UNCOVERED);
             }
         };
         let cells = self.lattice.columns - 1;
-        for loose in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
-            if column < loose.start {
+        for per_cell in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
+            if column < per_cell.start {
                 scratch.runs.clear();
-                self.spans(row, index, column..loose.start, start, scratch);
+                self.spans(row, index, column..per_cell.start, start, scratch);
                 if let Some(run) = scratch.runs.pop() {
                     clear(end..run.start, &mut scratch.u);
                     end = run.end;
                 }
             }
-            column = loose.end;
+            column = per_cell.end;
         }
         clear(end..width, &mut scratch.u);
         scratch.u[start + width..][..SLACK].fill(0.0);
-        scratch.division.parts = parts;
-        bare
+        scratch.split.parts = parts;
+        uncovered
     }
 
-    /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first and the last.
+    /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first
+    /// and the last.
     fn spans(&self, row: u32, index: usize, columns: Range<usize>, start: usize, scratch: &mut Scratch) {
         let width = self.options.target.width() as usize;
         let stride = self.lattice.pitch + BLOCK;
         let x = &scratch.x_crossings[index * stride..];
         let mut pixel = |column: usize| {
-            // Where single precision leaves no doubt.
+            // Where single precision is certain.
             let place = x[column] - 0.5;
             let beyond = place.ceil() - place;
             #[expect(
@@ -271,7 +275,7 @@ impl Drawing {
         scratch.runs.push(covered);
     }
 
-    /// The first pixel right of where a column crosses a row, once; `cell` is the row of cells where it may be, and where it was found.
+    /// The first pixel right of a column's single crossing with a row; `cell` is the row of cells to try first, and where it was found.
     fn crossing(&self, column: usize, row: u32, cell: &mut usize) -> Option<i64> {
         let y = row_centre(row);
         let is_above = |line: usize| i64::from(self.lattice.y[line * self.lattice.pitch + column]) <= y;
@@ -279,7 +283,7 @@ impl Drawing {
         if !is_above(above) || is_above(below) {
             (above, below) = (0, self.lattice.rows - 1);
         }
-        // The column is above the row at `above`, below it at `below`.
+        // The column is above the row at `above` and below it at `below`.
         while below - above > 1 {
             let middle = above.midpoint(below);
             if is_above(middle) { above = middle } else { below = middle }
@@ -288,7 +292,7 @@ impl Drawing {
         Edge::new(self.lattice.corner(column, above), self.lattice.corner(column, below))?.crossing(y).map(|crossing| crossing.pixel)
     }
 
-    /// Samples a row whose coordinates are known, and paints what lies outside.
+    /// Samples a row with known coordinates and fills what is outside.
     fn paint(&self, source: &Source, channels: Channels, start: usize, scratch: &Scratch, out: &mut [u8]) {
         let width = self.options.target.width() as usize;
         let depth = source.pixmap().depth();
@@ -304,25 +308,25 @@ impl Drawing {
         }
     }
 
-    /// Whether a row is drawn by column crossings, mended or not.
+    /// Whether a row is drawn by column crossings, with or without fixups.
     #[cfg(test)]
     pub(super) fn crosses(&self, row: u32) -> bool {
-        self.ways.of(row) != RowStrategy::Divided
+        self.strategies.of(row) != RowStrategy::Mixed
     }
 
     /// Whether a row is drawn by column crossings alone.
     #[cfg(test)]
     pub(super) fn is_plain(&self, row: u32) -> bool {
-        self.ways.of(row) == RowStrategy::Plain
+        self.strategies.of(row) == RowStrategy::Scanline
     }
 
     /// Whether a row is drawn by crossings on some columns and by cells on others.
     #[cfg(test)]
-    pub(super) fn is_divided(&self, row: u32) -> bool {
-        self.ways.of(row) == RowStrategy::Divided && self.ways.is_divisible(row)
+    pub(super) fn is_mixed(&self, row: u32) -> bool {
+        self.strategies.of(row) == RowStrategy::Mixed && self.strategies.is_splittable(row)
     }
 
-    /// A row's coordinates and the runs that are covered.
+    /// A row's coordinates and its covered runs.
     #[cfg(test)]
     pub(super) fn row(&self, row: u32) -> (Vec<f32>, Vec<f32>, Vec<Range<usize>>) {
         let mut scratch = self.scratch();
@@ -334,11 +338,11 @@ impl Drawing {
     }
 }
 
-/// The runs of painted pixels.
+/// The runs of covered pixels.
 fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
     while let Some(start) = u[at..].iter().position(|&u| u != UNCOVERED).map(|k| at + k) {
-        // Whole groups first: runs are long as a rule.
+        // Whole groups first, because most runs are long.
         let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != UNCOVERED));
         at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
         at = u[at..].iter().position(|&u| u == UNCOVERED).map_or(u.len(), |k| at + k);
@@ -346,7 +350,7 @@ fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     }
 }
 
-/// What lies between runs.
+/// The gaps between runs.
 fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize>> {
     let starts = std::iter::once(0).chain(runs.iter().map(|run| run.end));
     let ends = runs.iter().map(|run| run.start).chain(std::iter::once(width));

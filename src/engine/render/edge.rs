@@ -1,6 +1,6 @@
-//! Where an edge between two lattice vertices crosses rows of pixel centres. A pixel belongs to the polygon whose left edge lies at or
-//! left of its centre and whose right edge lies right of it, and a row to the edges that begin at or above its centres and end below
-//! (the top-left rule), decided exactly; so polygons that share an edge share no pixel and leave none between them. O(1) a crossing.
+//! Crossings of an edge between two lattice vertices with rows of pixel centres. By the top-left rule a polygon owns the pixels whose
+//! centre is not left of its left edge and left of its right edge, and the rows from the upper end of an edge to just before its lower
+//! end. The rule is applied exactly, so polygons that share an edge neither share pixels nor leave gaps. Cost: O(1) per crossing.
 
 #![expect(clippy::cast_possible_truncation, reason = "lattice places have 30 bits, and all products fit 62")]
 
@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::lattice::{Corner, HALF, ONE, first_row, row_centre};
 
-/// Crossings nearer than this to a pixel's centre, px, are decided in integers. The f64 way is off by 2^-28 px at most.
+/// Crossings closer than this to a pixel's centre, px, are decided in integers. The f64 result is off by at most 2^-28 px.
 const CLOSE_CALL: f64 = 1e-6;
 
 /// An edge that is not horizontal, from top to bottom.
@@ -16,16 +16,16 @@ const CLOSE_CALL: f64 = 1e-6;
 pub(super) struct Edge {
     top: Corner,
     bottom: Corner,
-    /// Changes for one lattice step downwards.
+    /// Change of x per lattice step downwards.
     slope: f64,
     slope_u: f64,
     slope_v: f64,
 }
 
-/// Where an edge crosses a row.
+/// Crossing of an edge with a row.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Crossing {
-    /// The first pixel whose centre is not left of the crossing; may lie off the target.
+    /// The first pixel whose centre is not left of the crossing; may be off the target.
     pub(super) pixel: i64,
     /// The crossing, lattice steps.
     pub(super) x: f64,
@@ -51,7 +51,7 @@ impl Edge {
         })
     }
 
-    /// The crossing with the centres at lattice y.
+    /// The crossing with the row of centres at lattice y.
     pub(super) fn crossing(&self, y: i64) -> Option<Crossing> {
         if y < i64::from(self.top.y) || y >= i64::from(self.bottom.y) {
             return None;
@@ -59,7 +59,7 @@ impl Edge {
         Some(self.at(y))
     }
 
-    /// The crossing with the centres at lattice y, which lies between the ends.
+    /// The crossing with the row of centres at lattice y, which lies between the ends.
     #[inline]
     pub(super) fn at(&self, y: i64) -> Crossing {
         let t = (y - i64::from(self.top.y)) as f64;
@@ -82,7 +82,7 @@ impl Edge {
     }
 }
 
-/// Where rows cross a convex polygon (a triangle has a corner twice): left and right in any order.
+/// Crossings of rows with a convex polygon (a triangle repeats a corner): left and right in any order.
 pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
     let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
     let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
@@ -94,13 +94,13 @@ pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMu
     }
 }
 
-/// One of the two chains of edges that lead from a convex polygon's highest corner to its lowest.
+/// One of the two chains of edges from a convex polygon's highest corner to its lowest.
 struct Chain<'a> {
     corners: &'a [Corner; 4],
     at: usize,
     step: usize,
     edge: Option<Edge>,
-    /// The first row that the edge does not cross.
+    /// The first row behind the edge.
     end: i64,
 }
 
@@ -109,10 +109,10 @@ impl<'a> Chain<'a> {
         Self { corners, at, step, edge: None, end: i64::MIN }
     }
 
-    /// The crossing with a row that the polygon meets, not above the last one asked for.
+    /// The crossing with a row that the polygon meets. Rows must be requested from top to bottom.
     fn crossing(&mut self, row: u32, y: i64) -> Option<Crossing> {
         if self.end <= i64::from(row) {
-            // At most all edges; rows below the lowest corner are never asked for.
+            // Ends at the last edge, because rows below the lowest corner are never requested.
             for _ in 0..4 {
                 let from = self.corners[self.at];
                 self.at = (self.at + self.step) % 4;

@@ -1,20 +1,20 @@
-//! The posed grid as the rasteriser sees it: vertices snapped to a lattice of 1/256 target px, so that edges are compared exactly in
-//! integers, and the sampler's coordinate of every column and row of the grid. Structure of arrays `[rows][pitch]`, the pitch a multiple of
-//! [`BLOCK`] (the last vertex of a row is repeated). Cells are bounded by ranges of y, per row of cells and per block of cells, by which a
-//! strip of target rows finds the cells that touch it. Memory and time O(vertices).
+//! The posed grid as the rasteriser uses it: vertices snapped to a lattice of 1/256 target px, so that integers compare edges exactly, and
+//! the sampler's coordinate of every column and row. Structure of arrays `[rows][pitch]`; the pitch is a multiple of [`BLOCK`] (the last
+//! vertex of a row is repeated). Ranges of y bound each row of cells and each block of cells, so that a strip of target rows finds the
+//! cells that it meets. Memory and time: O(vertices).
 
 /// Lattice steps in a target pixel.
 pub(super) const ONE: i32 = 256;
-/// The lattice place of the first pixel's centre.
+/// The lattice coordinate of the first pixel's centre.
 pub(super) const HALF: i32 = ONE / 2;
-/// The farthest lattice place: 2^21 px; vertices beyond are drawn there. Products of two differences stay below 2^62.
+/// The largest lattice coordinate, 2^21 px; vertices beyond it are clamped. Products of two differences stay below 2^62.
 pub(super) const LIMIT: i32 = 1 << 29;
 
 /// Lattice steps to px.
 pub(super) const STEP: f32 = 1.0 / ONE as f32;
-/// Sides of a cell that is drawn in lanes are at most this long, lattice steps: edge functions of all lanes then fit 31 bits.
+/// The longest side of a cell that is drawn in lanes, lattice steps: the edge functions of all lanes then fit 31 bits.
 pub(super) const LONGEST_SIDE: i32 = 112 * ONE;
-/// Columns that are handled together.
+/// Columns that are processed together.
 pub(super) const BLOCK: usize = 8;
 
 /// A range of lattice y, both ends included.
@@ -31,13 +31,13 @@ impl YRange {
         Self { top: self.top.min(other.top), bottom: self.bottom.max(other.bottom) }
     }
 
-    /// Those of `rows` whose pixel centres may lie inside.
+    /// The rows of `rows` whose pixel centres may lie inside.
     pub(super) fn rows(self, rows: &std::ops::Range<u32>) -> std::ops::Range<u32> {
         let clip = |y: i32| u32::try_from(first_row(y).max(0)).unwrap_or(u32::MAX).clamp(rows.start, rows.end);
         clip(self.top)..clip(self.bottom)
     }
 
-    /// Some row of pixel centres out of `rows` may lie inside.
+    /// Whether some row of pixel centres of `rows` may lie inside.
     pub(super) fn meets(self, rows: &std::ops::Range<u32>) -> bool {
         let (first, last) = (row_centre(rows.start), row_centre(rows.end) - i64::from(ONE));
         i64::from(self.top) <= last && i64::from(self.bottom) > first
@@ -59,7 +59,7 @@ pub(super) const fn first_row(y: i32) -> i64 {
     (y as i64 - HALF as i64 + ONE as i64 - 1).div_euclid(ONE as i64)
 }
 
-/// A vertex: its lattice place and the sampler's coordinates there.
+/// A vertex: its lattice position and the sampler's coordinates there.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corner {
     pub(super) x: i32,
@@ -77,33 +77,33 @@ pub(super) struct Lattice {
     pub(super) rows: usize,
     /// `columns` rounded up to whole blocks.
     pub(super) pitch: usize,
-    /// Lattice places, `[rows][pitch]` and a block behind the last.
+    /// Lattice x, `[rows][pitch]` and one block more.
     pub(super) x: Vec<i32>,
-    /// Lattice places, `[rows][pitch]` and a block behind the last.
+    /// Lattice y, `[rows][pitch]` and one block more.
     pub(super) y: Vec<i32>,
     /// The sampler's coordinate of each column, `[pitch + BLOCK]`.
     pub(super) u: Vec<f32>,
     /// The sampler's coordinate of each row.
     pub(super) v: Vec<f32>,
-    /// The sampler's coordinates grow by this for a px of the sampled picture.
+    /// Growth of the sampler's coordinates per px of the sampled picture.
     pub(super) unit: f32,
     /// Cells with longer sides are drawn in double precision, lattice steps.
     pub(super) longest_side: i32,
-    /// Reach of each row of cells.
-    pub(super) row_reach: Vec<YRange>,
-    /// Reach of each block of cells, `[rows - 1][pitch / BLOCK]`.
-    pub(super) block_reach: Vec<YRange>,
+    /// Range of y of each row of cells.
+    pub(super) row_ranges: Vec<YRange>,
+    /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK]`.
+    pub(super) block_ranges: Vec<YRange>,
 }
 
 impl Lattice {
-    /// A vertex.
+    /// The vertex at a column and row.
     pub(super) fn corner(&self, column: usize, row: usize) -> Corner {
         let index = row * self.pitch + column;
         Corner { x: self.x[index], y: self.y[index], u: self.u[column], v: self.v[row] }
     }
 
-    /// How far a cell reaches up and down.
-    pub(super) fn cell_reach(&self, i: usize, j: usize) -> YRange {
+    /// Range of y of a cell.
+    pub(super) fn cell_range(&self, i: usize, j: usize) -> YRange {
         let above = j * self.pitch + i;
         let below = above + self.pitch;
         let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
@@ -113,30 +113,30 @@ impl Lattice {
     /// The rows of cells that may touch target rows.
     pub(super) fn rows_touching(&self, rows: &std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = usize> + '_ {
         let rows = rows.clone();
-        (0..self.rows - 1).filter(move |&j| self.row_reach[j].meets(&rows))
+        (0..self.rows - 1).filter(move |&j| self.row_ranges[j].meets(&rows))
     }
 
-    /// Blocks of cells in a row of them.
+    /// Blocks of cells per row of cells.
     pub(super) fn blocks(&self) -> usize {
         (self.columns - 1).div_ceil(BLOCK)
     }
 
     /// Whether some cell of a block may touch target rows.
     pub(super) fn block_touches(&self, j: usize, block: usize, rows: &std::ops::Range<u32>) -> bool {
-        self.block_reach[j * (self.pitch / BLOCK) + block].meets(rows)
+        self.block_ranges[j * (self.pitch / BLOCK) + block].meets(rows)
     }
 
     #[cfg(test)]
-    /// The cells that may touch target rows, in painter's order: row by row, `(column, row)`.
+    /// The cells that may touch target rows, in drawing order: row by row, `(column, row)`.
     pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
-        let meets = move |reach: &YRange| reach.meets(&rows);
+        let meets = move |range: &YRange| range.meets(&rows);
         let rows = meets.clone();
-        (0..self.rows - 1).filter(move |&j| rows(&self.row_reach[j])).flat_map(move |j| {
+        (0..self.rows - 1).filter(move |&j| rows(&self.row_ranges[j])).flat_map(move |j| {
             let meets = meets.clone();
             let cells = self.columns - 1;
             (0..blocks)
-                .filter(move |&b| meets(&self.block_reach[j * blocks + b]))
+                .filter(move |&b| meets(&self.block_ranges[j * blocks + b]))
                 .flat_map(move |b| (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j)))
         })
     }

@@ -1,7 +1,7 @@
-//! The rasteriser: the posed grid is filled forward, and what is drawn is the bilinear patch of each cell. A row is drawn in two phases: first
-//! the place of the source that each pixel centre shows (`drawing`: by column crossings or cell by cell), then samples (`kernel`, `sampler`).
-//! A pixel belongs to a cell by exact integer rules on vertices snapped to 1/256 px, so that cells neither overlap nor leave cracks;
-//! under folds the later cell in row order wins. Target pixels, straight samples. O(vertices) to prepare, O(pixels) to draw.
+//! The rasteriser: draws the posed grid as one bilinear patch per cell. Each row is drawn in two phases: first the source position that
+//! each pixel centre shows (`drawing`: by column crossings or cell by cell), then the samples (`kernel`, `sampler`). Exact integer rules
+//! on vertices snapped to 1/256 px assign each pixel to a cell, so that cells neither overlap nor leave gaps; under folds the later cell
+//! in row order wins. Output: straight samples of the target. Cost: O(vertices) to prepare, O(pixels) to draw.
 
 use std::{ops::Range, sync::Arc};
 
@@ -42,23 +42,23 @@ use drawing::Drawing;
 use kernel::Kernel;
 use lattice::Lattice;
 
-/// How the source is read between its pixel centres.
+/// How the source is sampled between its pixel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Filter {
-    /// The pixel that holds the place.
+    /// The pixel that contains the position.
     Nearest,
-    /// Linear in x and y between the four nearest centres.
+    /// Linear in x and y between the four nearest pixel centres.
     #[default]
     Bilinear,
 }
 
-/// What is painted where the posed picture does not reach.
+/// What fills target pixels that the posed picture does not cover.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Outside {
     /// Transparent black.
     #[default]
     Transparent,
-    /// The colour of the nearest place of the posed border.
+    /// The colour of the nearest position on the posed border.
     Edge,
     /// One colour, straight 8-bit RGBA.
     Colour([u8; 4]),
@@ -69,13 +69,13 @@ pub enum Outside {
 pub struct RenderOptions {
     /// Size of the target picture; the mesh is scaled to it.
     pub target: Extent,
-    /// How the source is read.
+    /// How the source is sampled.
     pub filter: Filter,
-    /// What is painted where the posed picture does not reach.
+    /// What fills target pixels that the posed picture does not cover.
     pub outside: Outside,
 }
 
-/// Draws a mesh of a source picture, in bands of rows; any banding gives the same bytes.
+/// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same bytes.
 #[derive(Debug)]
 pub struct Renderer {
     source: Arc<Source>,
@@ -87,13 +87,13 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Prepares (lattice, coordinate scale, which source level) but draws nothing.
+    /// Prepares the drawing (lattice, coordinate scale, reduced source); draws nothing.
     #[must_use]
     pub fn new(source: Arc<Source>, mesh: &Mesh, options: RenderOptions) -> Self {
         Self::with_level(source, mesh, options, Level::detect())
     }
 
-    /// The same on one instruction set; [`Level::Scalar`] where the machine does not have it. Levels give the same bytes.
+    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All levels give the same bytes.
     #[must_use]
     pub fn with_level(source: Arc<Source>, mesh: &Mesh, options: RenderOptions, level: Level) -> Self {
         let kernel = Kernel::new(level);
@@ -101,17 +101,17 @@ impl Renderer {
         let drawing = (options.target != pixmap.extent() || !mesh.is_identity()).then(|| {
             let k = source.level_for(options.target);
             let lattice = Lattice::new(mesh, pixmap.extent(), k, &options, kernel);
-            // Copies are made here, not by whichever band comes first.
+            // Makes the copies now, not in the first band.
             let reduced = source.level(k);
             if options.filter == Filter::Bilinear {
                 reduced.packed();
             }
             Box::new(Drawing::new(lattice, options, k, kernel))
         });
-        let bare = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
+        let uncovered = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
         let clear = match options.outside {
-            Outside::Transparent => bare,
-            Outside::Colour(colour) => bare && colour[3] < u8::MAX,
+            Outside::Transparent => uncovered,
+            Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge => false,
         };
         let channels = if clear { Channels::Rgba } else { pixmap.channels() };
@@ -124,7 +124,7 @@ impl Renderer {
         self.options.target
     }
 
-    /// RGBA when the source has alpha or the target needs one somewhere, otherwise RGB.
+    /// RGBA if the source has alpha or some target pixel may need it, otherwise RGB.
     #[must_use]
     pub const fn channels(&self) -> Channels {
         self.channels

@@ -1,19 +1,19 @@
-//! The bilinear patch of a cell, `P(s, t) = P00 + s e + t f + s t d` with `e = P10 - P00`, `f = P01 - P00`, `d = P11 - P10 - P01 + P00`, and its
-//! inverse. With `h = X - P00` the condition `cross(h - t f, e + t d) = 0` is quadratic in t; of its roots the one belongs to the patch where
-//! the derivative, which is the Jacobian there, has the sign of the four corner cross products. Lattice steps in, sampler coordinates out.
+//! The bilinear patch of a cell, `P(s, t) = P00 + s e + t f + s t d` with `e = P10 - P00`, `f = P01 - P00`, `d = P11 - P10 - P01 + P00`,
+//! and its inverse. With `h = X - P00` the condition `cross(h - t f, e + t d) = 0` is quadratic in t; the root of the patch is the one at
+//! which the derivative, the Jacobian, has the sign of the four corner cross products. Lattice steps in, sampler coordinates out.
 
 use super::lattice::Corner;
 use crate::geometry::{Point, Vec2};
 
-/// How far drawn coordinates may be from the patch, px of the sampled picture: half of what the contract allows.
+/// Largest error of drawn coordinates relative to the patch, px of the sampled picture: half of the contract's tolerance.
 pub(super) const TOLERANCE: f64 = 1.0 / 32.0;
 
-/// How the corners of a cell lie.
+/// The shape of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Shape {
     /// Strictly convex; +1 when oriented as at rest, -1 when flipped.
     Convex(i8),
-    /// Anything else: drawn as two triangles.
+    /// Any other shape: drawn as two triangles.
     Other,
 }
 
@@ -65,7 +65,7 @@ impl Patch {
         }
     }
 
-    /// The sampler's coordinates at a place inside the cell.
+    /// The sampler's coordinates at a position inside the cell.
     pub(super) fn inverse(&self, place: Point) -> (f64, f64) {
         let h = place - self.origin;
         let (a, b, c) = (-self.f.cross(self.d), h.cross(self.d) + self.e.cross(self.f), h.cross(self.e));
@@ -78,8 +78,8 @@ impl Patch {
         (self.u[0] + s * (self.u[1] - self.u[0]), self.v[0] + t * (self.v[1] - self.v[0]))
     }
 
-    /// How far, px of the sampled picture, coordinates that are linear between two places of the border may be from the patch. Between parameters
-    /// that differ by (Δs, Δt) the chord leaves the patch by at most `|Δs Δt d| / 4`, and the inverse of the Jacobian brings that back.
+    /// Bounds the error, px of the sampled picture, of coordinates interpolated linearly between two border positions. Between parameters
+    /// that differ by (Δs, Δt) the chord leaves the patch by at most `|Δs Δt d| / 4`, and the inverse Jacobian maps that back.
     pub(super) fn linear_error(&self, unit: f32) -> f64 {
         let (e, f, d) = (self.e, self.f, self.d);
         let (e1, f1) = (e + d, f + d);
@@ -93,7 +93,7 @@ impl Patch {
     }
 }
 
-/// Into [0, 1]. A place of a cell that has lost its area in f64 is 0/0: it becomes a place of the border, never NaN.
+/// Clamps to [0, 1]. A cell whose area vanishes in f64 gives 0/0, which becomes a border position and never NaN.
 fn within(share: f64) -> f64 {
     if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }

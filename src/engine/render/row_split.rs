@@ -1,6 +1,7 @@
-//! Where rows are divided between column crossings and cells. Cells that are not upright, and those at the ends of columns that a row does not cross, may
-//! hide others; they and so many columns on either side are loose that all of them lies between two columns that the row crosses once.
-//! Beyond these, upright cells are in order, so that neither part hides the other. O(cells touched + rows * loose columns).
+//! Splits rows between column crossings and cells. Cells that are not upright, and cells at the ends of columns that a row does not cross,
+//! may hide others. These cells and enough neighbouring columns are drawn cell by cell, so that all of them lie between two columns that
+//! the row crosses once. Upright cells outside are ordered, so neither part hides the other. Cost: O(cells touched + rows * columns drawn
+//! by cells).
 
 use std::ops::Range;
 
@@ -8,93 +9,93 @@ use super::lattice::STEP;
 use super::lattice::{BLOCK, Lattice, YRange};
 use super::row_strategy::RowStrategies;
 
-/// Crossings in f32 are nearer than this to the exact ones, px.
+/// The largest error of crossings in f32, px.
 pub(super) const DOUBT: f32 = 1.0 / 32.0;
 
-/// What is joined with a range is that range.
-const NOWHERE: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
+/// The identity of a union of ranges.
+const EMPTY: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
 
-/// The divided rows of a strip.
+/// The split rows of a strip.
 #[derive(Debug, Default)]
 pub(super) struct RowSplit {
-    /// Of each column of cells the rows in which it is drawn cell by cell, a bit each.
-    pub(super) loose: Vec<u32>,
-    /// The columns of which some row is, a bit each.
+    /// For each column of cells, the rows in which it is drawn cell by cell, one bit each.
+    pub(super) per_cell: Vec<u32>,
+    /// The columns that are drawn cell by cell in some row, one bit each.
     pub(super) blocks: Vec<u8>,
-    /// The loose columns of the last row that was divided.
+    /// The parts of the last row that was split.
     pub(super) parts: Vec<Part>,
-    /// Of each column of cells the rows in which it is not in order.
-    tangled: Vec<u32>,
-    /// The rows that are not divided: drawn wholly cell by cell.
-    whole: u32,
-    /// The columns with such rows, and from where to where they reach in each, lattice x.
+    /// For each column of cells, the rows in which a cell is folded, one bit each.
+    folded: Vec<u32>,
+    /// Rows that are not split: drawn entirely cell by cell.
+    unsplit: u32,
+    /// The columns with folded cells, and their extent in each row, lattice x.
     columns: Vec<usize>,
     across: Vec<[Range<i32>; 32]>,
 }
 
-/// Columns of cells that are loose in a row.
+/// Neighbouring columns of cells that a row draws cell by cell.
 #[derive(Clone, Debug)]
 pub(super) struct Part {
     pub(super) cells: Range<usize>,
-    /// From where to where those reach that are not in order, lattice x.
+    /// Extent of the folded cells, lattice x.
     across: Range<i32>,
 }
 
 impl RowSplit {
-    /// Looks at the divided rows of a strip.
-    pub(super) fn look(&mut self, lattice: &Lattice, ways: &RowStrategies, strip: &Range<u32>, divided: u32) {
+    /// Prepares the split rows of a strip.
+    pub(super) fn prepare(&mut self, lattice: &Lattice, strategies: &RowStrategies, strip: &Range<u32>, mixed: u32) {
         let (cells, pitch) = (lattice.columns - 1, lattice.pitch);
         self.blocks.clear();
         self.blocks.resize(lattice.blocks(), 0);
-        self.loose.clear();
-        self.loose.resize(pitch, 0);
-        self.tangled.clear();
-        self.tangled.resize(cells, 0);
+        self.per_cell.clear();
+        self.per_cell.resize(pitch, 0);
+        self.folded.clear();
+        self.folded.resize(cells, 0);
         self.columns.clear();
-        self.whole = 0;
-        if divided == 0 {
+        self.unsplit = 0;
+        if mixed == 0 {
             return;
         }
-        // Rows that do not cross every column are not divided.
-        let whole = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!ways.is_divisible(row))) & divided;
-        self.whole = whole;
-        if whole != 0 {
-            self.loose[..cells].fill(whole);
+        // Rows that do not cross every column are not split.
+        let unsplit = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!strategies.is_splittable(row))) & mixed;
+        self.unsplit = unsplit;
+        if unsplit != 0 {
+            self.per_cell[..cells].fill(unsplit);
             for (i, known) in (0..cells).step_by(BLOCK).zip(&mut self.blocks) {
                 *known = u8::MAX >> (BLOCK - BLOCK.min(cells - i));
             }
         }
-        let divided = divided & !whole;
-        if divided == 0 {
+        let mixed = mixed & !unsplit;
+        if mixed == 0 {
             return;
         }
-        let rows_of = |reach: YRange| {
-            let rows = reach.rows(strip);
+        let rows_of = |range: YRange| {
+            let rows = range.rows(strip);
             let before = |row: u32| !u32::MAX.checked_shl(row - strip.start).unwrap_or(0);
-            before(rows.end.max(rows.start)) & !before(rows.start) & divided
+            before(rows.end.max(rows.start)) & !before(rows.start) & mixed
         };
         for j in lattice.rows_touching(strip) {
-            for (b, &folded) in ways.folded(j).iter().enumerate() {
+            for (b, &folded) in strategies.folded(j).iter().enumerate() {
                 let mut left = folded;
                 while left != 0 {
                     let i = b * BLOCK + left.trailing_zeros() as usize;
                     left &= left - 1;
-                    self.tangled[i] |= rows_of(lattice.cell_reach(i, j));
+                    self.folded[i] |= rows_of(lattice.cell_range(i, j));
                 }
             }
         }
-        self.columns.extend((0..cells).filter(|&i| self.tangled[i] != 0));
+        self.columns.extend((0..cells).filter(|&i| self.folded[i] != 0));
         if self.columns.is_empty() {
             return;
         }
         self.across.clear();
-        self.across.resize(self.columns.len(), [NOWHERE; 32]);
+        self.across.resize(self.columns.len(), [EMPTY; 32]);
         for j in lattice.rows_touching(strip) {
             for (&i, across) in self.columns.iter().zip(&mut self.across) {
                 if !lattice.block_touches(j, i / BLOCK, strip) {
                     continue;
                 }
-                let mut rows = rows_of(lattice.cell_reach(i, j)) & self.tangled[i];
+                let mut rows = rows_of(lattice.cell_range(i, j)) & self.folded[i];
                 if rows == 0 {
                     continue;
                 }
@@ -110,23 +111,23 @@ impl RowSplit {
         }
     }
 
-    /// Divides a row; `x` are its crossings of the columns, px.
-    pub(super) fn divide(&mut self, index: usize, x: &[f32]) {
-        let (bit, cells) = (1_u32 << index, self.tangled.len());
+    /// Splits a row; `x` holds its crossings of the columns, px.
+    pub(super) fn split(&mut self, index: usize, x: &[f32]) {
+        let (bit, cells) = (1_u32 << index, self.folded.len());
         self.parts.clear();
-        if self.whole & bit != 0 {
+        if self.unsplit & bit != 0 {
             self.parts.push(Part { cells: 0..cells, across: i32::MIN..i32::MAX });
             return;
         }
         let px = |place: i32| place as f32 * STEP;
-        let tangled = |n: &usize| self.tangled[self.columns[*n]] & bit != 0;
-        let mut next = (0..self.columns.len()).find(tangled);
+        let folded = |n: &usize| self.folded[self.columns[*n]] & bit != 0;
+        let mut next = (0..self.columns.len()).find(folded);
         while let Some(n) = next {
-            next = (n + 1..self.columns.len()).find(tangled);
+            next = (n + 1..self.columns.len()).find(folded);
             let i = self.columns[n];
             let mut part = Part { cells: i..i + 1, across: self.across[n][index].clone() };
             loop {
-                // The column at the left end lies left of all that is not in order, and the cell left of it is in order.
+                // The column at the left end lies left of all folded cells, and the cell left of it is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
                 let end = (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start));
                 match (end, self.parts.pop()) {
@@ -151,7 +152,7 @@ impl RowSplit {
             self.parts.push(part);
         }
         for i in self.parts.iter().flat_map(|part| part.cells.clone()) {
-            self.loose[i] |= bit;
+            self.per_cell[i] |= bit;
             self.blocks[i / BLOCK] |= 1 << (i % BLOCK);
         }
     }

@@ -1,7 +1,7 @@
-//! How each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings draw what lies
-//! between two columns at once and in order; cells take any shape and hide one another in painter's order. A row may be divided
-//! between both at columns that it crosses once, if all that is drawn by cells lies between two such columns: then neither hides the other. What
-//! is decided depends on the mesh and the row alone. O(cells + rows).
+//! Chooses how each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings
+//! draw everything between two columns at once; drawing by cells handles any shape, and later cells hide earlier ones. A row may be split
+//! between both at columns that it crosses exactly once, if everything drawn by cells lies between two such columns: then neither part
+//! hides the other. The choice depends on the mesh and the row alone. Cost: O(cells + rows).
 
 use std::ops::Range;
 
@@ -9,143 +9,144 @@ use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
 use super::lattice::{BLOCK, Lattice, ONE, YRange};
 use crate::pixmap::Extent;
 
-/// Rows are divided if one of so many cells is folded at most: looking for where to divide them costs more than it saves otherwise.
+/// Rows are split only if at most one in this number of cells is folded; with more, finding the splits costs more than it saves.
 const FOLDED: usize = 24;
-/// Rows are divided if a block of cells meets so many times its share of rows at most, on average.
+/// Rows are split only if, on average, a block of cells meets at most this multiple of its share of rows.
 const SHARES: u64 = 16;
-/// Rows of cells that are lower at rest, px of the sampled picture, and those beside them are not judged: their columns have no direction.
+/// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not classified: their columns have no
+/// direction.
 const LEAST_HEIGHT: f32 = 1.0 / 64.0;
-/// The farthest pixel that single precision tells apart from its neighbours by less than 1/256 px.
+/// The farthest pixel at which single precision still resolves 1/256 px.
 const FARTHEST: u32 = 1 << 15;
 
 /// How a row is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RowStrategy {
-    /// It crosses every column and meets sound cells only: by column crossings.
-    Plain,
-    /// It crosses every column and meets upright cells only: the same, then those that are not shown well over it. Upright cells lie in order,
-    /// so that none of them hides another.
-    Mended,
-    /// Some columns cell by cell, the others as `Mended` (`division`).
-    Divided,
+    /// Crosses every column and meets only sound cells: drawn by column crossings.
+    Scanline,
+    /// Crosses every column and meets only upright cells: drawn by column crossings, then the inaccurate cells over them. Upright cells
+    /// are ordered, so none hides another.
+    ScanlineWithFixups,
+    /// Some columns cell by cell, the others as `ScanlineWithFixups` (`row_split`).
+    Mixed,
 }
 
-/// The ways of all rows.
+/// The strategies of all rows.
 #[derive(Debug)]
 pub(super) struct RowStrategies {
     rows: Vec<RowStrategy>,
-    /// Blocks of cells in a row of them.
+    /// Blocks of cells per row of cells.
     blocks: usize,
-    /// The cells that crossings do not show well, a bit each, `[rows - 1][blocks]`.
-    bent: Vec<u8>,
-    /// Those that are not upright.
+    /// Cells that crossings draw inaccurately, one bit each, `[rows - 1][blocks]`.
+    inaccurate: Vec<u8>,
+    /// Cells that are not upright, in the same layout.
     folded: Vec<u8>,
-    /// The rows that may be divided.
-    divisible: Range<u32>,
+    /// The rows that may be split.
+    splittable: Range<u32>,
 }
 
 impl RowStrategies {
     pub(super) fn new(lattice: &Lattice, target: Extent, kernel: Kernel) -> Self {
         let (height, blocks) = (target.height(), lattice.blocks());
         let none = vec![0; (lattice.rows - 1) * blocks];
-        let mut ways =
-            Self { rows: vec![RowStrategy::Divided; height as usize], blocks, bent: none.clone(), folded: none, divisible: 0..0 };
+        let mut strategies =
+            Self { rows: vec![RowStrategy::Mixed; height as usize], blocks, inaccurate: none.clone(), folded: none, splittable: 0..0 };
         if height.max(target.width()) > FARTHEST {
-            return ways;
+            return strategies;
         }
         let crossing = rows_that_cross(lattice, height);
-        ways.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Plain);
-        ways.judge(lattice, kernel);
-        let folded: u32 = ways.folded.iter().map(|cells| cells.count_ones()).sum();
-        let met: u64 = lattice.block_reach.iter().map(|reach| u64::from(reach.bottom.abs_diff(reach.top) / ONE.unsigned_abs())).sum();
-        let are_few = folded as usize * FOLDED <= ways.folded.len() * BLOCK;
+        strategies.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Scanline);
+        strategies.classify(lattice, kernel);
+        let folded: u32 = strategies.folded.iter().map(|cells| cells.count_ones()).sum();
+        let met: u64 = lattice.block_ranges.iter().map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs())).sum();
+        let are_few = folded as usize * FOLDED <= strategies.folded.len() * BLOCK;
         if are_few && met <= SHARES * u64::from(height) * blocks as u64 {
-            ways.divisible = crossing;
+            strategies.splittable = crossing;
         }
-        ways
+        strategies
     }
 
-    /// How a row is drawn.
+    /// The strategy of a row.
     pub(super) fn of(&self, row: u32) -> RowStrategy {
         self.rows[row as usize]
     }
 
-    /// Those of a row of cells that crossings do not show well.
-    pub(super) fn bent(&self, j: usize) -> &[u8] {
-        &self.bent[j * self.blocks..][..self.blocks]
+    /// The cells of a row of cells that crossings draw inaccurately.
+    pub(super) fn inaccurate(&self, j: usize) -> &[u8] {
+        &self.inaccurate[j * self.blocks..][..self.blocks]
     }
 
-    /// Those that are not upright.
+    /// The cells of a row of cells that are not upright.
     pub(super) fn folded(&self, j: usize) -> &[u8] {
         &self.folded[j * self.blocks..][..self.blocks]
     }
 
-    /// Whether a row may be divided: it crosses every column, and neither are many cells folded nor do very many meet each row.
-    pub(super) fn is_divisible(&self, row: u32) -> bool {
-        self.divisible.contains(&row)
+    /// Whether a row may be split: it crosses every column, few cells are folded, and few of them meet each row.
+    pub(super) fn is_splittable(&self, row: u32) -> bool {
+        self.splittable.contains(&row)
     }
 
-    /// Looks at all cells.
-    fn judge(&mut self, lattice: &Lattice, kernel: Kernel) {
+    /// Classifies all cells.
+    fn classify(&mut self, lattice: &Lattice, kernel: Kernel) {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
-        let mut look = CellClassifier::new(lattice, kernel);
-        // How many cells of a kind begin at a row, less those that end there.
-        let (mut mended, mut divided) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
+        let mut classifier = CellClassifier::new(lattice, kernel);
+        // The number of cells of a kind that begin at a row, minus those that end there.
+        let (mut fixups, mut mixed) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
         for j in 0..lattice.rows - 1 {
-            for (b, soundness) in look.at(j).chunks(BLOCK).enumerate() {
+            for (b, soundness) in classifier.at(j).chunks(BLOCK).enumerate() {
                 let not = |kind: u8| soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| cells | u8::from(seen & kind == 0) << k);
                 let mut left = not(SOUND);
                 if left == 0 {
                     continue;
                 }
                 let (at, folded) = (j * self.blocks + b, not(SOUND | UPRIGHT));
-                self.bent[at] |= left;
+                self.inaccurate[at] |= left;
                 self.folded[at] = folded;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize;
                     left &= left - 1;
-                    let (i, reach) = (b * BLOCK + k, lattice.cell_reach(b * BLOCK + k, j));
-                    let (rows, known) = (reach.rows(&target), if folded >> k & 1 == 1 { &mut divided } else { &mut mended });
+                    let (i, range) = (b * BLOCK + k, lattice.cell_range(b * BLOCK + k, j));
+                    let (rows, known) = (range.rows(&target), if folded >> k & 1 == 1 { &mut mixed } else { &mut fixups });
                     known[rows.start as usize] += 1;
                     known[rows.end.max(rows.start) as usize] -= 1;
                     if soundness[k] & STEEP != 0 {
-                        self.bend_beside(lattice, i, j, reach);
+                        self.mark_inaccurate(lattice, i, j, range);
                     }
                 }
             }
         }
-        let (mut mending, mut dividing) = (0, 0);
-        for (row, (mended, divided)) in self.rows.iter_mut().zip(mended.iter().zip(&divided)) {
-            (mending, dividing) = (mending + mended, dividing + divided);
-            *row = (*row).max(if dividing > 0 {
-                RowStrategy::Divided
-            } else if mending > 0 {
-                RowStrategy::Mended
+        let (mut open_fixups, mut open_mixed) = (0, 0);
+        for (row, (fixups, mixed)) in self.rows.iter_mut().zip(fixups.iter().zip(&mixed)) {
+            (open_fixups, open_mixed) = (open_fixups + fixups, open_mixed + mixed);
+            *row = (*row).max(if open_mixed > 0 {
+                RowStrategy::Mixed
+            } else if open_fixups > 0 {
+                RowStrategy::ScanlineWithFixups
             } else {
-                RowStrategy::Plain
+                RowStrategy::Scanline
             });
         }
     }
 
-    /// The chord of a row from column to column belongs to all cells that the row meets between them.
-    fn bend_beside(&mut self, lattice: &Lattice, i: usize, j: usize, reach: YRange) {
+    /// The chord of a row between two columns affects all cells that the row meets between them.
+    fn mark_inaccurate(&mut self, lattice: &Lattice, i: usize, j: usize, range: YRange) {
         let shares = |k: &usize| {
-            let other = lattice.cell_reach(i, *k);
-            other.top < reach.bottom && reach.top < other.bottom
+            let other = lattice.cell_range(i, *k);
+            other.top < range.bottom && range.top < other.bottom
         };
         for k in (0..j).rev().take_while(shares).chain((j + 1..lattice.rows - 1).take_while(shares)) {
-            self.bent[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
+            self.inaccurate[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
         }
     }
 }
 
-/// The soundness of one row of cells after the other.
+/// Classifies the cells, one row of cells after the other.
 struct CellClassifier<'a> {
     lattice: &'a Lattice,
     kernel: Kernel,
-    /// Above and below the row before, this row, and the row behind.
+    /// Lines above and below the previous row, this row, and the next row.
     lines: [Edges; 4],
-    /// In these rows.
+    /// Columns of the same rows.
     columns: [Edges; 3],
     soundness: Vec<u8>,
 }
@@ -154,21 +155,21 @@ impl<'a> CellClassifier<'a> {
     fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
         let edges = || Edges { x: vec![0.0; lattice.columns], y: vec![0.0; lattice.columns] };
         let (lines, columns) = (std::array::from_fn(|_| edges()), std::array::from_fn(|_| edges()));
-        let mut look = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
-        look.line(0);
-        look.column(0);
-        look.line(1);
-        look
+        let mut classifier = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
+        classifier.line(0);
+        classifier.column(0);
+        classifier.line(1);
+        classifier
     }
 
-    /// Takes a line of the grid in as the last one.
+    /// Appends a grid line.
     fn line(&mut self, j: usize) {
         let (x, y) = self.vertices(j);
         self.lines.rotate_left(1);
         self.kernel.edges((x, y), (&x[1..], &y[1..]), 1.0, &mut self.lines[3]);
     }
 
-    /// Takes the columns of a row of cells in as the last ones.
+    /// Appends the columns of a row of cells.
     fn column(&mut self, j: usize) {
         let (above, below, per_px) = (self.vertices(j), self.vertices(j + 1), 1.0 / self.height(j));
         self.columns.rotate_left(1);
@@ -180,13 +181,13 @@ impl<'a> CellClassifier<'a> {
         (&self.lattice.x[line.clone()], &self.lattice.y[line])
     }
 
-    /// Of a row of cells at rest, px of the sampled picture.
+    /// Height of a row of cells at rest, px of the sampled picture.
     fn height(&self, j: usize) -> f32 {
         (self.lattice.v[j + 1] - self.lattice.v[j]) / self.lattice.unit
     }
 
-    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; those of the latter two that are steep are [`STEEP`] besides. Rows are asked
-    /// for in order.
+    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; steep cells also have the bit [`STEEP`]. Rows must be requested
+    /// in order.
     fn at(&mut self, j: usize) -> &[u8] {
         let (lattice, last) = (self.lattice, self.lattice.rows - 2);
         if j < last {
@@ -210,13 +211,13 @@ impl<'a> CellClassifier<'a> {
             self.soundness.fill(0);
         }
         if self.soundness.iter().fold(0, |any, &s| any | s) & STEEP != 0 {
-            self.climb(j);
+            self.classify_steep(j);
         }
         &self.soundness
     }
 
-    /// Looks at the steep cells of a row.
-    fn climb(&mut self, j: usize) {
+    /// Classifies the steep cells of a row.
+    fn classify_steep(&mut self, j: usize) {
         let (lattice, unit) = (self.lattice, self.lattice.unit.recip());
         let row = |j: usize| CellRow { top: self.vertices(j), bottom: self.vertices(j + 1), u: &lattice.u, height: self.height(j), unit };
         let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
@@ -234,7 +235,7 @@ impl<'a> CellClassifier<'a> {
     }
 }
 
-/// The target rows that begin or end beyond every column.
+/// The target rows that cross every column.
 fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));

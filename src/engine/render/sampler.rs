@@ -1,5 +1,5 @@
-//! Reading the source where no hand-written kernel does: nearest at any depth, bilinear at 16 bit (the definition of `kernel::scalar` with wider
-//! integers), and the plain copy of the identity. Coordinates as the lattice scales them for the filter; straight samples out, 16 bit big-endian.
+//! Sampling without hand-written kernels: nearest at any depth, bilinear at 16 bit (as defined in `kernel::scalar`, with wider integers),
+//! and the plain copy of the identity. Coordinates are scaled for the filter; output is straight samples, 16 bit big-endian.
 
 #![expect(clippy::cast_possible_truncation, reason = "weighted means stay in the range of the samples")]
 
@@ -45,7 +45,7 @@ fn put_wide(value: [u16; 4], pixel: &mut [u8]) {
     }
 }
 
-/// The samples of a picture as pixels.
+/// A picture's samples as pixels.
 struct Texels<'a, S> {
     samples: &'a [S],
     width: usize,
@@ -75,7 +75,7 @@ impl<'a, S: Copy + Sample> Texels<'a, S> {
         }
     }
 
-    /// The pixel that holds the place.
+    /// The pixel that contains the position.
     fn nearest(&self, u: f32, v: f32) -> [S; 4] {
         self.at(fixed(u, (self.width - 1) as f32), fixed(v, (self.height - 1) as f32))
     }
@@ -92,7 +92,7 @@ impl Texels<'_, u16> {
         let weights = [(128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy];
         let mut sums = [0_u64; 4];
         for (weight, texel) in weights.into_iter().zip(texels) {
-            // At most 2^14 * 65535^2 < 2^46 in all.
+            // At most 2^14 * 65535^2 < 2^46 in total.
             let alpha = weight * if self.opaque { 1 } else { u64::from(texel[3]) };
             for (sum, colour) in sums.iter_mut().zip(&texel[..3]) {
                 *sum += alpha * u64::from(*colour);
@@ -117,7 +117,7 @@ impl Sample for u16 {
     const OPAQUE: Self = Self::MAX;
 }
 
-/// The bytes of a pixel outside the posed picture, when it has one colour; as many as the target's pixels have.
+/// The bytes of a pixel outside the posed picture if it has one colour; as many as a target pixel has.
 pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     let colour = match outside {
         Outside::Transparent => [0; 4],

@@ -1,4 +1,4 @@
-//! From a posed mesh to the lattice: every vertex is snapped, and the cells are bounded by ranges of y. O(vertices).
+//! Conversion of a posed mesh to the lattice: snaps every vertex and bounds the cells by ranges of y. Cost: O(vertices).
 
 #![expect(clippy::cast_possible_truncation, reason = "coordinates of the sampler are kept as f32")]
 
@@ -8,10 +8,10 @@ use super::{Filter, RenderOptions};
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;
 
-/// What cells that are drawn in f32 show at most, px of the sampled picture along either axis.
+/// The largest extent of a cell that is drawn in f32, px of the sampled picture along either axis.
 const WIDEST: f32 = 1024.0;
 
-/// From a place at rest to the sampler's coordinate: `scale * x + offset`.
+/// Converts a rest position to the sampler's coordinate: `scale * x + offset`.
 struct Axis {
     scale: f64,
     offset: f64,
@@ -33,7 +33,7 @@ impl Axis {
 }
 
 impl Lattice {
-    /// Poses and snaps `mesh` for a target; `source` is the whole source picture, sampled reduced by `2^k`.
+    /// Poses and snaps `mesh` for a target; `source` is the full source picture, sampled at a reduction by `2^k`.
     pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, options: &RenderOptions, kernel: Kernel) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
@@ -55,26 +55,26 @@ impl Lattice {
             x[columns..].fill(last.0);
             y[columns..].fill(last.1);
         }
-        let (row_reach, block_reach) = reaches(&y, pitch, kernel);
+        let (row_ranges, block_ranges) = y_ranges(&y, pitch, kernel);
         let unit = match options.filter {
             Filter::Nearest => 1.0,
             Filter::Bilinear => 128.0,
         };
-        // Cells that show very much of the source ask for more digits than f32 has: none of them is drawn in it.
+        // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
         let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
-        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_reach, block_reach }
+        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_ranges, block_ranges }
     }
 }
 
-/// Reaches of the rows of cells and of their blocks.
-fn reaches(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
+/// Ranges of y of the rows of cells and of their blocks.
+fn y_ranges(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
     let blocks = pitch / BLOCK;
     let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];
-    for (y, reaches) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
-        kernel.reaches(y, reaches);
+    for (y, y_ranges) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
+        kernel.y_ranges(y, y_ranges);
     }
-    let block_reach: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
-    let row_reach = block_reach.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
-    (row_reach, block_reach)
+    let block_ranges: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
+    let row_ranges = block_ranges.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
+    (row_ranges, block_ranges)
 }

@@ -1,6 +1,6 @@
-//! A source picture and the copies that the samplers read, each made once when first asked for: box-reduced pictures for small targets,
-//! and 8-bit texels packed for the bilinear kernels. `[height][width]` grows by one column and one row that repeat the last ones, so that a
-//! kernel may load a pair of texels from any pixel; each sample is stored minus 128, as the signed operand of a byte product.
+//! A source picture and its derived copies, each made on first use: box-reduced pictures for small targets, and 8-bit texels packed for
+//! the bilinear kernels. `[height][width]` grows by one column and one row that repeat the last ones, so that a kernel may load a pair of
+//! texels at any pixel. Each sample is stored minus 128, as the signed operand of a byte product.
 
 use std::sync::OnceLock;
 
@@ -9,7 +9,7 @@ use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 /// A sample of 0 as it is stored in [`Packed`].
 pub(super) const FLIP: u32 = 0x8080_8080;
 
-/// A source picture with the copies that the samplers read (packed, reduced), each made once when first asked for.
+/// A source picture and the copies that the samplers read (packed, reduced), each made on first use.
 #[derive(Debug)]
 pub struct Source {
     pixmap: Pixmap,
@@ -32,7 +32,7 @@ impl Source {
         &self.pixmap
     }
 
-    /// The most memory that a source of this shape may come to hold, all copies included, bytes.
+    /// Upper bound of the memory of a source of this shape, all copies included, bytes.
     #[must_use]
     pub fn bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
         (0..=deepest(extent))
@@ -47,7 +47,7 @@ impl Source {
             .fold(0, u64::saturating_add)
     }
 
-    /// How often the picture is halved to be drawn at `target`: the reduced picture is not smaller than it along either axis.
+    /// Number of halvings for a target: the reduced picture is not smaller than the target along either axis.
     pub(super) fn level_for(&self, target: Extent) -> u32 {
         let extent = self.pixmap.extent();
         let fits = |k: &u32| target.width() <= extent.width() >> k && target.height() <= extent.reduced(*k).height();
@@ -74,7 +74,7 @@ impl Source {
     }
 }
 
-/// How often a picture can be halved before it is one pixel.
+/// Number of halvings until a picture is one pixel.
 const fn deepest(extent: Extent) -> u32 {
     let longest = if extent.width() > extent.height() { extent.width() } else { extent.height() };
     u32::BITS - (longest - 1).leading_zeros()
@@ -106,7 +106,7 @@ impl Packed {
         Self { texels, width, height, opaque: pixmap.is_opaque() }
     }
 
-    /// Texels in a row, the repeated one included.
+    /// Texels per row, including the repeated one.
     pub(super) const fn stride(&self) -> usize {
         self.width + 1
     }

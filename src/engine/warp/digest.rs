@@ -1,4 +1,4 @@
-//! SHA-256 digests: of files, of everything a plan depends on, of an answer.
+//! SHA-256 digests of files, of the inputs of a plan, and of an output.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 pub struct Digest(pub [u8; 32]);
 
 impl Digest {
-    /// Of bytes.
+    /// The digest of bytes.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
@@ -22,7 +22,7 @@ impl fmt::Display for Digest {
     }
 }
 
-/// Collects numbers bit for bit, each of a fixed width, so that two different lists never look alike.
+/// Digests numbers bit for bit, each with a fixed width, so that different lists have different inputs.
 pub(super) struct Collector(Sha256);
 
 impl Collector {
@@ -43,7 +43,7 @@ impl Collector {
     }
 
     pub(super) fn float(self, x: f64) -> Self {
-        // -0 and 0 deform alike.
+        // -0 and 0 give the same deformation.
         self.integer((x + 0.0).to_bits())
     }
 

@@ -25,7 +25,7 @@ impl Warp {
     /// Prepares the renderer for a posed mesh: tens of microseconds.
     ///
     /// # Errors
-    /// A target over the limits, as [`OutputSpec::target`] says before anything is posed.
+    /// A target over the limits; [`OutputSpec::target`] checks it before anything is posed.
     pub fn new(image: &Image, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
         let target = output.target(image.extent(), limits)?;
         let options = RenderOptions { target, filter: output.filter, outside: output.outside };
@@ -35,7 +35,7 @@ impl Warp {
         Ok(Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target) })
     }
 
-    /// Digest of image, resolved request and build: the ETag.
+    /// Digest of image, resolved request and version: the ETag.
     #[must_use]
     pub const fn etag(&self) -> Digest {
         self.etag
@@ -53,28 +53,28 @@ impl Warp {
         self.format
     }
 
-    /// It is rendered and encoded in one piece.
+    /// Whether it is rendered and encoded in one piece.
     #[must_use]
     pub const fn is_one_piece(&self) -> bool {
         self.writer.strips() == 1
     }
 
-    /// No more than this many bytes will be written.
+    /// Upper bound of the file, bytes.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
         self.writer.max_bytes()
     }
 
-    /// No more memory than this is taken by writing, the file included: what to reserve before.
+    /// Upper bound of the memory for writing, the file included, bytes.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
         self.writer.work_bytes()
     }
 
-    /// Renders and encodes strip by strip and hands the bytes to `sink` in order: the head with the first strip, the tail with the last. This
-    /// thread works, and up to `helpers` tasks of the current rayon pool beside it; the bytes are the same whatever their number. `sink` says
-    /// `Break` when nobody listens any more: the work ends at the next strip, and `Break` comes back. Where this thread must not wait for
-    /// the others: [`StripScheduler`].
+    /// Renders and encodes strip by strip and passes the bytes to `sink` in order: the head with the first strip, the tail with the last.
+    /// This thread works, together with up to `helpers` tasks of the current rayon pool; their number does not change the bytes. When
+    /// `sink` returns `Break`, the work ends at the next strip and `Break` is returned. If this thread must not wait for the others, use
+    /// [`StripScheduler`].
     pub fn write(
         &self,
         helpers: usize,

@@ -1,11 +1,11 @@
-//! Why a picture was not warped: sorted by what the client has to change.
+//! Errors and warnings of a warp, by what the client can change.
 
 use thiserror::Error;
 
 use crate::codec::CodecError;
-use crate::deform::DeformError;
+use crate::deform::{self, DeformError};
 
-/// Why a picture was not warped.
+/// Why an image was not warped.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum WarpError {
     /// The file.
@@ -17,17 +17,17 @@ pub enum WarpError {
     /// The posed handles q.
     #[error("{0}")]
     Posed(DeformError),
-    /// A place to be mapped is not one.
+    /// A position to be mapped is invalid.
     #[error("place {index} has a coordinate of {value:e} px; at most {limit} px either way")]
     BadPlace {
-        /// Which place.
+        /// Index of the position.
         index: usize,
-        /// Its coordinate, px.
+        /// The coordinate, px.
         value: f64,
         /// The limit, px.
         limit: f64,
     },
-    /// Nobody waits for the result any more.
+    /// Cancelled.
     #[error("cancelled: the client has left or the deadline has passed")]
     Cancelled,
     /// Over a limit.
@@ -37,10 +37,10 @@ pub enum WarpError {
         what: &'static str,
         /// The limit.
         limit: u64,
-        /// What was asked for.
+        /// The requested value.
         actual: u64,
     },
-    /// A grid that is not one.
+    /// An invalid grid.
     #[error("{0}")]
     BadGrid(String),
     /// `folds: reject` and the posed grid folds.
@@ -49,6 +49,29 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+}
+
+/// An unusual property of a warp that does not prevent a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Warning {
+    /// A property of the handles or the pose.
+    Deform(deform::Warning),
+    /// No posed cell intersects the picture.
+    NothingVisible,
+    /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
+    ProfileDropped,
+}
+
+impl Warning {
+    /// The stable code in responses.
+    #[must_use]
+    pub const fn code(self) -> &'static str {
+        match self {
+            Self::Deform(warning) => warning.code(),
+            Self::NothingVisible => "nothing_visible",
+            Self::ProfileDropped => "profile_dropped",
+        }
+    }
 }
 
 impl From<CodecError> for WarpError {
@@ -60,7 +83,7 @@ impl From<CodecError> for WarpError {
     }
 }
 
-/// What was asked for, in words; `what` as in [`WarpError::TooLarge`].
+/// Describes the requested value; `what` as in [`WarpError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {
         "handle_columns" => format!("the handles take {actual} columns (a point 1, a segment 2)"),

@@ -1,14 +1,13 @@
-//! A decoded picture, shared by everyone who uploads the same bytes.
+//! A decoded picture, shared by all requests with the same file.
 
 use std::sync::Arc;
 
-use super::{Digest, WarpError};
-use crate::codec::{self, Limits, Opened, Profile, Work};
-use crate::deform::Warning;
+use super::{Digest, Warning, WarpError};
+use crate::codec::{self, Limits, Opened, Profile, StepCounter};
 use crate::pixmap::Extent;
 use crate::render::Source;
 
-/// A decoded, upright picture with the copies that samplers read, and its colour profile as every answer carries it.
+/// A decoded, upright picture with its derived copies for sampling, and its colour profile for every output.
 #[derive(Debug)]
 pub struct Image {
     digest: Digest,
@@ -24,7 +23,7 @@ impl Image {
         Digest::of(file)
     }
 
-    /// The most memory that decoding an opened file and using its picture will take, bytes: what to reserve before.
+    /// Upper bound of the memory for decoding an opened file and using its picture, bytes.
     #[must_use]
     pub fn peak_bytes(opened: &Opened<'_>) -> u64 {
         let header = opened.header();
@@ -32,15 +31,15 @@ impl Image {
         header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES)
     }
 
-    /// Decodes a file behind limits. CPU work; call it off the async threads.
+    /// Decodes a file within limits. CPU work; do not call it on async threads.
     ///
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &Work::new(&|| false))?)
+        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &StepCounter::new(&|| false))?)
     }
 
-    /// The same of an opened file whose digest is known already.
+    /// Like [`Self::decode`], for an opened file whose digest is known.
     ///
     /// # Errors
     /// See [`codec::CodecError`].
@@ -50,7 +49,7 @@ impl Image {
         Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc, profile_dropped: decoded.profile_dropped })
     }
 
-    /// What a client should know of every picture that is drawn from this one.
+    /// The warning for every output drawn from this picture.
     #[must_use]
     pub fn warning(&self) -> Option<Warning> {
         self.profile_dropped.then_some(Warning::ProfileDropped)
@@ -68,7 +67,7 @@ impl Image {
         self.source.pixmap().extent()
     }
 
-    /// The most memory that the picture may come to hold, all sampling copies included, bytes: its weight in a cache.
+    /// Upper bound of the memory of the picture, all sampling copies included, bytes: its weight in a cache.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();

@@ -1,9 +1,8 @@
-//! An image is warped: the only room that sees all four layers (codec, pixmap, deform, render). It knows no time, no sockets, no users.
+//! Warps an image: the only module that uses all of `codec`, `pixmap`, `deform` and `render`.
 //!
-//! The walk: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
-//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (its existence proves that nothing of the
-//! client's can fail any more) -> [`Warp::write`] or [`StripScheduler`] (strips of PNG, rendered and
-//! encoded in parallel, handed over in order).
+//! The steps: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
+//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in
+//! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 
 mod digest;
 mod drawing;
@@ -16,7 +15,7 @@ mod strip_scheduler;
 
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
-pub use self::error::WarpError;
+pub use self::error::{Warning, WarpError};
 pub use self::image::Image;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};

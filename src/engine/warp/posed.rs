@@ -1,23 +1,23 @@
-//! A posed grid and what is told about it: everything that follows from the handles alone, before any pixel.
+//! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
-use super::{Digest, Folds, Image, Plan, Setup, WarpError};
-use crate::deform::{Gone, Handle, Handles, Pose, Warning};
+use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
+use crate::deform::{self, Handle, Handles, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
-/// Below this |m| the rotation that rigid fits is close to arbitrary (mathematics section 2.4).
+/// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
-/// Places along a segment at which the residual is looked at.
+/// Positions along a segment at which the residual is measured.
 const RESIDUAL_SAMPLES: u32 = 5;
 
-/// What a client is told about a warp before its first pixel.
+/// The report of a warp, known before its first pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// In the order of [`Warning`].
     pub warnings: Vec<Warning>,
     /// Drawn cells that fold.
     pub folds: u64,
-    /// Largest distance between a posed handle and where the drawn picture puts it, px of the source; handles outside the picture are not drawn.
+    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn.
     pub residual: f64,
 }
 
@@ -31,24 +31,23 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Poses the grid. CPU work, microseconds to a millisecond; long only where the grid is large or the plan has no table. Given up when
-    /// `gone` says that nobody waits any more.
+    /// Poses the grid. CPU work, microseconds to a millisecond; longer only if the grid is large or the plan has no table. Stops when
+    /// `cancelled` returns true.
     ///
     /// # Errors
-    /// `folds: reject` and it folds; given up.
-    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, gone: Gone<'_>) -> Result<Self, WarpError> {
-        let (mesh, quality) = setup.mesh(plan, pose, gone)?;
-        let cells = mesh.folded_cell_count(gone).ok_or(WarpError::Cancelled)?;
+    /// `folds: reject` and the grid folds; cancelled.
+    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+        let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
+        let cells = mesh.folded_cell_count(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
-        let mut warnings = setup.field().warnings(pose);
+        let mut warnings: Vec<_> = setup.field().warnings(pose).into_iter().map(Warning::Deform).collect();
         if quality.least_rotation < LEAST_ROTATION {
-            warnings.push(Warning::RotationUndefined);
+            warnings.push(Warning::Deform(deform::Warning::RotationUndefined));
             warnings.sort_unstable();
         }
-        // After all warnings of handles: the list stays sorted.
-        if !mesh.intersects_picture(gone).ok_or(WarpError::Cancelled)? {
+        if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
         let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };
@@ -61,25 +60,25 @@ impl Posed {
         &self.mesh
     }
 
-    /// What to tell.
+    /// The report.
     #[must_use]
     pub const fn report(&self) -> &Report {
         &self.report
     }
 
-    /// The report alone.
+    /// The report, without the mesh.
     #[must_use]
     pub fn into_report(self) -> Report {
         self.report
     }
 
-    /// Digest of all that the mesh depends on.
+    /// Digest of everything that the mesh depends on.
     #[must_use]
     pub(super) const fn digest(&self) -> Digest {
         self.digest
     }
 
-    /// The report of a picture that is drawn from `image`.
+    /// The report of an output drawn from `image`.
     #[must_use]
     pub fn into_report_on(self, image: &Image) -> Report {
         let mut report = self.report;
@@ -100,14 +99,14 @@ impl Posed {
         })
     }
 
-    /// The same as little-endian f32, x then y; given up when `gone`.
+    /// The posed vertices as little-endian f32, x then y.
     ///
     /// # Errors
-    /// Given up.
-    pub fn numbers(&self, gone: Gone<'_>) -> Result<Vec<u8>, WarpError> {
+    /// Cancelled.
+    pub fn numbers(&self, cancelled: IsCancelled<'_>) -> Result<Vec<u8>, WarpError> {
         let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
         for row in 0..self.mesh.grid().rows() {
-            if gone() {
+            if cancelled() {
                 return Err(WarpError::Cancelled);
             }
             for vertex in self.row(row) {
@@ -119,7 +118,7 @@ impl Posed {
     }
 }
 
-/// Largest distance between where a posed handle is and where the mesh draws it.
+/// Largest distance between a posed handle and its position in the mesh.
 fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
     let mut d = pose.displacements().iter().copied();
     let mut worst = 0.0f64;
@@ -149,7 +148,7 @@ fn digest(setup: &Setup, pose: &Pose) -> Digest {
     let mut digest = Collector::new("mlswarp pose 1")
         .bytes(env!("CARGO_PKG_VERSION").as_bytes())
         .bytes(&setup.plan_key().0)
-        // Rows that are weighed anew are summed in f64.
+        // Rows without a table are summed in f64.
         .integer(setup.plan_bytes().is_some().into());
     for d in pose.displacements() {
         digest = digest.float(d.x).float(d.y);

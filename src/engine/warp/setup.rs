@@ -1,5 +1,5 @@
-//! Rest handles resolved against a picture's size: pixels, effective alpha and point mass, a counted grid. From here on every number
-//! is checked; what is left to the pose is q.
+//! Rest handles resolved against a picture's size: pixels, effective alpha and point mass, grid dimensions. All numbers are validated
+//! here, except those of q.
 
 use std::sync::Arc;
 
@@ -9,22 +9,23 @@ use super::digest::Collector;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
 use crate::deform::{
-    self, DeformError, Falloff, Field, Gone, Handle, Handles, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
+    self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh, Point};
 use crate::pixmap::Extent;
 
-/// `grid: auto`: cells of a hundredth of the shorter side, but no finer and no coarser than this, px (mathematics section 12, step 1).
+/// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics section 12, step 1).
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
-/// A mesh holds two f32 a vertex.
+/// A mesh has two f32 per vertex.
 const MESH_BYTES_PER_VERTEX: u64 = 8;
-/// Grid lines a px at most, along each axis (finer cells show nothing that a pixel could), and how many a small picture may have all the same.
+/// Largest number of grid lines per px along each axis (finer cells are smaller than pixels), and the number that a small picture may
+/// always have.
 const LINES_PER_PX: f64 = 4.0;
 const LINES_ALWAYS: f64 = 4096.0;
-/// Places that one task maps.
+/// Positions that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
-/// Everything that a warp depends on beside the pixels and the pose.
+/// Everything that a warp depends on except the pixels and the pose.
 #[derive(Clone, Debug)]
 pub struct Setup {
     field: Arc<Field>,
@@ -36,7 +37,7 @@ pub struct Setup {
     plan_bytes: Option<u64>,
 }
 
-/// The A_j of every grid vertex, or none where their table would not fit.
+/// The A_j of every grid vertex, or none if their table would not fit.
 #[derive(Debug)]
 pub struct Plan(Option<deform::Plan>);
 
@@ -49,19 +50,19 @@ impl Plan {
 }
 
 impl Setup {
-    /// Resolves and checks. Cheap beside a plan: O(handles log handles).
+    /// Resolves and validates. Cheap relative to a plan: O(handles log handles).
     ///
     /// # Errors
-    /// Handles, parameters, grid, or the size of any of them.
+    /// Invalid handles, parameters or grid, or too many of them.
     pub fn new(rest: &RestSpec, extent: Extent, limits: &Limits) -> Result<Self, WarpError> {
         Self::new_unless(rest, extent, limits, &|| false)
     }
 
-    /// The same, given up when `gone`.
+    /// Like [`Setup::new`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`Setup::new`]; given up.
-    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, gone: Gone<'_>) -> Result<Self, WarpError> {
+    /// Those of [`Setup::new`]; cancelled.
+    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
@@ -75,7 +76,7 @@ impl Setup {
         let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-        let field = Field::new_unless(handles, rest.method, falloff, given, gone).map_err(|error| match error {
+        let field = Field::new_unless(handles, rest.method, falloff, given, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
@@ -92,21 +93,21 @@ impl Setup {
         self.plan_key
     }
 
-    /// Bytes of the table, to be reserved before [`Setup::plan`] fills it; `None` when the warp goes without a table.
+    /// Bytes of the table that [`Setup::plan`] fills; `None` if the warp has no table.
     #[must_use]
     pub const fn plan_bytes(&self) -> Option<u64> {
         self.plan_bytes
     }
 
-    /// Memory that a posed grid takes until its picture is drawn, bytes: vertices, and what the renderer makes of them.
+    /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data.
     #[must_use]
     pub fn posed_bytes(&self) -> u64 {
-        /// Two f64, and about as much three times over.
+        /// Two f64, and about three times as much for the renderer.
         const VERTEX: u64 = 64;
         self.grid.len() as u64 * VERTEX
     }
 
-    /// Whether posing takes so long that it is split over the current rayon pool.
+    /// Whether posing is split over the current rayon pool.
     #[must_use]
     pub fn is_wide(&self) -> bool {
         self.plan_bytes.is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
@@ -118,16 +119,16 @@ impl Setup {
         self.plan_unless(&|| false).expect("nothing gives it up")
     }
 
-    /// The same, given up when `gone`.
+    /// Like [`Setup::plan`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Given up.
-    pub fn plan_unless(&self, gone: Gone<'_>) -> Result<Plan, WarpError> {
-        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, gone).ok_or(WarpError::Cancelled);
+    /// Cancelled.
+    pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
+        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled);
         self.plan_bytes.map(fill).transpose().map(Plan)
     }
 
-    /// Checks posed handles against the rest handles; only q enters.
+    /// Validates posed handles against the rest handles.
     ///
     /// # Errors
     /// Shapes, numbers, contradictory targets.
@@ -147,18 +148,18 @@ impl Setup {
         self.mixed.then(|| self.field.point_mass())
     }
 
-    /// Vertices of the resolved grid in a row and in a column.
+    /// Columns and rows of vertices of the resolved grid.
     #[must_use]
     pub const fn grid(&self) -> (u32, u32) {
         (self.grid.columns(), self.grid.rows())
     }
 
-    /// Maps places by f exactly, not by the grid. Places and answers are in the client's units. CPU work, in parallel on the current rayon
-    /// pool where there are many; given up when `gone`.
+    /// Maps positions by f exactly, not by the grid. Input and output are in the client's units. CPU work, in parallel on the current
+    /// rayon pool for many positions; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// A place that is not finite or beyond what coordinates may be; given up.
-    pub fn map(&self, pose: &Pose, places: &[Point], gone: Gone<'_>) -> Result<Vec<Point>, WarpError> {
+    /// A coordinate that is not finite or out of range; cancelled.
+    pub fn map(&self, pose: &Pose, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Point>, WarpError> {
         let (ux, uy) = self.unit;
         for (index, p) in places.iter().enumerate() {
             if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
@@ -166,7 +167,7 @@ impl Setup {
             }
         }
         let map = |p: &Point| {
-            if gone() {
+            if cancelled() {
                 return Err(WarpError::Cancelled);
             }
             let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
@@ -189,31 +190,31 @@ impl Setup {
         &self.field
     }
 
-    /// The posed mesh; without a table every row is weighed again, which may take long. Given up when `gone`.
-    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, gone: Gone<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
+    /// The posed mesh; without a table every row is computed again, which may take long. Stops when `cancelled` returns true.
+    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
         let posed = match &plan.0 {
-            Some(table) => table.pose_unless(&self.grid, pose, gone),
-            None => pose_without_table(&self.field, &self.grid, pose, gone),
+            Some(table) => table.pose_unless(&self.grid, pose, cancelled),
+            None => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
     }
 }
 
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
-    let vertices_limit = limits.plan_bytes / MESH_BYTES_PER_VERTEX;
-    let vertices = |columns: u32, rows: u32| u64::from(columns) * u64::from(rows);
-    // Per axis too: a row's working memory, one a thread, grows with its columns.
+    // Per axis too, because the working memory of a row, one per thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]
         let limit = (length * LINES_PER_PX).max(LINES_ALWAYS) as u64 + 1;
         at_most(what, limit, count.into())
     };
-    let with_cell = |cell: f64| {
-        let (columns, rows) = (1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell));
-        let count = vertices(columns, rows);
+    let check = |columns: u32, rows: u32| {
         along("grid_columns", width, columns)?;
         along("grid_rows", height, rows)?;
-        at_most("grid_vertices", vertices_limit, count).map(|()| Grid::with_cell(width, height, cell))
+        at_most("grid_vertices", limits.plan_bytes / MESH_BYTES_PER_VERTEX, u64::from(columns) * u64::from(rows))
+    };
+    let with_cell = |cell: f64| {
+        check(1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell))?;
+        Ok(Grid::with_cell(width, height, cell))
     };
     match spec {
         GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
@@ -221,9 +222,7 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("a grid's cell is a positive number of px: {cell}"))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
-            along("grid_columns", width, columns)?;
-            along("grid_rows", height, rows)?;
-            at_most("grid_vertices", vertices_limit, vertices(columns, rows))?;
+            check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }
         GridSpec::Counts { columns, rows } => {
@@ -252,7 +251,7 @@ fn plan_key(field: &Field, grid: &Grid, mixed: bool) -> Digest {
     let mut key = Collector::new("mlswarp plan 1")
         .integer(family)
         .float(field.falloff().alpha())
-        // A mass that all points share cancels where there are no lines.
+        // A mass that all points share cancels without lines.
         .float(if mixed { field.point_mass() } else { 1.0 })
         .float(grid.width())
         .float(grid.height())

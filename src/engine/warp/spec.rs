@@ -1,4 +1,4 @@
-//! What a client asks for, in the words of the contract: nothing is resolved or checked yet.
+//! The parameters of a request, as in the contract, before they are resolved and validated.
 
 use super::WarpError;
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
@@ -6,14 +6,14 @@ use crate::deform::{Handle, Method};
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
-/// What warping may ask for; each is a flag of the service.
+/// Limits of a warp; each is a flag of the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Of a source and a target picture.
     pub image: ImageLimits,
-    /// Columns of a plan: 1 a point, 2 a segment.
+    /// Columns of a plan: one per point, two per segment.
     pub columns: usize,
-    /// Bytes of a plan's table or a mesh; a plan over it is evaluated without a table, a mesh over it is refused.
+    /// Bytes of a plan's table or a mesh; a larger plan is evaluated without a table, a larger mesh is refused.
     pub plan_bytes: u64,
 }
 
@@ -34,15 +34,15 @@ pub enum Units {
     Normalized,
 }
 
-/// The grid that a client asks for.
+/// The requested grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum GridSpec {
     /// Cells of `clamp(min(W, H) / 100, 4, 8)` px.
     #[default]
     Auto,
-    /// Cells of so many px.
+    /// Cells of this size, px.
     Cell(f64),
-    /// So many vertices.
+    /// This number of vertices.
     Counts {
         /// Vertices in a row.
         columns: u32,
@@ -53,22 +53,22 @@ pub enum GridSpec {
     Pixel,
 }
 
-/// What to do when the posed grid folds.
+/// The treatment of folds of the posed grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Folds {
-    /// Draw it and count the cells.
+    /// Draw them and count the cells.
     #[default]
     Report,
-    /// Refuse.
+    /// Refuse the request.
     Reject,
 }
 
-/// Everything that stays while q moves, as a client says it: nothing is resolved or checked yet.
+/// The parameters that stay the same while q changes, not yet resolved or validated.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestSpec {
     /// Handles at rest.
     pub p: Vec<Handle>,
-    /// One a handle.
+    /// One weight per handle.
     pub weights: Option<Vec<f64>>,
     /// The class of maps.
     pub method: Method,
@@ -82,7 +82,7 @@ pub struct RestSpec {
     pub grid: GridSpec,
 }
 
-/// How the picture is made.
+/// The parameters of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct OutputSpec {
     /// File format.
@@ -93,17 +93,17 @@ pub struct OutputSpec {
     pub compression: Compression,
     /// Width of the target, px; default the source's. Height = max(1, round(H w / W)).
     pub width: Option<u32>,
-    /// How the source is read.
+    /// The sampling filter.
     pub filter: Filter,
-    /// What is painted where the posed picture does not reach.
+    /// What fills pixels that the posed picture does not cover.
     pub outside: Outside,
 }
 
-/// JPEG quality where none is asked for.
+/// JPEG quality if none is requested.
 const QUALITY: u8 = 90;
 
 impl Default for OutputSpec {
-    /// A PNG of the source's size, compressed fast, read bilinearly, transparent outside.
+    /// A PNG of the source's size, fast compression, bilinear, transparent outside.
     fn default() -> Self {
         Self {
             format: Format::default(),
@@ -117,7 +117,7 @@ impl Default for OutputSpec {
 }
 
 impl OutputSpec {
-    /// How the picture is written. A JPEG stands on the colour outside, or on white.
+    /// The encoding. The background of a JPEG is the colour outside, or white.
     #[must_use]
     pub const fn encoding(&self) -> Encoding {
         match self.format {
@@ -152,7 +152,7 @@ impl OutputSpec {
     }
 }
 
-/// Refuses numbers over a limit before memory is taken.
+/// Returns an error if a number exceeds a limit.
 pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
     if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
 }

@@ -1,5 +1,5 @@
-//! Writing a prepared warp: its strips are taken by any number of threads, rendered, encoded, and handed over in order. No thread waits for
-//! another: who finishes the strip whose turn it is hands it over, with all that waited for it.
+//! Writes a prepared warp with any number of threads: each takes strips, renders and encodes them; the strips are passed on in order. No
+//! thread waits for another: the thread that finishes the next strip in order passes it on, together with finished later ones.
 
 use std::cell::Cell;
 use std::ops::{ControlFlow, Deref};
@@ -9,15 +9,15 @@ use std::sync::{Mutex, PoisonError};
 use super::Warp;
 use crate::codec::{StripChecksum, Writer};
 
-/// A thread keeps its buffer of samples for the next strip up to this size, bytes: rows of ordinary strips take half of it.
+/// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
 
-/// Pixels that are rendered between two looks at whether someone still waits: a strip of PNG has fewer.
+/// Pixels that are rendered between two checks of `is_wanted`; a strip of PNG has fewer.
 const BAND: u32 = 1 << 18;
-/// Bands have a whole number of rows that are drawn together.
+/// A band has a whole number of rows that are drawn together.
 const BAND_ROWS: u32 = 32;
 
-/// A step of writing whose cost someone may want to know.
+/// A step of writing that an observer can measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Mesh to pixels.
@@ -26,17 +26,17 @@ pub enum Stage {
     Encode,
 }
 
-/// Stands around each step of writing; whoever knows the time may measure there. `()` only does the work.
+/// Observes the steps of writing, for example to measure time. `()` only does the work.
 pub trait WriteObserver: Sync {
     /// Calls `work` exactly once.
     fn around(&self, stage: Stage, work: &mut dyn FnMut());
 
-    /// This thread takes one more strip; asked before each. Where it does not, others do.
+    /// Whether this thread takes one more strip; called before each. Other threads take the strips that it leaves.
     fn goes_on(&self) -> bool {
         true
     }
 
-    /// Someone still waits for the picture; asked between bands and before a strip is encoded.
+    /// Whether the output is still needed; called between bands and before a strip is encoded.
     fn is_wanted(&self) -> bool {
         true
     }
@@ -48,13 +48,13 @@ impl WriteObserver for () {
     }
 }
 
-/// A picture that is being written. The sink gets the file in as many pieces as there are strips, in order, and is told which is the last
-/// one; when it says `Break`, the work ends at the next strip.
+/// A picture that is being written. The sink gets the file in one piece per strip, in order, and whether a piece is the last one; when it
+/// returns `Break`, the work ends at the next strip.
 #[derive(Debug)]
 pub struct StripScheduler<W, S> {
     warp: W,
     next: AtomicUsize,
-    gone: AtomicBool,
+    cancelled: AtomicBool,
     queue: Mutex<Queue<S>>,
 }
 
@@ -67,26 +67,26 @@ struct Queue<S> {
 }
 
 impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripScheduler<W, S> {
-    /// Nothing is drawn yet.
+    /// Creates a scheduler; nothing is drawn yet.
     pub fn new(warp: W, sink: S) -> Self {
         let strips = warp.writer.strips();
         let queue = Queue { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink };
-        Self { warp, next: AtomicUsize::new(0), gone: AtomicBool::new(false), queue: Mutex::new(queue) }
+        Self { warp, next: AtomicUsize::new(0), cancelled: AtomicBool::new(false), queue: Mutex::new(queue) }
     }
 
-    /// The pieces of work that there are.
+    /// The number of strips.
     pub fn strips(&self) -> usize {
         self.warp.writer.strips()
     }
 
-    /// Takes strips until none is left, nobody listens, or the watch says that this thread goes. True for the one call that handed over
-    /// the last piece.
+    /// Takes strips until none is left, the output is no longer needed, or the observer stops this thread. Returns true for the one call
+    /// that passed on the last piece.
     pub fn work(&self, watch: &dyn WriteObserver) -> bool {
         let Warp { renderer, writer, .. } = &*self.warp;
         let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
         let mut samples = SAMPLES.take();
         let mut ended = false;
-        while !self.gone.load(Ordering::Relaxed) && watch.goes_on() {
+        while !self.cancelled.load(Ordering::Relaxed) && watch.goes_on() {
             let index = self.next.fetch_add(1, Ordering::Relaxed);
             if index >= writer.strips() {
                 break;
@@ -101,21 +101,21 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
                 }
             }
             if !watch.is_wanted() {
-                self.gone.store(true, Ordering::Relaxed);
+                self.cancelled.store(true, Ordering::Relaxed);
                 break;
             }
             let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
             let mut checksum = (0, 0);
             watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes, &|| watch.is_wanted()));
             if !watch.is_wanted() {
-                self.gone.store(true, Ordering::Relaxed);
+                self.cancelled.store(true, Ordering::Relaxed);
                 break;
             }
             let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
             queue.waiting[index] = Some((bytes, checksum));
             match queue.flush(writer) {
                 ControlFlow::Continue(last) => ended = last,
-                ControlFlow::Break(()) => self.gone.store(true, Ordering::Relaxed),
+                ControlFlow::Break(()) => self.cancelled.store(true, Ordering::Relaxed),
             }
         }
         if samples.capacity() <= KEPT {
@@ -126,7 +126,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
 }
 
 impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
-    /// Hands over every strip whose turn it is; says whether the last one was among them.
+    /// Passes on every strip that is next in order; returns whether the last one was among them.
     fn flush(&mut self, writer: &Writer) -> ControlFlow<(), bool> {
         while let Some((mut bytes, checksum)) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
             self.checksums.push(checksum);
@@ -144,6 +144,6 @@ impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
 }
 
 thread_local! {
-    /// The samples of a strip outlive it: half a megabyte is not faulted in anew for each.
+    /// Kept between strips, which saves the page faults of half a megabyte.
     static SAMPLES: Cell<Vec<u8>> = const { Cell::new(Vec::new()) };
 }

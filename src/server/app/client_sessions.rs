@@ -118,7 +118,6 @@ impl Counted {
 
 impl ClientSessions {
     /// The sessions in a store with these bounds; `of_client` gives one client's share of a total.
-    #[must_use]
     pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> u64) -> Self {
         let (max_sessions, max_bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
         Self(Arc::new(Shared { idle: bounds.idle, max_sessions, max_bytes, counted: Mutex::default() }))
@@ -130,9 +129,7 @@ impl ClientSessions {
     }
 
     /// Counts a session that is about to be stored, instead of the one with the same id.
-    ///
-    /// # Errors
-    /// [`Code::RateLimited`]: the client has reached a limit.
+    /// Errors: [`Code::RateLimited`]: the client has reached a limit.
     pub fn claim(&self, tenant: Tenant, record: &Record, file: u64) -> Result<Claim, Problem> {
         let used = Instant::now();
         self.change(record.id, |_| {
@@ -141,9 +138,7 @@ impl ClientSessions {
     }
 
     /// Counts a record that is about to replace another one of its session.
-    ///
-    /// # Errors
-    /// As [`ClientSessions::claim`].
+    /// Errors: As [`ClientSessions::claim`].
     pub fn claim_revision(&self, record: &Record) -> Result<Claim, Problem> {
         self.change(record.id, |before| before.map(|before| CountedSession { record: record_bytes(record), ..before }))
     }
@@ -198,7 +193,6 @@ impl ClientSessions {
     }
 
     /// The number of the claim that counted the session, for [`ClientSessions::ended`].
-    #[must_use]
     pub fn claim_of(&self, id: SessionId) -> Option<u64> {
         self.lock().sessions.get(&id).map(|session| session.claim)
     }

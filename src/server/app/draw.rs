@@ -278,9 +278,7 @@ struct DrawTask {
 
 impl App {
     /// Poses and draws; returns when the first piece of the image has been drawn.
-    ///
-    /// # Errors
-    /// Wrong `q`, rejected folds, too little memory, or a computation that failed.
+    /// Errors: Wrong `q`, rejected folds, too little memory, or a computation that failed.
     pub(crate) async fn draw(&self, ticket: Ticket, job: DrawJob) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
         let (guard, helpers) = self.0.pool.begin_drawing();

@@ -19,7 +19,6 @@ type Sample = (Vec<(&'static str, &'static str)>, u64);
 
 impl App {
     /// All metrics as OpenMetrics text.
-    #[must_use]
     pub fn metrics_text(&self) -> String {
         let mut registry = Registry::with_prefix("mlswarp");
         self.0.metrics.register(&mut registry);

@@ -56,7 +56,6 @@ impl App {
     }
 
     /// Whether the service will stop soon, so that connections should not be kept for another request.
-    #[must_use]
     pub fn is_leaving(&self) -> bool {
         self.0.lifecycle.is_at_least(Phase::Leaving)
     }

@@ -118,9 +118,7 @@ pub enum NotStarted {
 
 impl App {
     /// Opens the store, starts the compute pool and, with a collector, the export of traces, which needs a runtime.
-    ///
-    /// # Errors
-    /// See [`NotStarted`].
+    /// Errors: See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.url, config.store.bounds())?;
         let tracer = config.telemetry.otlp_endpoint.as_ref().map(|collector| Tracer::new(collector, config.telemetry.otlp_sample));
@@ -158,62 +156,50 @@ impl App {
     }
 
     /// The options.
-    #[must_use]
     pub fn config(&self) -> &Config {
         &self.0.config
     }
 
     /// Keys, rates and connections.
-    #[must_use]
     pub fn access(&self) -> &AccessControl {
         &self.0.access
     }
 
     /// Admission and compute threads.
-    #[must_use]
     pub fn pool(&self) -> &Pool {
         &self.0.pool
     }
 
     /// The memory budget.
-    #[must_use]
     pub fn budget(&self) -> &Budget {
         &self.0.budget
     }
 
     /// Reserves memory before it is allocated; idle cache entries are evicted for it.
-    ///
-    /// # Errors
-    /// [`Code::TooLarge`] if it can never fit, [`Code::Overloaded`] if it does not fit now.
+    /// Errors: [`Code::TooLarge`] if it can never fit, [`Code::Overloaded`] if it does not fit now.
     pub fn reserve(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
     /// As [`App::reserve`], for memory that counts in the quota of a client.
-    ///
-    /// # Errors
-    /// As [`App::reserve`]; [`Code::Overloaded`] for a client with too many unread responses, [`Code::RateLimited`] for one whose requests use
+    /// Errors: As [`App::reserve`]; [`Code::Overloaded`] for a client with too many unread responses, [`Code::RateLimited`] for one whose requests use
     /// too much.
     pub fn reserve_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take_for(purpose, quota, bytes))
     }
 
     /// The client's quota of memory for responses that it has not read.
-    #[must_use]
     pub fn response_quota(&self, client: Client) -> ClientQuota {
         self.0.response_quotas.of(client)
     }
 
     /// The client's quota of memory for requests that it is sending.
-    #[must_use]
     pub fn request_quota(&self, client: Client) -> ClientQuota {
         self.0.request_quotas.of(client)
     }
 
     /// Reserves more.
-    ///
-    /// # Errors
-    /// As [`App::reserve`].
+    /// Errors: As [`App::reserve`].
     pub fn reserve_more(&self, reservation: &mut Reservation, more: u64) -> Result<(), Problem> {
         self.evicting_idle(|| reservation.grow(more))
     }
@@ -249,7 +235,6 @@ impl App {
     }
 
     /// Counters since the start.
-    #[must_use]
     pub fn counters(&self) -> Counters {
         let metrics = &self.0.metrics;
         Counters {
@@ -266,13 +251,11 @@ impl App {
     }
 
     /// Counters and histograms.
-    #[must_use]
     pub fn metrics(&self) -> &Metrics {
         &self.0.metrics
     }
 
     /// Starts spans, if there is a collector.
-    #[must_use]
     pub fn tracer(&self) -> Option<&Tracer> {
         self.0.tracer.as_ref()
     }
@@ -286,9 +269,7 @@ impl App {
 
     /// Whether a new client would be served, and with what; answers within about a second. A service that loses its store stays ready: a store is
     /// unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue without it.
-    ///
-    /// # Errors
-    /// [`Code::Overloaded`], with the reason.
+    /// Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.require_serving()?;
         if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|class| self.0.pool.is_full(class)) {
@@ -305,9 +286,7 @@ impl App {
     }
 
     /// Rejects an upload before its body is read, if the queue would reject it.
-    ///
-    /// # Errors
-    /// [`Code::Overloaded`].
+    /// Errors: [`Code::Overloaded`].
     pub fn require_queue_place(&self, client: Client) -> Result<(), Problem> {
         if self.0.pool.rejects(WorkClass::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
     }

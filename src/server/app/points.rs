@@ -36,9 +36,7 @@ struct Mapped<'a> {
 
 impl App {
     /// Maps points; returns the JSON of the response.
-    ///
-    /// # Errors
-    /// Wrong handles, or too little capacity.
+    /// Errors: Wrong handles, or too little capacity.
     pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
@@ -51,9 +49,7 @@ impl App {
     }
 
     /// Maps points by the deformation of a session; returns the JSON of the response.
-    ///
-    /// # Errors
-    /// Unknown session, wrong handles, or too little capacity.
+    /// Errors: Unknown session, wrong handles, or too little capacity.
     pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;

@@ -36,7 +36,6 @@ pub struct SequencePosition {
 
 impl Sequencer {
     /// Enters a request, which supersedes those with lower numbers.
-    #[must_use]
     pub fn enter(&self, incarnation: Incarnation, seq: u64) -> SequencePosition {
         let new = || Arc::new(SessionSequence { newest: watch::Sender::new(seq), builds: Retained::default() });
         let sequence = Arc::clone(self.lock().entry(incarnation).or_insert_with(new));
@@ -55,7 +54,6 @@ impl Sequencer {
 
 impl SequencePosition {
     /// Whether a higher number has been entered.
-    #[must_use]
     pub fn is_superseded(&self) -> bool {
         *self.sequence.newest.borrow() > self.seq
     }
@@ -68,7 +66,6 @@ impl SequencePosition {
     }
 
     /// Builds that continue as long as a numbered request of the session is in progress.
-    #[must_use]
     pub fn builds(&self) -> &Retained {
         &self.sequence.builds
     }

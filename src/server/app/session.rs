@@ -20,18 +20,14 @@ use crate::wire::{WarpObject, WarpPatch};
 
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
-    ///
-    /// # Errors
-    /// A wrong file or object, or too little capacity.
+    /// Errors: A wrong file or object, or too little capacity.
     pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let prepared = self.prepare_session(client, file, json).await?;
         self.open_prepared(client, prepared).await
     }
 
     /// Opens a session from what has been warped.
-    ///
-    /// # Errors
-    /// Too little capacity.
+    /// Errors: Too little capacity.
     pub async fn open_prepared(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
         // Undoes the demotion of an image that is warped once.
         let _ = self.0.images.touch(Key::new(client.owner, prepared.digest));
@@ -41,9 +37,7 @@ impl App {
     }
 
     /// Opens or replaces a session with an id that the client has chosen.
-    ///
-    /// # Errors
-    /// A wrong file or object, or too little capacity.
+    /// Errors: A wrong file or object, or too little capacity.
     pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
         let prepared = self.prepare_session(client, file, json).await?;
         self.put_prepared(client, id, prepared).await
@@ -77,9 +71,7 @@ impl App {
     }
 
     /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
-    ///
-    /// # Errors
-    /// Unknown session, wrong handles, or too little capacity.
+    /// Errors: Unknown session, wrong handles, or too little capacity.
     pub async fn revise(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
@@ -147,17 +139,13 @@ impl App {
     }
 
     /// Reads the session without extending its life.
-    ///
-    /// # Errors
-    /// Unknown or expired.
+    /// Errors: Unknown or expired.
     pub async fn session(&self, id: SessionId) -> Result<Session, Problem> {
         Ok(in_stage("store", self.0.store.peek(id)).await?)
     }
 
     /// Closes the session. If it was deleted recently, or another version of the program stored it, nothing is cached for it here.
-    ///
-    /// # Errors
-    /// Unknown or expired.
+    /// Errors: Unknown or expired.
     pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
         let (session, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.client_sessions.claim_of(id));
         in_stage("store", self.0.store.delete(id)).await?;

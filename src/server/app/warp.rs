@@ -87,9 +87,7 @@ impl AsRef<[u8]> for File {
 
 impl App {
     /// Draws an image from a file and a warp object with `q`.
-    ///
-    /// # Errors
-    /// A wrong file or object, or too little capacity.
+    /// Errors: A wrong file or object, or too little capacity.
     pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (prepared, planned) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
@@ -100,9 +98,7 @@ impl App {
     }
 
     /// The resolved setup of a session.
-    ///
-    /// # Errors
-    /// Too little capacity.
+    /// Errors: Too little capacity.
     pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
         let (app, build_record) = (self.clone(), Arc::clone(record));
         let build = async move {
@@ -167,8 +163,8 @@ impl App {
             let pool = app.0.pool.clone();
             let decode = move |cancel: &Cancel| {
                 let is_cancelled = || cancel.is_cancelled();
-                let work = codec::Work::new(&is_cancelled);
-                let opened = codec::open(file.as_ref(), &limits, &work).map_err(WarpError::from)?;
+                let steps = codec::StepCounter::new(&is_cancelled);
+                let opened = codec::open(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
                 let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
                 let image = Image::decode_as(digest, &opened)?;
                 reservation.shrink_to(image.bytes());
@@ -281,7 +277,6 @@ pub(crate) fn image_key(record: &Record) -> Key {
 }
 
 /// The number of columns of a session's plan, which limits the size of its drags.
-#[must_use]
 pub fn columns(record: &Record) -> u64 {
     record.rest.p.iter().map(|h| h.columns() as u64).sum()
 }

@@ -3,6 +3,10 @@
 pub mod cors;
 pub mod hosts;
 pub mod keys;
+#[cfg(feature = "tls")]
+pub mod tls;
+#[cfg(not(feature = "tls"))]
+#[path = "no_tls.rs"]
 pub mod tls;
 
 use std::future::pending;

@@ -1,17 +1,26 @@
 //! TLS: the server's certificate and key, and the TLS clients of the health check and of the exporter of traces.
 
 use std::fmt;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::TlsConnector;
+pub(crate) use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
-use tokio_rustls::rustls::{CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, ServerConfig, SignatureScheme};
+use tokio_rustls::rustls::{
+    CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, RootCertStore, SignatureScheme, StreamOwned,
+};
+pub(crate) use tokio_rustls::server::TlsStream;
 
 /// The ALPN name of HTTP/2.
-pub const H2: &[u8] = b"h2";
+const H2: &[u8] = b"h2";
 const HTTP_1_1: &[u8] = b"http/1.1";
 /// Maximum size of a file.
 const MAX_FILE: u64 = 1 << 20;
@@ -53,23 +62,61 @@ impl TlsFiles {
         let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
         Ok(Arc::new(builder.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth()))
     }
+
+    /// The client's side of a connection to `ip` that trusts this certificate alone.
+    ///
+    /// # Errors
+    /// The file and why.
+    pub fn connect(&self, stream: TcpStream, ip: IpAddr) -> io::Result<impl Read + Write + use<>> {
+        let client = self.trusting_it_alone().map_err(io::Error::other)?;
+        let connection = ClientConnection::new(client, ServerName::IpAddress(ip.into())).map_err(io::Error::other)?;
+        Ok(StreamOwned::new(connection, stream))
+    }
 }
 
-/// A client for HTTP/1.1 that trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
-///
-/// # Errors
-/// There are no roots.
-pub fn trusting_the_systems_roots() -> Result<Arc<ClientConfig>, String> {
-    let found = rustls_native_certs::load_native_certs();
-    let mut roots = RootCertStore::empty();
-    if roots.add_parsable_certificates(found.certs).0 == 0 {
-        let cause = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
-        return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{cause}"));
+/// The server's side of a handshake, and whether HTTP/2 was agreed on.
+pub(crate) async fn accept<S>(config: Arc<ServerConfig>, stream: S) -> io::Result<(TlsStream<S>, bool)>
+where
+    S: AsyncRead + AsyncWrite + Unpin,
+{
+    let stream = TlsAcceptor::from(config).accept(stream).await?;
+    let is_http2 = stream.get_ref().1.alpn_protocol() == Some(H2);
+    Ok((stream, is_http2))
+}
+
+/// The stream below TLS.
+pub(crate) fn inner<S>(stream: &mut TlsStream<S>) -> &mut S {
+    stream.get_mut().0
+}
+
+/// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
+pub(crate) struct Connector {
+    connector: TlsConnector,
+    host: ServerName<'static>,
+}
+
+impl Connector {
+    /// Fails if there are no roots, or the host is neither a name nor an address.
+    pub(crate) fn new(host: &str) -> Result<Self, String> {
+        let host = ServerName::try_from(host.to_owned()).map_err(|error| error.to_string())?;
+        let found = rustls_native_certs::load_native_certs();
+        let mut roots = RootCertStore::empty();
+        if roots.add_parsable_certificates(found.certs).0 == 0 {
+            let why = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
+            return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"));
+        }
+        let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
+        let mut config = builder.with_root_certificates(roots).with_no_client_auth();
+        config.alpn_protocols = vec![HTTP_1_1.to_vec()];
+        Ok(Self { connector: TlsConnector::from(Arc::new(config)), host })
     }
-    let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
-    let mut config = builder.with_root_certificates(roots).with_no_client_auth();
-    config.alpn_protocols = vec![HTTP_1_1.to_vec()];
-    Ok(Arc::new(config))
+
+    pub(crate) async fn connect<S: AsyncRead + AsyncWrite + Unpin>(
+        &self,
+        stream: S,
+    ) -> io::Result<impl AsyncRead + AsyncWrite + Unpin + use<S>> {
+        self.connector.connect(self.host.clone(), stream).await
+    }
 }
 
 fn provider() -> Arc<CryptoProvider> {

@@ -4,9 +4,6 @@ use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
 use std::time::Duration;
 
-use tokio_rustls::rustls::pki_types::ServerName;
-use tokio_rustls::rustls::{ClientConnection, StreamOwned};
-
 use crate::config::Config;
 
 /// Timeout of connecting, of each write and of each read.
@@ -26,9 +23,7 @@ pub fn ask(config: &Config) -> io::Result<()> {
     stream.set_read_timeout(Some(TIMEOUT))?;
     stream.set_write_timeout(Some(TIMEOUT))?;
     let Some(files) = config.auth.tls.as_ref().filter(|_| ops.is_none()) else { return ask_over(stream, address) };
-    let client = files.trusting_it_alone().map_err(io::Error::other)?;
-    let connection = ClientConnection::new(client, ServerName::IpAddress(address.ip().into())).map_err(io::Error::other)?;
-    ask_over(StreamOwned::new(connection, stream), address)
+    ask_over(files.connect(stream, address.ip())?, address)
 }
 
 fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()> {

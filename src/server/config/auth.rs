@@ -104,9 +104,7 @@ impl KeysConfig {
     }
 
     /// Reads the file and returns all keys.
-    ///
-    /// # Errors
-    /// The file and the reason.
+    /// Errors: The file and the reason.
     pub fn read(&self) -> Result<Keys, String> {
         let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
         let in_file = |why: String| format!("{}: {why}", path.display());
@@ -121,20 +119,17 @@ impl KeysConfig {
 
 impl AuthConfig {
     /// The hosts that a listener without keys serves; `None`: all. On a loopback address this prevents DNS rebinding.
-    #[must_use]
     pub fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
         Some(&self.allowed_hosts).filter(|_| is_loopback(listen))
     }
 
     /// The hosts that the service serves; `None`: all.
-    #[must_use]
     pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
         let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
         listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
     }
 
     /// Whether keys travel unencrypted to a listener that other machines can reach.
-    #[must_use]
     pub fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
         self.keys.is_some() && self.tls.is_none() && !is_loopback(listen)
     }

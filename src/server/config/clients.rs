@@ -34,7 +34,6 @@ pub struct ClientShare(u64);
 
 impl ClientShare {
     /// The client's part of a total, rounded up, so that each client may use at least one.
-    #[must_use]
     pub const fn of(self, total: u64) -> u64 {
         let part = total / 100 * self.0 + (total % 100 * self.0).div_ceil(100);
         if part >= total { u64::MAX } else { part }

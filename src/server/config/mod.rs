@@ -137,7 +137,6 @@ impl fmt::Display for ArgsError {
 impl std::error::Error for ArgsError {}
 
 /// The command with all options; each has a variable and may stand before or after the subcommand.
-#[must_use]
 pub fn command() -> clap::Command {
     Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
         Some(variable) => arg.env(variable).global(true),
@@ -147,9 +146,7 @@ pub fn command() -> clap::Command {
 
 impl Cli {
     /// Reads a command line and the environment.
-    ///
-    /// # Errors
-    /// All mistakes at once. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
+    /// Errors: All mistakes at once. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
         Self::read_with(command(), args)
     }
@@ -172,15 +169,12 @@ impl Cli {
 
 impl Config {
     /// Reads the options of a command line.
-    ///
-    /// # Errors
-    /// As [`Cli::read`].
+    /// Errors: As [`Cli::read`].
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
         Cli::read(args).map(|cli| cli.config)
     }
 
     /// What one warp may use.
-    #[must_use]
     pub const fn limits(&self) -> Limits {
         let image = ImageLimits { max_pixels: self.max_image_pixels, max_side: self.max_image_side };
         Limits { image, columns: self.max_columns, plan_bytes: self.max_plan_bytes }

@@ -26,7 +26,6 @@ pub struct StoreConfig {
 
 impl StoreConfig {
     /// The limits of the store.
-    #[must_use]
     pub const fn bounds(&self) -> Bounds {
         Bounds { idle: self.session_idle, sessions: self.max_sessions, bytes: self.store_bytes }
     }

@@ -43,7 +43,6 @@ pub struct WorkConfig {
 
 impl WorkConfig {
     /// Number of drags, and of uploads, that may wait for a worker.
-    #[must_use]
     pub fn queue(&self) -> usize {
         self.queue.unwrap_or_else(|| (4 * self.workers).max(MIN_QUEUE))
     }

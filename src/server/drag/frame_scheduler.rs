@@ -103,7 +103,6 @@ struct Sent {
 
 impl<F> FrameScheduler<F> {
     /// `full`: the full width; narrower previews are followed by a full frame when the pointer rests.
-    #[must_use]
     pub const fn new(previews: PreviewController, full: u32) -> Self {
         Self {
             previews,
@@ -128,13 +127,11 @@ impl<F> FrameScheduler<F> {
     }
 
     /// Number of poses and frames that newer ones replaced before they were sent, since the last call.
-    #[must_use]
     pub fn take_superseded(&mut self) -> u64 {
         std::mem::take(&mut self.superseded)
     }
 
     /// When the frame was sent that the client has not acknowledged.
-    #[must_use]
     pub fn owed_since(&self) -> Option<Instant> {
         self.sent.as_ref().map(|sent| sent.since)
     }
@@ -148,9 +145,7 @@ impl<F> FrameScheduler<F> {
     }
 
     /// The client acknowledged a frame.
-    ///
-    /// # Errors
-    /// No frame with this or a higher number was sent.
+    /// Errors: No frame with this or a higher number was sent.
     pub fn ack(&mut self, seq: u64, now: Instant) -> Result<(), NotSent> {
         if self.newest_sent.is_none_or(|newest| seq > newest) {
             return Err(NotSent);

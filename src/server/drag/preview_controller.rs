@@ -74,7 +74,6 @@ impl Pause {
 
 impl PreviewController {
     /// A controller that adapts the width, for images of this size.
-    #[must_use]
     pub fn adaptive((width, height): (u32, u32)) -> Self {
         let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
         widths[0] = width;
@@ -86,7 +85,6 @@ impl PreviewController {
     }
 
     /// Always this width.
-    #[must_use]
     pub fn fixed(width: u32) -> Self {
         Self::of(vec![width])
     }
@@ -96,19 +94,16 @@ impl PreviewController {
     }
 
     /// The width of the next preview.
-    #[must_use]
     pub fn width(&self) -> u32 {
         self.widths[self.at]
     }
 
     /// Average drawing time; zero before the first frame.
-    #[must_use]
     pub fn draw_time(&self) -> Duration {
         Duration::from_secs_f64(self.draw)
     }
 
     /// Average time from sending a frame to its acknowledgement; zero before the first.
-    #[must_use]
     pub fn ack_time(&self) -> Duration {
         Duration::from_secs_f64(self.ack)
     }

@@ -13,7 +13,6 @@ pub struct Bucket {
 
 impl Bucket {
     /// A full bucket.
-    #[must_use]
     pub const fn new(a_second: f64, most: f64, now: Instant) -> Self {
         Self { tokens: most, most, a_second, seen: now }
     }
@@ -30,14 +29,12 @@ impl Bucket {
     }
 
     /// What there is.
-    #[must_use]
     pub fn tokens(&self, now: Instant) -> f64 {
         let passed = now.saturating_duration_since(self.seen).as_secs_f64();
         (self.tokens + passed * self.a_second).min(self.most)
     }
 
     /// Whole seconds from the last look until there is one, at least one.
-    #[must_use]
     pub fn seconds_to_one(&self) -> u32 {
         let seconds = ((1.0 - self.tokens) / self.a_second).ceil().clamp(1.0, 3600.0);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 3600")]

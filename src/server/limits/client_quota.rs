@@ -37,13 +37,11 @@ pub struct ClientQuota {
 
 impl ClientQuotas {
     /// `limit`: bytes that one client may hold.
-    #[must_use]
     pub fn new(quota: QuotaKind, limit: u64) -> Self {
         Self { quota, limit, held: Mutex::default() }
     }
 
     /// This client's.
-    #[must_use]
     pub fn of(&self, client: Client) -> ClientQuota {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         if held.len() >= MANY && held.len().is_power_of_two() {
@@ -56,27 +54,22 @@ impl ClientQuotas {
 
 impl ClientQuota {
     /// What it is held by.
-    #[must_use]
     pub const fn quota(&self) -> QuotaKind {
         self.quota
     }
 
     /// The most that the client may hold.
-    #[must_use]
     pub const fn limit(&self) -> u64 {
         self.limit
     }
 
     /// What the client holds.
-    #[must_use]
     pub fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
     }
 
     /// Takes `more` bytes for something that has `own` already. One answer alone may exceed the share; requests may not.
-    ///
-    /// # Errors
-    /// What the client holds: there is no room for more.
+    /// Errors: What the client holds: there is no room for more.
     pub(crate) fn take(&self, own: u64, more: u64) -> Result<(), u64> {
         let is_alone = |held: u64| self.quota == QuotaKind::Responses && held <= own;
         let fits = |held: u64| held.checked_add(more).filter(|sum| *sum <= self.limit || is_alone(held));

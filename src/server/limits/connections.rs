@@ -35,13 +35,11 @@ pub struct ConnectionPermit {
 
 impl ConnectionLimiter {
     /// So many, and so many from one address (from one /64 of IPv6).
-    #[must_use]
     pub fn new(most: usize, most_of_one: usize) -> Self {
         Self(Arc::new(LimiterState { most, most_of_one, taken: Mutex::default(), refused: AtomicU64::new(0) }))
     }
 
     /// A place, if there is one. A proxy that is trusted to count by itself may have all.
-    #[must_use]
     pub fn take(&self, peer: IpAddr, is_proxy: bool) -> Option<ConnectionPermit> {
         let client = Tenant::of_address(peer);
         let mut taken = self.taken();
@@ -56,13 +54,11 @@ impl ConnectionLimiter {
     }
 
     /// Connections that there are.
-    #[must_use]
     pub fn open(&self) -> usize {
         self.taken().all
     }
 
     /// Connections that found no place so far.
-    #[must_use]
     pub fn refused(&self) -> u64 {
         self.0.refused.load(Ordering::Relaxed)
     }

@@ -38,7 +38,6 @@ impl Purpose {
     pub const ALL: [Self; 5] = [Self::Upload, Self::Image, Self::Plan, Self::Frame, Self::Socket];
 
     /// As metrics and messages name it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Upload => "uploads",
@@ -50,7 +49,6 @@ impl Purpose {
     }
 
     /// How much of `total` may be taken when this takes a part of it.
-    #[must_use]
     pub const fn share(self, total: u64) -> u64 {
         match self {
             Self::Frame => total,
@@ -97,7 +95,6 @@ pub struct BudgetExceeded {
 
 impl BudgetExceeded {
     /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
-    #[must_use]
     pub fn is_forever(&self) -> bool {
         self.short != Exhausted::Quota(QuotaKind::Responses) && self.asked > self.limit
     }
@@ -149,7 +146,6 @@ pub struct Reservation {
 
 impl Budget {
     /// An account of so many bytes.
-    #[must_use]
     pub fn new(total: u64) -> Self {
         let account =
             Account { total, taken: AtomicU64::new(0), by_purpose: std::array::from_fn(|_| AtomicU64::new(0)), refused: AtomicU64::new(0) };
@@ -157,25 +153,21 @@ impl Budget {
     }
 
     /// All there is.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.0.total
     }
 
     /// What is taken.
-    #[must_use]
     pub fn taken(&self) -> u64 {
         self.0.taken.load(Ordering::Relaxed)
     }
 
     /// What is taken for this.
-    #[must_use]
     pub fn taken_for(&self, purpose: Purpose) -> u64 {
         self.0.by_purpose[purpose as usize].load(Ordering::Relaxed)
     }
 
     /// How many times there was not enough.
-    #[must_use]
     pub fn refused(&self) -> u64 {
         self.0.refused.load(Ordering::Relaxed)
     }
@@ -186,15 +178,12 @@ impl Budget {
     }
 
     /// So much could be taken now.
-    #[must_use]
     pub fn has(&self, purpose: Purpose, bytes: u64) -> bool {
         self.taken().saturating_add(bytes) <= purpose.share(self.total())
     }
 
     /// Takes memory, at once or not at all.
-    ///
-    /// # Errors
-    /// [`BudgetExceeded`].
+    /// Errors: [`BudgetExceeded`].
     pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: None };
         reservation.grow(bytes)?;
@@ -202,9 +191,7 @@ impl Budget {
     }
 
     /// Takes memory that counts for a client until it is given back.
-    ///
-    /// # Errors
-    /// [`BudgetExceeded`].
+    /// Errors: [`BudgetExceeded`].
     pub fn take_for(&self, purpose: Purpose, share: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
         reservation.grow(bytes)?;
@@ -214,15 +201,12 @@ impl Budget {
 
 impl Reservation {
     /// How much is taken.
-    #[must_use]
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// Takes so much more, at once or not at all.
-    ///
-    /// # Errors
-    /// [`BudgetExceeded`].
+    /// Errors: [`BudgetExceeded`].
     pub fn grow(&mut self, more: u64) -> Result<(), BudgetExceeded> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
         if let Some(share) = &self.share {
@@ -262,7 +246,6 @@ impl Reservation {
     }
 
     /// A part of it, to be given back by itself; all of it when there is less.
-    #[must_use]
     pub fn split(&mut self, bytes: u64) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
@@ -270,7 +253,6 @@ impl Reservation {
     }
 
     /// Bytes that hold the reservation for as long as anyone holds them.
-    #[must_use]
     pub fn attach(self, bytes: Vec<u8>) -> Bytes {
         struct HeldBytes {
             bytes: Vec<u8>,

@@ -10,9 +10,7 @@ pub struct Network(IpNet);
 
 impl Network {
     /// Reads an address, or a network in CIDR notation.
-    ///
-    /// # Errors
-    /// It is neither.
+    /// Errors: It is neither.
     pub fn parse(text: &str) -> Result<Self, String> {
         let network = match text.split_once('/') {
             Some((address, bits)) => address.parse().ok().zip(bits.parse().ok()).and_then(|(address, bits)| IpNet::new(address, bits).ok()),
@@ -22,15 +20,13 @@ impl Network {
     }
 
     /// Whether the network contains an address. An IPv4-mapped IPv6 address is an IPv4 address.
-    #[must_use]
     pub fn contains(&self, address: IpAddr) -> bool {
         self.0.contains(&address.to_canonical())
     }
 }
 
-/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no trusted
-/// proxy. Addresses further to the left are written by the client and are ignored.
-#[must_use]
+/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no
+/// trusted proxy. Addresses further to the left are written by the client and are ignored.
 pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
     let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.contains(address));
     let mut at = peer.to_canonical();

@@ -33,16 +33,13 @@ impl<K> std::fmt::Debug for RateLimit<K> {
 
 impl<K: Copy + Eq + Hash> RateLimit<K> {
     /// So many requests a second, and twice as many at once.
-    #[must_use]
     pub fn new(a_second: u32) -> Self {
         let rows = (0..PLACES / NEIGHBOURS).map(|_| Mutex::new([None; NEIGHBOURS]));
         Self { a_second: f64::from(a_second), hasher: RandomState::new(), places: rows.collect() }
     }
 
     /// Takes one of whoever asks.
-    ///
-    /// # Errors
-    /// There is none; the seconds after which there is one.
+    /// Errors: There is none; the seconds after which there is one.
     pub fn take(&self, who: K, now: Instant) -> Result<(), u32> {
         let hash = usize::try_from(self.hasher.hash_one(who) % self.places.len() as u64).unwrap_or(0);
         let mut row = self.places[hash].lock().unwrap_or_else(PoisonError::into_inner);

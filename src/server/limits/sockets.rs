@@ -45,7 +45,6 @@ pub struct SocketSlot {
 impl SocketSlots {
     /// `most` sockets in all, `of_client` of one client. At most `frames` frames of one client stand before the pool at one time: its others
     /// wait here, in order of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
-    #[must_use]
     pub fn new(most: usize, of_client: u64, frames: usize) -> Self {
         Self(Arc::new(SlotState {
             most,
@@ -57,9 +56,7 @@ impl SocketSlots {
     }
 
     /// Takes a seat, at once or not at all.
-    ///
-    /// # Errors
-    /// [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
+    /// Errors: [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
     pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
         let slots = &self.0;
         let mut taken = slots.taken.lock().unwrap_or_else(PoisonError::into_inner);
@@ -84,7 +81,6 @@ impl SocketSlots {
     }
 
     /// Seats that are taken now.
-    #[must_use]
     pub fn taken(&self) -> usize {
         *self.0.open.borrow()
     }
@@ -98,7 +94,6 @@ impl SocketSlots {
 
 impl SocketSlot {
     /// Where the client's frames wait for their turn.
-    #[must_use]
     pub fn frames(&self) -> Arc<Semaphore> {
         Arc::clone(&self.frames)
     }

@@ -14,9 +14,7 @@ pub struct Collector {
 
 impl Collector {
     /// Reads `http[s]://host[:port][/path]`.
-    ///
-    /// # Errors
-    /// `text` has another form.
+    /// Errors: `text` has another form.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mistake = |why: &str| Err(format!("`{text}` {why}"));
         let (plain, encrypted) = (text.strip_prefix("http://"), text.strip_prefix("https://"));
@@ -38,7 +36,6 @@ impl Collector {
     }
 
     /// The host name or the address without brackets, as certificates have it.
-    #[must_use]
     pub fn host(&self) -> &str {
         let host = self.authority.rsplit_once(':').map_or(&*self.authority, |(host, _)| host);
         host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host)

@@ -44,7 +44,6 @@ pub struct Metrics {
 }
 
 /// The method if HTTP defines it: a client may send any word.
-#[must_use]
 pub fn known_method(method: &str) -> Option<&'static str> {
     ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"].into_iter().find(|known| *known == method)
 }

@@ -19,11 +19,9 @@ use tokio::net::TcpStream;
 use tokio::runtime::Handle;
 use tokio::sync::Mutex;
 use tokio::time::timeout;
-use tokio_rustls::TlsConnector;
-use tokio_rustls::rustls::pki_types::ServerName;
 
 use super::collector::Collector;
-use crate::auth::tls::trusting_the_systems_roots;
+use crate::auth::tls::Connector;
 
 /// Maximum size of a collector's response.
 const MAX_RESPONSE_BYTES: usize = 64 << 10;
@@ -36,7 +34,7 @@ pub(crate) struct OtlpClient(Arc<ClientState>);
 
 struct ClientState {
     authority: String,
-    tls: Option<(TlsConnector, ServerName<'static>)>,
+    tls: Option<Connector>,
     /// Spans that the collector rejected of batches that it accepted.
     rejected: Arc<AtomicU64>,
     connection: Mutex<Option<SendRequest<Full<Bytes>>>>,
@@ -54,11 +52,7 @@ impl OtlpClient {
     /// # Errors
     /// There is no runtime. With TLS: no root certificates are trusted, or the collector's name is invalid.
     pub(crate) fn new(collector: &Collector, rejected: Arc<AtomicU64>) -> Result<Self, String> {
-        let tls = || {
-            let name = ServerName::try_from(collector.host().to_owned()).map_err(|error| error.to_string())?;
-            Ok::<_, String>((TlsConnector::from(trusting_the_systems_roots()?), name))
-        };
-        let tls = collector.is_tls.then(tls).transpose()?;
+        let tls = collector.is_tls.then(|| Connector::new(collector.host())).transpose()?;
         let runtime = Handle::try_current().map_err(|error| error.to_string())?;
         let authority = collector.authority.clone();
         Ok(Self(Arc::new(ClientState { authority, tls, rejected, connection: Mutex::new(None), runtime })))
@@ -69,7 +63,7 @@ impl ClientState {
     async fn connect(&self) -> Result<SendRequest<Full<Bytes>>, HttpError> {
         let stream = TcpStream::connect(&self.authority).await?;
         match &self.tls {
-            Some((connector, name)) => start(connector.connect(name.clone(), stream).await?).await,
+            Some(connector) => start(connector.connect(stream).await?).await,
             None => start(stream).await,
         }
     }

@@ -73,13 +73,11 @@ pub struct RequestInfo<'a> {
 
 impl Scope {
     /// A request without a trace. `id` is made of letters, digits, `-`, `_` and `.`.
-    #[must_use]
     pub fn untraced(id: &str) -> Self {
         Self(Some(Arc::new(Request { id: id.into(), span_context: None, recorded: None })))
     }
 
     /// A request whose span is named and described by `info`.
-    #[must_use]
     pub fn request(id: &str, tracer: &Tracer, info: &RequestInfo<'_>) -> Self {
         let RequestInfo { parent, began, method, route, scheme } = info;
         Self::start(id.into(), tracer, parent, *began, |span| {
@@ -97,7 +95,6 @@ impl Scope {
     }
 
     /// A frame of the drag that this request opened. Its trace is its own, since the handshake's would have no end, and links to the handshake's.
-    #[must_use]
     pub fn frame(&self, tracer: Option<&Tracer>) -> Self {
         let (Some(handshake), Some(tracer)) = (&self.0, tracer) else { return self.clone() };
         Self::start(Arc::clone(&handshake.id), tracer, &Context::new(), Instant::now(), |span| {
@@ -128,26 +125,22 @@ impl Scope {
     }
 
     /// The scope of the current code.
-    #[must_use]
     pub fn current() -> Self {
         CURRENT.try_with(Self::clone).unwrap_or_default()
     }
 
     /// The same request without its span, for work that goes on after the response: log lines still have its id.
-    #[must_use]
     pub fn answered(&self) -> Self {
         let Some(request) = &self.0 else { return Self::default() };
         Self(Some(Arc::new(Request { id: Arc::clone(&request.id), span_context: request.span_context.clone(), recorded: None })))
     }
 
     /// The request's id.
-    #[must_use]
     pub fn id(&self) -> Option<&str> {
         self.0.as_ref().map(|request| &*request.id)
     }
 
     /// The id of its trace, if traces are exported.
-    #[must_use]
     pub fn trace_id(&self) -> Option<TraceId> {
         self.0.as_ref()?.span_context.as_ref().map(SpanContext::trace_id)
     }
@@ -166,7 +159,6 @@ impl Scope {
     }
 
     /// The span is sampled: stages are recorded.
-    #[must_use]
     pub fn is_traced(&self) -> bool {
         self.recorded().is_some()
     }

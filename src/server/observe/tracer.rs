@@ -46,13 +46,11 @@ pub struct ExportStats {
 
 impl ExportStats {
     /// Spans that the collector has accepted.
-    #[must_use]
     pub fn exported(&self) -> u64 {
         self.exported.load(Ordering::Relaxed)
     }
 
     /// Spans that were lost: the queue was full, or the collector did not accept them.
-    #[must_use]
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -67,9 +65,7 @@ pub struct Tracer {
 
 impl Tracer {
     /// Starts to export to `collector`; `share` of the requests without a caller's decision are traced. Needs a runtime.
-    ///
-    /// # Errors
-    /// The exporter cannot be made with this address and OpenTelemetry's variables.
+    /// Errors: The exporter cannot be made with this address and OpenTelemetry's variables.
     pub fn new(collector: &Collector, share: f64) -> Result<Self, String> {
         let queue = SpanQueue::new(collector).map_err(|why| format!("traces cannot be exported to {collector}: {why}"))?;
         let provider = SdkTracerProvider::builder()
@@ -83,7 +79,6 @@ impl Tracer {
     }
 
     /// Counters of exported and dropped spans.
-    #[must_use]
     pub fn stats(&self) -> &ExportStats {
         &self.queue.stats
     }

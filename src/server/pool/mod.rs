@@ -102,13 +102,11 @@ pub struct Ticket {
 
 impl Ticket {
     /// Whether a job waits for a thread of the same class.
-    #[must_use]
     pub fn is_thread_wanted(&self) -> bool {
         self.queue.threads.is_thread_wanted()
     }
 
     /// Time spent in the queue.
-    #[must_use]
     pub const fn waited(&self) -> Duration {
         self.waited
     }
@@ -120,7 +118,6 @@ pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
     /// The result is no longer needed.
-    #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -137,9 +134,7 @@ impl Drop for CancelOnDrop {
 
 impl Pool {
     /// Starts the threads.
-    ///
-    /// # Errors
-    /// The operating system refused to start threads.
+    /// Errors: The operating system refused to start threads.
     pub fn new(shape: Shape) -> Result<Self, NoThreads> {
         let Shape { workers, queue, drag_wait, upload_wait } = shape;
         let parallel = ThreadPoolBuilder::new()
@@ -172,33 +167,27 @@ impl Pool {
     }
 
     /// Whether a request of a client without requests here would be rejected now.
-    #[must_use]
     pub fn is_full(&self, class: WorkClass) -> bool {
         self.queue(class).is_full()
     }
 
     /// Whether a request with this key would be rejected now.
-    #[must_use]
     pub fn rejects(&self, class: WorkClass, key: QueueKey) -> bool {
         self.queue(class).rejects(key)
     }
 
     /// Running and waiting requests of a class.
-    #[must_use]
     pub fn load(&self, class: WorkClass) -> Load {
         self.queue(class).load()
     }
 
     /// Requests that hold a worker, those of disconnected clients included.
-    #[must_use]
     pub fn running(&self) -> usize {
         self.drags.load().running + self.uploads.load().running
     }
 
     /// Waits for a permit. Dropping the future leaves the queue.
-    ///
-    /// # Errors
-    /// [`PoolError::Full`], [`PoolError::Late`].
+    /// Errors: [`PoolError::Full`], [`PoolError::Late`].
     pub async fn admit(&self, class: WorkClass, key: QueueKey) -> Result<Ticket, PoolError> {
         let began = Instant::now();
         let queue = self.queue(class);
@@ -211,9 +200,7 @@ impl Pool {
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is set.
-    ///
-    /// # Errors
-    /// [`PoolError::Panicked`].
+    /// Errors: [`PoolError::Panicked`].
     pub async fn run<T, F>(&self, ticket: &Ticket, work: F) -> Result<T, PoolError>
     where
         T: Send + 'static,
@@ -258,7 +245,6 @@ impl Pool {
     }
 
     /// Begins a drawing; the number is how many helper threads it may use.
-    #[must_use]
     pub fn begin_drawing(&self) -> (DrawGuard, usize) {
         let (guard, drawings) = self.recent.begin();
         (guard, (self.workers / drawings).saturating_sub(1))

@@ -46,13 +46,11 @@ enum Within {
 
 impl QueueKey {
     /// The key of a client's requests for a session.
-    #[must_use]
     pub fn session(client: Client, id: SessionId) -> Self {
         Self { tenant: client.tenant(), within: Within::Session(id) }
     }
 
     /// The key of a client's requests without a session.
-    #[must_use]
     pub fn client(client: Client) -> Self {
         Self { tenant: client.tenant(), within: Within::Address(Tenant::of_address(client.address)) }
     }

@@ -41,9 +41,7 @@ struct JobQueue {
 
 impl WorkerThreads {
     /// Starts `threads` threads with this name and niceness (0 to 19; Linux only).
-    ///
-    /// # Errors
-    /// The operating system refused to start a thread.
+    /// Errors: The operating system refused to start a thread.
     pub(crate) fn start(name: &str, threads: usize, niceness: i32) -> Result<Self, std::io::Error> {
         let started = Self(Arc::default());
         for index in 0..threads {

@@ -13,25 +13,21 @@ macro_rules! codes {
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// The HTTP status.
-            #[must_use]
             pub const fn status(self) -> u16 {
                 match self { $(Self::$variant => $status,)* }
             }
 
             /// The code as it is written: `snake_case`.
-            #[must_use]
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }
             }
 
             /// A few words for people; the same for every problem of the code.
-            #[must_use]
             pub const fn title(self) -> &'static str {
                 match self { $(Self::$variant => $title,)* }
             }
 
             /// The problem type, a URI reference: `/problems/<code>`.
-            #[must_use]
             pub const fn type_uri(self) -> &'static str {
                 match self { $(Self::$variant => concat!("/problems/", $name),)* }
             }

@@ -1,13 +1,14 @@
-//! Which sessions live, what they weigh, when they end: what the stores of one process share. Bounded in number and bytes; a full index
-//! refuses newcomers and never throws out a living session. Every operation is a few map accesses; a sweep walks all sessions.
+//! The sessions of one process: which are alive, what they take, when they expire. Shared by the memory store and the file store.
 //!
-//! A change is weighed first, which changes nothing, and then applied, which cannot fail: in between a store does what may fail. Files are
-//! counted here and held by their store; [`Index::freed`] says which of them a change leaves without a session.
+//! A full index refuses new sessions and never drops a living one. A change is checked first (`check_*`), which changes nothing, and then
+//! applied, which cannot fail: in between a store writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
+use bytes::Bytes;
+use lru::LruCache;
 use mlswarp::warp::Digest;
 
 use super::{Bounds, Put, Record, Session, StoreError};
@@ -21,39 +22,16 @@ pub(crate) struct Index {
     sessions: HashMap<SessionId, Entry>,
     files: HashMap<Digest, File>,
     bytes: u64,
-    /// Sessions whose record another version of the program has written.
-    unread: HashMap<SessionId, Unread>,
-    /// Ended sessions, remembered for a while. At most as many as there may be sessions.
-    tombstones: HashMap<SessionId, Grave>,
-    /// In the order in which they were made.
-    graves_by_age: VecDeque<(SessionId, Grave)>,
-}
-
-/// How a session has ended, and until when that is remembered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Grave {
-    end: End,
-    until: Instant,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum End {
-    /// It was not used for one idle period: remembered for another one.
-    Expired,
-    /// Its owner deleted it: remembered for one idle period.
-    Deleted,
-}
-
-/// A session that is kept unread.
-#[derive(Debug)]
-struct Unread {
-    bytes: u64,
-    files: Vec<Digest>,
+    /// Ended sessions, in the order in which they ended; at most as many as there may be sessions.
+    tombstones: LruCache<SessionId, Tombstone>,
 }
 
 #[derive(Debug)]
 struct Entry {
-    record: Arc<Record>,
+    /// `None`: another version of the program has written it. Such a session does not expire.
+    record: Option<Arc<Record>>,
+    /// The files that it names: one if the record can be read.
+    files: Vec<Digest>,
     bytes: u64,
     seq: Option<u64>,
     used: Instant,
@@ -62,36 +40,45 @@ struct Entry {
 #[derive(Debug)]
 struct File {
     bytes: u64,
+    /// Empty in the file store.
+    content: Bytes,
+    /// How many sessions name it.
     sessions: usize,
 }
 
-/// What a record that is put will come to.
+#[derive(Clone, Copy, Debug)]
+struct Tombstone {
+    end: End,
+    until: Instant,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// Remembered for one idle period after it expired.
+    Expired,
+    /// Remembered for one idle period.
+    Deleted,
+}
+
+/// What putting a record will do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PutOutcome {
     /// There is no such session.
     Create,
-    /// The session that is there was made from the same.
+    /// The session was made from the same.
     Stay,
-    /// Another one is there.
+    /// The session was made from something else.
     Replace,
 }
 
 impl Index {
     pub(crate) fn new(bounds: Bounds) -> Self {
-        Self {
-            bounds,
-            sessions: HashMap::new(),
-            files: HashMap::new(),
-            bytes: 0,
-            unread: HashMap::new(),
-            tombstones: HashMap::new(),
-            graves_by_age: VecDeque::new(),
-        }
+        Self { bounds, sessions: HashMap::new(), files: HashMap::new(), bytes: 0, tombstones: LruCache::unbounded() }
     }
 
-    /// Sessions, living or not yet swept, or unread.
+    /// The number of sessions, expired ones included that are not swept yet.
     pub(crate) fn len(&self) -> usize {
-        self.sessions.len() + self.unread.len()
+        self.sessions.len()
     }
 
     /// Bytes of files and records.
@@ -99,130 +86,125 @@ impl Index {
         self.bytes
     }
 
-    /// How long the file is that a session names.
-    pub(crate) fn file(&self, digest: Digest) -> Option<u64> {
+    /// The size of a file that a session names.
+    pub(crate) fn file_bytes(&self, digest: Digest) -> Option<u64> {
         self.files.get(&digest).map(|file| file.bytes)
     }
 
-    fn told(&self, entry: &Entry) -> Session {
-        let left = self.bounds.idle.saturating_sub(entry.used.elapsed());
-        Session { record: Arc::clone(&entry.record), seq: entry.seq, expires: SystemTime::now() + left }
+    /// The content of a file that a session names.
+    pub(crate) fn file(&self, digest: Digest) -> Option<Bytes> {
+        self.files.get(&digest).map(|file| file.content.clone())
     }
 
-    fn is_over(&self, entry: &Entry, now: Instant) -> bool {
-        now.saturating_duration_since(entry.used) >= self.bounds.idle
+    fn left(&self, entry: &Entry) -> Duration {
+        self.bounds.idle.saturating_sub(entry.used.elapsed())
+    }
+
+    fn session(&self, entry: &Entry, record: &Arc<Record>) -> Session {
+        Session { record: Arc::clone(record), seq: entry.seq, expires: SystemTime::now() + self.left(entry) }
     }
 
     /// The living session, or why there is none.
-    fn living(&self, id: SessionId, now: Instant) -> Result<&Entry, StoreError> {
+    fn living(&self, id: SessionId) -> Result<(&Entry, &Arc<Record>), StoreError> {
         let until = match self.sessions.get(&id) {
-            Some(entry) if !self.is_over(entry, now) => return Ok(entry),
-            Some(entry) => Some(entry.used + 2 * self.bounds.idle),
-            None if self.unread.contains_key(&id) => return Err(StoreError::OtherVersion),
-            None => self.tombstones.get(&id).filter(|grave| grave.end == End::Expired).map(|grave| grave.until),
+            Some(entry) => {
+                let record = entry.record.as_ref().ok_or(StoreError::OtherVersion)?;
+                if !self.left(entry).is_zero() {
+                    return Ok((entry, record));
+                }
+                Some(entry.used + 2 * self.bounds.idle)
+            }
+            None => self.tombstones.peek(&id).filter(|tombstone| tombstone.end == End::Expired).map(|tombstone| tombstone.until),
         };
-        if until.is_some_and(|until| now < until) { Err(StoreError::Expired) } else { Err(StoreError::NoSuchSession) }
+        if until.is_some_and(|until| Instant::now() < until) { Err(StoreError::Expired) } else { Err(StoreError::NoSuchSession) }
     }
 
-    /// Whether a delete of this session removes something: `false` when it has been deleted already, less than one idle period ago.
-    pub(crate) fn weigh_delete(&self, id: SessionId) -> Result<bool, StoreError> {
-        let now = Instant::now();
-        let is_deleted = |grave: &Grave| grave.end == End::Deleted && now < grave.until;
-        match self.living(id, now) {
-            Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
-            Err(StoreError::NoSuchSession) if self.tombstones.get(&id).is_some_and(is_deleted) => Ok(false),
-            Err(error) => Err(error),
-        }
-    }
-
-    /// Takes a session out that its owner has deleted, and remembers that.
-    pub(crate) fn delete(&mut self, id: SessionId) {
-        self.remove(id);
-        self.remember(id, Grave { end: End::Deleted, until: Instant::now() + self.bounds.idle });
-    }
-
-    /// Looks without using.
     pub(crate) fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
-        self.living(id, Instant::now()).map(|entry| self.told(entry))
+        self.living(id).map(|(entry, record)| self.session(entry, record))
     }
 
-    /// Uses the session.
     pub(crate) fn touch(&mut self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
-        self.living(id, Instant::now())?;
-        self.use_now(id, seq).ok_or(StoreError::NoSuchSession)
-    }
-
-    fn use_now(&mut self, id: SessionId, seq: Option<u64>) -> Option<Session> {
-        let entry = self.sessions.get_mut(&id)?;
-        entry.used = Instant::now();
-        // `None` is below every number.
-        entry.seq = entry.seq.max(seq);
-        let entry = &self.sessions[&id];
-        Some(self.told(entry))
-    }
-
-    /// What putting the record will come to, and whether there is room for it.
-    pub(crate) fn weigh(&self, record: &Record, file: u64) -> Result<PutOutcome, StoreError> {
-        let old = match self.living(record.id, Instant::now()) {
-            Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
-            living => living.ok(),
-        };
-        if old.is_some_and(|old| old.record.is_made_like(record)) {
-            return Ok(PutOutcome::Stay);
+        self.living(id)?;
+        if let Some(entry) = self.sessions.get_mut(&id) {
+            entry.used = Instant::now();
+            entry.seq = entry.seq.max(seq);
         }
-        let there = self.sessions.get(&record.id);
-        let sessions = self.len() + usize::from(there.is_none());
+        self.peek(id)
+    }
+
+    /// What putting the record will do, if there is room for it.
+    pub(crate) fn check_put(&self, record: &Record, file: u64) -> Result<PutOutcome, StoreError> {
+        let outcome = match self.living(record.id) {
+            Ok((_, old)) if old.is_made_like(record) => return Ok(PutOutcome::Stay),
+            Ok(_) => PutOutcome::Replace,
+            Err(StoreError::OtherVersion) => return Err(StoreError::OtherVersion),
+            Err(_) => PutOutcome::Create,
+        };
+        let old = self.sessions.get(&record.id);
+        let sessions = self.len() + usize::from(old.is_none());
         if sessions > self.bounds.sessions {
             return Err(StoreError::Full { what: "sessions", limit: self.bounds.sessions as u64, actual: sessions as u64 });
         }
-        // Whether another owner has the same file must not be seen from the answer of a store that is almost full.
+        // The answer must not tell whether another owner has the same file.
         let file = if self.names(record.id.owner(), record.image) { 0 } else { file };
-        // A replaced session's file is held until the new one is there.
-        self.room(self.bytes - there.map_or(0, |there| there.bytes) + record_bytes(record) + file)?;
-        Ok(if old.is_some() { PutOutcome::Replace } else { PutOutcome::Create })
+        // The old file counts until it has been replaced.
+        self.check_bytes(self.bytes - old.map_or(0, |old| old.bytes) + record_bytes(record) + file)?;
+        Ok(outcome)
     }
 
-    fn room(&self, bytes: u64) -> Result<(), StoreError> {
+    fn check_bytes(&self, bytes: u64) -> Result<(), StoreError> {
         let limit = self.bounds.bytes;
         if bytes > limit { Err(StoreError::Full { what: "store_bytes", limit, actual: bytes }) } else { Ok(()) }
     }
 
-    /// Puts a record that has been weighed.
-    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, will: PutOutcome) -> Put {
-        if will == PutOutcome::Stay
-            && let Some(session) = self.use_now(record.id, None)
+    /// Puts a record that has been checked. The file store passes no content.
+    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, content: Bytes, outcome: PutOutcome) -> Put {
+        if outcome == PutOutcome::Stay
+            && let Ok(session) = self.touch(record.id, None)
         {
             return Put::Same(session);
         }
-        let id = record.id;
-        let old = self.insert(record, file, None);
-        let session = self.told(&self.sessions[&id]);
+        let old = self.insert(Arc::clone(&record), file, content, None);
+        let session = self.session(&self.sessions[&record.id], &record);
         match old {
-            Some(old) if will == PutOutcome::Replace => Put::Replaced(session, old),
+            Some(old) if outcome == PutOutcome::Replace => Put::Replaced(session, old),
             _ => Put::Created(session),
         }
     }
 
-    /// A session that was there before the process was: it lives for another idle period.
-    pub(crate) fn restore(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) {
-        self.insert(record, file, seq);
+    fn insert(&mut self, record: Arc<Record>, file: u64, content: Bytes, seq: Option<u64>) -> Option<Arc<Record>> {
+        // Before the old session is removed, which may name the same file.
+        self.name_file(record.image, file, content);
+        let old = self.remove(record.id);
+        self.tombstones.pop(&record.id);
+        let bytes = record_bytes(&record);
+        self.bytes += bytes;
+        let (id, files) = (record.id, vec![record.image]);
+        self.sessions.insert(id, Entry { record: Some(record), files, bytes, seq, used: Instant::now() });
+        old
     }
 
-    /// A session whose record, of so many bytes, another version of the program has written, and the files that it names. It has no end here.
+    /// Adds a session of an earlier process; it lives for another idle period.
+    pub(crate) fn restore(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) {
+        self.insert(record, file, Bytes::new(), seq);
+    }
+
+    /// Adds a session whose record, of `bytes` bytes, another version of the program has written, and the files that it names.
     pub(crate) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
         for (digest, len) in files {
-            self.name_file(*digest, *len);
+            self.name_file(*digest, *len, Bytes::new());
         }
         self.bytes += bytes;
-        self.unread.insert(id, Unread { bytes, files: files.iter().map(|(digest, _)| *digest).collect() });
+        let files = files.iter().map(|(digest, _)| *digest).collect();
+        self.sessions.insert(id, Entry { record: None, files, bytes, seq: None, used: Instant::now() });
     }
 
-    fn name_file(&mut self, digest: Digest, len: u64) {
-        let held = self.files.entry(digest).or_insert_with(|| {
-            self.bytes += len;
-            File { bytes: len, sessions: 0 }
+    fn name_file(&mut self, digest: Digest, bytes: u64, content: Bytes) {
+        let file = self.files.entry(digest).or_insert_with(|| {
+            self.bytes += bytes;
+            File { bytes, content, sessions: 0 }
         });
-        held.sessions += 1;
+        file.sessions += 1;
     }
 
     fn unname_file(&mut self, digest: Digest) {
@@ -235,121 +217,103 @@ impl Index {
         }
     }
 
-    /// The file cannot be read any more: no unread session names it.
+    /// Removes a file that cannot be read from the unread sessions that name it.
     pub(crate) fn lose_file(&mut self, digest: Digest) {
-        let named = self.unread.values_mut().filter_map(|unread| {
-            let place = unread.files.iter().position(|file| *file == digest)?;
-            Some(unread.files.swap_remove(place))
+        let named = self.sessions.values_mut().filter(|entry| entry.record.is_none()).filter_map(|entry| {
+            let place = entry.files.iter().position(|file| *file == digest)?;
+            Some(entry.files.swap_remove(place))
         });
         for digest in named.collect::<Vec<_>>() {
             self.unname_file(digest);
         }
     }
 
-    fn insert(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) -> Option<Arc<Record>> {
-        // The new file is counted before the old one is let go: it may be the same.
-        self.name_file(record.image, file);
-        let old = self.remove(record.id);
-        if self.tombstones.remove(&record.id).is_some() {
-            self.graves_by_age.retain(|(id, _)| *id != record.id);
-        }
-        let bytes = record_bytes(&record);
-        self.bytes += bytes;
-        self.sessions.insert(record.id, Entry { record, bytes, seq, used: Instant::now() });
-        old
-    }
-
-    /// Whether the record may take the place of that revision: `false` when another one is there.
-    pub(crate) fn weigh_revision(&self, old: Revision, new: &Record) -> Result<bool, StoreError> {
-        let entry = self.living(new.id, Instant::now())?;
-        if entry.record.revision != old {
+    /// Whether the record may replace that revision. `false`: another revision is there.
+    pub(crate) fn check_revise(&self, old: Revision, new: &Record) -> Result<bool, StoreError> {
+        let (entry, record) = self.living(new.id)?;
+        if record.revision != old {
             return Ok(false);
         }
-        self.room(self.bytes - entry.bytes + record_bytes(new)).map(|()| true)
+        self.check_bytes(self.bytes - entry.bytes + record_bytes(new)).map(|()| true)
     }
 
-    /// Puts a record that has been weighed in the place of its predecessor.
+    /// Replaces a record after the change has been checked.
     pub(crate) fn revise(&mut self, new: Arc<Record>) -> Option<Session> {
         let (id, bytes) = (new.id, record_bytes(&new));
         let entry = self.sessions.get_mut(&id)?;
         self.bytes = self.bytes - entry.bytes + bytes;
-        (entry.record, entry.bytes) = (new, bytes);
-        self.use_now(id, None)
+        (entry.record, entry.bytes, entry.used) = (Some(new), bytes, Instant::now());
+        self.peek(id).ok()
     }
 
-    /// Files that no session names any more when these have gone and one names `kept`.
-    pub(crate) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<(Digest, u64)> {
-        let mut fewer: HashMap<Digest, usize> = HashMap::new();
-        for id in gone {
-            let read = self.sessions.get(id).map(|entry| entry.record.image);
-            let unread = self.unread.get(id).map_or(&[][..], |unread| &unread.files);
-            for digest in read.iter().chain(unread) {
-                *fewer.entry(*digest).or_default() += 1;
-            }
+    /// Whether a delete removes something. `false`: the session was deleted less than one idle period ago.
+    pub(crate) fn check_delete(&self, id: SessionId) -> Result<bool, StoreError> {
+        let is_deleted = |tombstone: &Tombstone| tombstone.end == End::Deleted && Instant::now() < tombstone.until;
+        match self.living(id) {
+            Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
+            Err(StoreError::NoSuchSession) if self.tombstones.peek(&id).is_some_and(is_deleted) => Ok(false),
+            Err(error) => Err(error),
         }
-        fewer.retain(|digest, fewer| Some(*digest) != kept && self.files.get(digest).is_some_and(|file| file.sessions == *fewer));
-        fewer.into_keys().map(|digest| (digest, self.files[&digest].bytes)).collect()
     }
 
-    /// Takes a session out, living or not.
+    /// Removes a session that its owner has deleted.
+    pub(crate) fn delete(&mut self, id: SessionId) {
+        self.remove(id);
+        self.add_tombstone(id, Tombstone { end: End::Deleted, until: Instant::now() + self.bounds.idle });
+    }
+
+    /// Removes a session without a trace.
     pub(crate) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
-        if let Some(unread) = self.unread.remove(&id) {
-            self.bytes -= unread.bytes;
-            unread.files.into_iter().for_each(|digest| self.unname_file(digest));
-        }
         let entry = self.sessions.remove(&id)?;
         self.bytes -= entry.bytes;
-        self.unname_file(entry.record.image);
-        Some(entry.record)
+        entry.files.into_iter().for_each(|digest| self.unname_file(digest));
+        entry.record
     }
 
-    /// Sessions that have expired, the oldest first.
+    /// The files that no session names once these are gone and another one names `kept`.
+    pub(crate) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<Digest> {
+        let mut fewer: HashMap<Digest, usize> = HashMap::new();
+        for digest in gone.iter().filter_map(|id| self.sessions.get(id)).flat_map(|entry| &entry.files) {
+            *fewer.entry(*digest).or_default() += 1;
+        }
+        fewer.retain(|digest, fewer| Some(*digest) != kept && self.files.get(digest).is_some_and(|file| file.sessions == *fewer));
+        fewer.into_keys().collect()
+    }
+
+    /// Sessions that have expired and are not swept yet, the oldest first.
     pub(crate) fn expired(&self) -> Vec<SessionId> {
-        let now = Instant::now();
-        let mut ended: Vec<(Instant, SessionId)> =
-            self.sessions.iter().filter(|(_, e)| self.is_over(e, now)).map(|(id, e)| (e.used, *id)).collect();
-        ended.sort_unstable();
-        ended.into_iter().map(|(_, id)| id).collect()
+        let is_over = |entry: &Entry| entry.record.is_some() && self.left(entry).is_zero();
+        let mut expired: Vec<_> = self.sessions.iter().filter(|(_, entry)| is_over(entry)).map(|(id, entry)| (entry.used, *id)).collect();
+        expired.sort_unstable();
+        expired.into_iter().map(|(_, id)| id).collect()
     }
 
-    /// Takes expired sessions out, to be told from unknown ones for a while.
-    pub(crate) fn expire(&mut self, ended: &[SessionId]) {
-        let now = Instant::now();
-        for &id in ended {
-            let Some(used) = self.sessions.get(&id).map(|entry| entry.used) else { continue };
-            self.remove(id);
-            self.remember(id, Grave { end: End::Expired, until: used + 2 * self.bounds.idle });
+    /// Removes expired sessions, and tombstones whose time is over.
+    pub(crate) fn expire(&mut self, expired: &[SessionId]) {
+        for id in expired {
+            let Some(used) = self.sessions.get(id).map(|entry| entry.used) else { continue };
+            self.remove(*id);
+            self.add_tombstone(*id, Tombstone { end: End::Expired, until: used + 2 * self.bounds.idle });
         }
-        self.tombstones.retain(|_, grave| now < grave.until);
-        let tombstones = &self.tombstones;
-        self.graves_by_age.retain(|(id, grave)| tombstones.get(id) == Some(grave));
+        let now = Instant::now();
+        self.tombstones.retain(|_, tombstone| now < tombstone.until);
     }
 
-    fn remember(&mut self, id: SessionId, grave: Grave) {
-        self.tombstones.insert(id, grave);
-        self.graves_by_age.push_back((id, grave));
-        while self.graves_by_age.len() > self.bounds.sessions {
-            if let Some((oldest, _)) = self.graves_by_age.pop_front() {
-                self.tombstones.remove(&oldest);
-            }
+    fn add_tombstone(&mut self, id: SessionId, tombstone: Tombstone) {
+        self.tombstones.put(id, tombstone);
+        while self.tombstones.len() > self.bounds.sessions {
+            self.tombstones.pop_lru();
         }
     }
 
-    /// A session of that owner names the file.
+    /// Whether a session of that owner names the file.
     pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        let is_named = |entry: &Entry| entry.record.image == digest && entry.record.id.owner() == owner;
-        self.files.contains_key(&digest) && self.sessions.values().any(is_named)
+        self.files.contains_key(&digest) && self.records().any(|record| record.image == digest && record.id.owner() == owner)
     }
 
-    /// Sessions whose picture's file it is.
-    pub(crate) fn named_by(&self, digest: Digest) -> Vec<SessionId> {
-        self.sessions.iter().filter(|(_, entry)| entry.record.image == digest).map(|(id, _)| *id).collect()
-    }
-
-    /// Every record.
-    #[cfg(test)]
-    pub(crate) fn records(&self) -> impl Iterator<Item = Arc<Record>> + '_ {
-        self.sessions.values().map(|entry| Arc::clone(&entry.record))
+    /// The records that can be read.
+    pub(crate) fn records(&self) -> impl Iterator<Item = &Arc<Record>> {
+        self.sessions.values().filter_map(|entry| entry.record.as_ref())
     }
 
     /// The highest number of every session that has one.
@@ -357,18 +321,19 @@ impl Index {
         self.sessions.iter().filter_map(|(id, entry)| entry.seq.map(|seq| (*id, seq)))
     }
 
-    /// Lives and numbers go on where `old` knows of the same sessions.
-    pub(crate) fn go_on_from(&mut self, old: Self) {
+    /// Keeps the expiry, the numbers and the tombstones of `old` after the sessions have been read again.
+    pub(crate) fn carry_over(&mut self, old: Self) {
+        let created = |entry: &Entry| entry.record.as_ref().map(|record| record.created);
         for (id, entry) in &mut self.sessions {
-            if let Some(known) = old.sessions.get(id).filter(|known| known.record.created == entry.record.created) {
-                (entry.used, entry.seq) = (known.used, entry.seq.max(known.seq));
+            if let Some(old) = old.sessions.get(id).filter(|old| created(old) == created(entry)) {
+                (entry.used, entry.seq) = (old.used, entry.seq.max(old.seq));
             }
         }
-        (self.tombstones, self.graves_by_age) = (old.tombstones, old.graves_by_age);
+        self.tombstones = old.tombstones;
     }
 }
 
-/// What a record costs beside its picture's file.
+/// The bytes that a record counts for, beside its picture's file.
 #[must_use]
 pub fn record_bytes(record: &Record) -> u64 {
     let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
@@ -381,15 +346,15 @@ mod tests {
     use crate::store::tests::suite;
 
     #[test]
-    fn a_name_that_is_used_again_has_one_grave() {
-        let idle = std::time::Duration::from_millis(50);
+    fn a_name_that_is_used_again_has_one_tombstone() {
+        let idle = Duration::from_millis(50);
         let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 });
         let record = suite::record(1);
         for _ in 0..3 {
-            index.put(Arc::clone(&record), 1000, PutOutcome::Create);
+            index.put(Arc::clone(&record), 1000, Bytes::new(), PutOutcome::Create);
             std::thread::sleep(idle);
             index.expire(&index.expired());
-            assert_eq!((index.tombstones.len(), index.graves_by_age.len()), (1, 1));
+            assert_eq!(index.tombstones.len(), 1);
         }
     }
 
@@ -399,13 +364,13 @@ mod tests {
         let ids: Vec<SessionId> = (0..5)
             .map(|_| {
                 let record = suite::record(1);
-                index.put(Arc::clone(&record), 1000, PutOutcome::Create);
+                index.put(Arc::clone(&record), 1000, Bytes::new(), PutOutcome::Create);
                 index.delete(record.id);
                 record.id
             })
             .collect();
-        assert_eq!((index.tombstones.len(), index.graves_by_age.len(), index.bytes()), (3, 3, 0));
-        let again: Vec<_> = ids.iter().map(|id| index.weigh_delete(*id)).collect();
+        assert_eq!((index.tombstones.len(), index.bytes()), (3, 0));
+        let again: Vec<_> = ids.iter().map(|id| index.check_delete(*id)).collect();
         assert_eq!(again, [Err(StoreError::NoSuchSession), Err(StoreError::NoSuchSession), Ok(false), Ok(false), Ok(false)]);
     }
 }

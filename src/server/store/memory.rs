@@ -1,128 +1,106 @@
 //! Sessions in memory: they end with the process.
 
-use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
 use mlswarp::warp::Digest;
 
 use super::index::Index;
-use super::{Answer, Bounds, Figures, Put, Record, Session, Store, StoreError};
+use super::{Answer, Bounds, Figures, Put, Record, Session, Store, StoreError, known};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
 
-/// The store that is built in.
+/// The store in memory.
 #[derive(Debug)]
-pub struct MemoryStore(Mutex<MemoryState>);
-
-#[derive(Debug)]
-struct MemoryState {
-    index: Index,
-    files: HashMap<Digest, Bytes>,
-}
+pub struct MemoryStore(Mutex<Index>);
 
 impl MemoryStore {
     /// An empty store.
     #[must_use]
     pub fn new(bounds: Bounds) -> Self {
-        Self(Mutex::new(MemoryState { index: Index::new(bounds), files: HashMap::new() }))
+        Self(Mutex::new(Index::new(bounds)))
     }
 
-    fn lock(&self) -> MutexGuard<'_, MemoryState> {
-        // No operation leaves the maps half-changed where it could panic.
+    fn lock(&self) -> MutexGuard<'_, Index> {
+        // No operation leaves the index half-changed where it could panic.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl MemoryState {
-    fn put(&mut self, record: Arc<Record>, file: Bytes) -> Result<Put, StoreError> {
-        let len = file.len() as u64;
-        if self.index.weigh(&record, len).is_err() {
-            self.sweep();
+fn put(index: &mut Index, record: Arc<Record>, file: Bytes) -> Result<Put, StoreError> {
+    let len = file.len() as u64;
+    let outcome = match index.check_put(&record, len) {
+        Err(StoreError::Full { .. }) => {
+            sweep(index);
+            index.check_put(&record, len)
         }
-        let will = self.index.weigh(&record, len)?;
-        self.free(&[record.id], Some(record.image));
-        self.files.entry(record.image).or_insert(file);
-        Ok(self.index.put(record, len, will))
-    }
-
-    fn revise(&mut self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
-        Ok(if self.index.weigh_revision(old, &new)? { self.index.revise(new) } else { None })
-    }
-
-    fn delete(&mut self, id: SessionId) -> Result<(), StoreError> {
-        if self.index.weigh_delete(id)? {
-            self.free(&[id], None);
-            self.index.delete(id);
-        }
-        Ok(())
-    }
-
-    fn sweep(&mut self) -> usize {
-        let ended = self.index.expired();
-        self.free(&ended, None);
-        self.index.expire(&ended);
-        ended.len()
-    }
-
-    /// Lets go of files that no session names when these have gone.
-    fn free(&mut self, gone: &[SessionId], kept: Option<Digest>) {
-        for (digest, _) in self.index.freed(gone, kept) {
-            self.files.remove(&digest);
-        }
-    }
+        checked => checked,
+    };
+    Ok(index.put(record, len, file, outcome?))
 }
 
-/// Wraps what is already known.
-fn ready<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
-    Box::pin(std::future::ready(answer))
+fn revise(index: &mut Index, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
+    Ok(if index.check_revise(old, &new)? { index.revise(new) } else { None })
+}
+
+fn delete(index: &mut Index, id: SessionId) -> Result<(), StoreError> {
+    if index.check_delete(id)? {
+        index.delete(id);
+    }
+    Ok(())
+}
+
+fn sweep(index: &mut Index) -> usize {
+    let expired = index.expired();
+    index.expire(&expired);
+    expired.len()
 }
 
 impl Store for MemoryStore {
     fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-        ready(self.lock().put(record, image))
+        known(put(&mut self.lock(), record, image))
     }
 
     fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
-        ready(self.lock().revise(old, new))
+        known(revise(&mut self.lock(), old, new))
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
-        ready(self.lock().index.peek(id))
+        known(self.lock().peek(id))
     }
 
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
-        ready(self.lock().index.touch(id, seq))
+        known(self.lock().touch(id, seq))
     }
 
     fn delete(&self, id: SessionId) -> Answer<'_, ()> {
-        ready(self.lock().delete(id))
+        known(delete(&mut self.lock(), id))
     }
 
-    /// The file is held, and shared.
+    /// None: the file is shared.
     fn image_bytes(&self, _: SessionId, _: Digest) -> Answer<'_, u64> {
-        ready(Ok(0))
+        known(Ok(0))
     }
 
     fn image(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        ready(self.lock().files.get(&digest).cloned().ok_or(StoreError::NoSuchSession))
+        known(self.lock().file(digest).ok_or(StoreError::NoSuchSession))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.lock().index.names(owner, digest)
+        self.lock().names(owner, digest)
     }
 
     fn sweep(&self) -> Answer<'_, usize> {
-        ready(Ok(self.lock().sweep()))
+        known(Ok(sweep(&mut self.lock())))
     }
 
     fn ready(&self) -> Answer<'_, ()> {
-        ready(Ok(()))
+        known(Ok(()))
     }
 
     fn figures(&self) -> Figures {
-        let held = self.lock();
-        Figures { sessions: held.index.len() as u64, bytes: held.index.bytes(), ..Figures::default() }
+        let index = self.lock();
+        Figures { sessions: index.len() as u64, bytes: index.bytes(), ..Figures::default() }
     }
 }
 
@@ -151,7 +129,7 @@ mod tests {
         let record = suite::record(1);
         store.put(Arc::clone(&record), suite::file(1)).await.unwrap();
         store.delete(record.id).await.unwrap();
-        let held = store.lock();
-        assert!(held.files.is_empty() && held.index.bytes() == 0);
+        let index = store.lock();
+        assert!(index.file(record.image).is_none() && index.bytes() == 0);
     }
 }

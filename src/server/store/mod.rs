@@ -1,22 +1,28 @@
-//! Where sessions and the files of their pictures live. The trait is asynchronous and object safe; three stores keep its promises, and one suite
-//! of tests holds all of them to it:
+//! Stores of sessions and of their pictures' files: one trait, three implementations, one test suite for all of them.
 //!
-//! | store | what was answered is there | when it does not answer |
+//! | store | an answered change lasts | when the store fails |
 //! |---|---|---|
-//! | [`memory`] | until the process ends | never |
-//! | [`mod@file`] | after a kill or a power cut: it has reached the disk before | looking and dragging go on, changes are refused |
-//! | [`redis`] | for as long as that server keeps it; for every process that uses it | sessions that were used here go on for one idle period |
+//! | `memory` | until the process ends | never |
+//! | `file` | beyond a kill or a power cut: it has reached the disk | reads and drags go on, changes are refused |
+//! | `redis` | as long as that server keeps it, for every process that uses it | sessions used in this process go on for one idle period |
 //!
-//! A record never changes: a session whose handles or picture are replaced has another one, with another revision. The time of its last use and
-//! the highest `seq` seen move by [`Store::touch`] alone, in one step. A session's name is opaque here: whose it is, is a part of it.
+//! What can be lost: the highest `seq` of a drag, which the file store writes with the next sweep, and the Redis store with the next pose.
 //!
-//! A session whose record another version of the program has written ([`record`]) is kept: nothing but a `delete` of its owner changes it, and every
+//! A record never changes: new handles or another picture make a new record with a new revision. Only [`Store::touch`] changes the time of
+//! the last use and the highest `seq`, both atomically.
+//!
+//! A session whose record another version of the program has written ([`record`]) is kept: only its owner's `delete` changes it, and every
 //! other request for it is refused ([`StoreError::OtherVersion`]).
 
+#[cfg(feature = "file-store")]
 pub mod file;
+#[cfg_attr(not(feature = "file-store"), allow(dead_code, reason = "only the file store uses all of it"))]
 mod index;
 pub mod memory;
+#[cfg(any(feature = "file-store", feature = "redis"))]
+#[cfg_attr(not(all(feature = "file-store", feature = "redis")), allow(dead_code, reason = "each store uses a part of it"))]
 pub mod record;
+#[cfg(feature = "redis")]
 pub mod redis;
 #[cfg(test)]
 mod tests;
@@ -34,13 +40,15 @@ use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use thiserror::Error;
 
 pub use index::record_bytes;
-pub use url::{Address, StoreUrl};
+#[cfg(feature = "redis")]
+pub use redis::Address;
+pub use url::StoreUrl;
 
 use crate::client::Owner;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 
-/// What a store answers, later.
+/// The answer of a store.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
 /// An answer that needs no waiting.
@@ -48,7 +56,7 @@ fn known<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
     Box::pin(std::future::ready(answer))
 }
 
-/// What stays while q moves.
+/// A session without its progress: what stays the same while q moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     /// The session's name.
@@ -59,18 +67,18 @@ pub struct Record {
     pub image: Digest,
     /// Upright size of the picture.
     pub extent: Extent,
-    /// Handles at rest and everything that stays with them, as the client said it.
+    /// Handles at rest and the parameters of the deformation, as the client gave them.
     pub rest: RestSpec,
-    /// What to do about folds.
+    /// How folds are handled.
     pub folds: Folds,
     /// How pictures are made unless a drag says otherwise.
     pub output: OutputSpec,
-    /// When the session was made, or made anew with another picture: its numbers start there.
+    /// When the session was created or replaced; its numbers start again then.
     pub created: SystemTime,
 }
 
 impl Record {
-    /// Made from the same file and the same handles.
+    /// Whether both were made from the same file and the same handles.
     #[must_use]
     pub fn is_made_like(&self, other: &Self) -> bool {
         let made = |record: &Self| (record.image, record.folds, record.output);
@@ -78,10 +86,10 @@ impl Record {
     }
 }
 
-/// Bounds of a store.
+/// The limits of a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
-    /// How long a session lives without being used.
+    /// A session expires after this time without use.
     pub idle: Duration,
     /// Most sessions.
     pub sessions: usize,
@@ -89,57 +97,57 @@ pub struct Bounds {
     pub bytes: u64,
 }
 
-/// What became of a record that was put.
+/// The result of [`Store::put`].
 #[derive(Clone, Debug)]
 pub enum Put {
     /// There was no such session.
     Created(Session),
-    /// The session that was there had been made from the same: it stays as it is.
+    /// The session had been made from the same and stays as it is.
     Same(Session),
-    /// The session is made anew; its old record.
+    /// The session was replaced; its old record.
     Replaced(Session, Arc<Record>),
 }
 
 /// A living session.
 #[derive(Clone, Debug)]
 pub struct Session {
-    /// What stays while q moves.
+    /// Its record.
     pub record: Arc<Record>,
     /// Highest sequence number seen.
     pub seq: Option<u64>,
-    /// When it ends unless it is used before.
+    /// When it expires unless it is used before.
     pub expires: SystemTime,
 }
 
-/// Why a store did not do what it was asked.
+/// Why an operation failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum StoreError {
-    /// Never heard of, deleted, or expired long ago.
+    /// It never existed, was deleted, or expired more than one idle period ago.
     #[error("there is no such session")]
     NoSuchSession,
     /// Expired less than one idle period ago.
     #[error("the session has expired")]
     Expired,
-    /// No room, and no living session is thrown out to make some.
+    /// A limit is reached; no living session is evicted.
     #[error("no room for another session: {what} would be {actual}; at most {limit}")]
     Full {
         /// Which limit: `sessions`, `store_bytes`.
         what: &'static str,
         /// The limit.
         limit: u64,
-        /// What there would be.
+        /// What it would have been.
         actual: u64,
     },
     /// The disk is full, or the other server's memory is.
     #[error("the session store has no room")]
     NoRoom,
-    /// Other requests changed the session each time that this one was about to.
+    /// Every attempt collided with another request's change.
     #[error("other requests changed the session each time that this one was about to")]
     Contended,
-    /// The session's record was written by another version of the program, and has something in it that this one does not know.
+    /// Another version of the program has written the record, with something that this one does not know.
     #[error("another version of the program has stored this session, and this one cannot read it")]
     OtherVersion,
-    /// The store does not do its work now; it may later. What it said is in the log: it may hold paths and addresses.
+    /// The store fails at the moment. The cause is only in the log: it may contain paths and addresses.
     #[error("the session store does not answer")]
     Away,
 }
@@ -160,70 +168,71 @@ impl From<StoreError> for Problem {
     }
 }
 
-/// What is in a store, for those who watch it.
+/// The figures of a store, for metrics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Figures {
     /// Sessions that this process knows of.
     pub sessions: u64,
-    /// Bytes of their records, and of their files where those are this process's to keep.
+    /// Bytes of their records, and of their files if this process keeps them.
     pub bytes: u64,
-    /// Records that were left out since the process started, because they or their files were damaged.
+    /// Records left out since the process started because they or their files were damaged.
     pub damaged: u64,
-    /// Records read since the process started that another version of the program has written.
+    /// Records of another version of the program read since the process started.
     pub other_version: u64,
-    /// Times that the store did not do what it was asked, or had no room.
+    /// Operations that failed or found no room.
     pub failures: u64,
-    /// It did not do what it was asked last.
+    /// The last operation failed.
     pub is_away: bool,
-    /// It has never yet done what it was asked.
+    /// No operation has succeeded yet.
     pub is_unknown: bool,
 }
 
 /// Sessions and the files of their pictures.
 pub trait Store: Send + Sync + fmt::Debug {
-    /// Makes the session of that name, or makes it anew: its numbers start again, and it lives for another idle period.
+    /// Creates or replaces a session. Its numbers start again, and it lives for another idle period.
     fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put>;
 
-    /// Puts `new` in the place of the record of that revision, on the same picture; numbers go on. `None`: another revision is there.
+    /// Replaces the record of revision `old`, with the same picture; numbers go on. `None`: another revision is there.
     fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>>;
 
-    /// Looks without using: the session does not live longer for it.
+    /// Reads a session without prolonging it.
     fn peek(&self, id: SessionId) -> Answer<'_, Session>;
 
-    /// Uses the session: it lives for another idle period, and `seq` is noted when it is the highest so far. The answer holds the highest.
+    /// Prolongs a session by another idle period and stores `seq` if it is the highest. The answer has the highest.
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session>;
 
-    /// Ends the session; the file goes with the last session that names it. A session that was deleted less than one idle period ago may be deleted
-    /// again, with the same answer; otherwise there is no such session for anybody from now on.
+    /// Deletes a session, and its file with the last session that names it. For one idle period another delete has the same answer.
     fn delete(&self, id: SessionId) -> Answer<'_, ()>;
 
-    /// How much memory [`Store::image`] takes beyond what the store holds, bytes, at most.
+    /// The most memory that [`Store::image`] takes, beyond what the store holds, bytes.
     fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
 
-    /// The file of that session's picture, if it is still the one of that digest.
+    /// The file of the session's picture, if it still has that digest.
     fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
 
-    /// Some living session of that owner is known here whose picture has that file.
+    /// Whether a session of that owner, known to this process, has that picture.
     fn names(&self, owner: Owner, digest: Digest) -> bool;
 
-    /// Drops what has expired; says how many.
+    /// Removes expired sessions; returns how many.
     fn sweep(&self) -> Answer<'_, usize>;
 
-    /// Whether the store would do its work now. Answers within about a second.
+    /// Whether the store works. Answers within about a second.
     fn ready(&self) -> Answer<'_, ()>;
 
-    /// What is in it, as this process knows it; without waiting.
+    /// The figures, as far as this process knows them, without waiting.
     fn figures(&self) -> Figures;
 }
 
-/// Opens the store of that place. Another server need not be there yet.
+/// Opens a store. A server may be down at this moment.
 ///
 /// # Errors
-/// The file cannot be opened, is none of ours, is damaged beyond reading, or is another process's.
-pub fn open(place: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
-    Ok(match place {
+/// The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
+pub fn open(url: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
+    Ok(match url {
         StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),
+        #[cfg(feature = "file-store")]
         StoreUrl::File(path) => Arc::new(file::FileStore::open(path, bounds)?),
+        #[cfg(feature = "redis")]
         StoreUrl::Redis(address) => Arc::new(redis::RedisStore::new(address, bounds)?),
     })
 }

@@ -1,16 +1,16 @@
-//! Records as bytes: a checksum and a JSON object that a person can read. Numbers come back to the bit.
+//! The stored form of a record: a checksum and a JSON object. Floating-point numbers are restored exactly.
 //!
 //! Programs of several versions use one store, during a rolling update and after a rollback. Four rules keep their sessions safe:
 //!
-//! 1. A field at its default is left out, of the record and of the digest `made`. The defaults are those of the form (`base`), not those of the
-//!    HTTP contract, which may change: an absent field means the same value in every version.
-//! 2. The digest `made` has one exception: the fields that the first version of the form had are always in it, because the first program wrote them
-//!    all. So every program computes the same digest of the same request, and a repeated `PUT` is one session whichever replica it reaches. A field
-//!    that is added later is in the digest only when it is not at its default: then the older program cannot read the record anyway.
-//! 3. A record whose checksum is right and that this program cannot read in full (another version, an unknown field or value) was written by
-//!    another version of the program. It is kept as it is: not served, not replaced, not deleted, unless its owner deletes the session.
-//! 4. A record names each file that it needs by the 64 lower-case hexadecimal digits of the file's digest, in every version. A program that cannot
-//!    read the rest keeps the files that are named like this (`named_files`).
+//! 1. A field at its default is left out of the record and of the digest `made`. The defaults are those of the stored form (`base`) and
+//!    never change; those of the HTTP contract may.
+//! 2. One exception: the fields of the first version are always in the digest `made`. So every version computes the same digest of the same
+//!    request, and a repeated `PUT` is one session whichever replica it reaches. A later field is in the digest only if it is not at its
+//!    default: then the older program cannot read the record anyway.
+//! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by
+//!    another version. It is kept: not served, not replaced, and deleted only by its owner.
+//! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot
+//!    read the rest keeps the files named like this (`named_files`).
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -29,23 +29,23 @@ use super::Record;
 use crate::session::{Revision, SessionId};
 use crate::wire::{AsJson, WarpObject, WarpPatch};
 
-/// The version of the form. It changes when a program that does not know of the change would misunderstand a record.
+/// The version of the form. It changes when older programs would misunderstand a record.
 const VERSION: u32 = 1;
-/// Hexadecimal digits of the checksum, and a line break.
+/// Bytes of the checksum: eight hexadecimal digits and a line break.
 const CHECKSUM: usize = 9;
 
 /// Why a record cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unreadable {
-    /// The bytes are not as any program wrote them.
+    /// No program has written these bytes.
     #[error("{0}")]
     Damaged(&'static str),
-    /// The bytes are whole; another version of the program wrote them.
+    /// Another version of the program has written it.
     #[error("{0}")]
     OtherVersion(String),
 }
 
-/// The values that absent fields of a record stand for. They never change.
+/// The defaults of the stored form. They never change.
 fn base() -> WarpObject {
     WarpObject {
         rest: RestSpec {
@@ -70,7 +70,7 @@ fn base() -> WarpObject {
     }
 }
 
-/// The fields of the first version that are at their defaults.
+/// What happens to fields of the first version that are at their defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Defaults {
     /// Written, as in the digest.
@@ -80,7 +80,6 @@ enum Defaults {
 }
 
 impl Defaults {
-    /// Writes the field unless it is at its default and left out.
     fn field<M: SerializeMap, T: PartialEq>(self, object: &mut M, name: &'static str, value: T, default: &T) -> Result<(), M::Error>
     where
         AsJson<T>: Serialize,
@@ -145,8 +144,16 @@ impl Serialize for Output<'_> {
     }
 }
 
-#[derive(Derived)]
-struct Written<'a> {
+/// The version, which is read first.
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
+
+/// The JSON object. `W` is the warp object, or its text.
+#[derive(Derived, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document<W> {
     version: u32,
     id: String,
     revision: String,
@@ -155,34 +162,14 @@ struct Written<'a> {
     height: u32,
     /// Nanoseconds since 1970.
     created: u64,
-    warp: Warp<'a>,
+    warp: W,
 }
 
-#[derive(Deserialize)]
-struct Form {
-    version: u32,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Read<'a> {
-    #[serde(rename = "version")]
-    _version: u32,
-    id: String,
-    revision: String,
-    image: String,
-    width: u32,
-    height: u32,
-    created: u64,
-    #[serde(borrow)]
-    warp: &'a RawValue,
-}
-
-/// The record as bytes.
+/// Writes a record.
 #[must_use]
 pub fn write(record: &Record) -> Vec<u8> {
     let created = record.created.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    let written = Written {
+    let document = Document {
         version: VERSION,
         id: HEXLOWER.encode(&record.id.to_bytes()),
         revision: HEXLOWER.encode(record.revision.as_bytes()),
@@ -192,17 +179,17 @@ pub fn write(record: &Record) -> Vec<u8> {
         created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
         warp: Warp(record, Defaults::LeftOut),
     };
-    sealed(&serde_json::to_vec(&written).expect("an object of numbers and words"))
+    sealed(&serde_json::to_vec(&document).expect("an object of numbers and words"))
 }
 
-/// The JSON after its checksum.
+/// Prefixes JSON with its checksum.
 pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
     let mut bytes = format!("{:08x}\n", crc32fast::hash(json)).into_bytes();
     bytes.extend_from_slice(json);
     bytes
 }
 
-/// The record that the bytes are.
+/// Reads a record.
 ///
 /// # Errors
 /// They are damaged, or another version of the program wrote them.
@@ -211,13 +198,13 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     if sum != format!("{:08x}\n", crc32fast::hash(json)).as_bytes() {
         return Err(Unreadable::Damaged("its checksum is another"));
     }
-    // The bytes are whole: what is not understood from here on, another version has written.
+    // The checksum is right: another version has written what cannot be read from here on.
     let other = |why: &str| Unreadable::OtherVersion(why.to_owned());
-    let Form { version } = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
+    let Version { version } = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     if version != VERSION {
         return Err(Unreadable::OtherVersion(format!("its form is version {version}; this program knows {VERSION}")));
     }
-    let read: Read<'_> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
+    let read: Document<&RawValue> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.merge_onto(base());
     if warp.q.is_some() {
         return Err(other("it has posed handles"));
@@ -234,7 +221,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     }))
 }
 
-/// The digests that a record of any version names (see the module's rules). Some may be no file's: a session's name is written alike.
+/// The file digests that a record of any version may name (rule 4). A session's name looks the same and is among them.
 pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     let words = bytes.split(|byte| !matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
     let mut named: Vec<Digest> = words.filter_map(|word| std::str::from_utf8(word).ok().and_then(unhex).map(Digest)).collect();
@@ -243,7 +230,7 @@ pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     named
 }
 
-/// Digest of what two records that are made alike share. The same in every version of the program (see the module's rules).
+/// The digest of what a session was made from, the same in every version of the program (rule 2).
 pub(crate) fn made(record: &Record) -> Digest {
     let made = (record.image.to_string(), Warp(record, Defaults::Written));
     Digest::of(&serde_json::to_vec(&made).expect("an object of numbers and words"))

@@ -1,10 +1,6 @@
-//! Where sessions live, as an operator writes it: `memory`, `file:PATH`, `redis://[user:password@]host[:port][/database]`.
+//! The option `--store`: `memory`, `file:PATH`, `redis://[user:password@]host[:port][/database]`.
 
-use std::fmt;
-use std::path::PathBuf;
 use std::str::FromStr;
-
-use redis::{ConnectionAddr, ConnectionInfo};
 
 /// Where sessions live.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -12,77 +8,60 @@ pub enum StoreUrl {
     /// In this process.
     #[default]
     Memory,
-    /// In one file of this machine.
-    File(PathBuf),
-    /// On a Redis or Valkey.
-    Redis(Address),
-}
-
-/// Where a Redis or Valkey is, and how to be let in. Shows neither user nor password.
-#[derive(Clone)]
-pub struct Address(ConnectionInfo);
-
-impl Address {
-    /// For the client library.
-    pub(crate) const fn info(&self) -> &ConnectionInfo {
-        &self.0
-    }
-
-    fn parts(&self) -> (String, i64, Option<&str>, Option<&str>) {
-        let settings = self.0.redis_settings();
-        (self.0.addr().to_string(), settings.db(), settings.username(), settings.password())
-    }
-}
-
-impl PartialEq for Address {
-    fn eq(&self, other: &Self) -> bool {
-        self.parts() == other.parts()
-    }
-}
-
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (address, database, ..) = self.parts();
-        write!(f, "redis://{address}/{database}")
-    }
-}
-
-impl fmt::Debug for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(self, f)
-    }
+    /// In a file of this machine.
+    #[cfg(feature = "file-store")]
+    File(std::path::PathBuf),
+    /// On a Redis or Valkey server.
+    #[cfg(feature = "redis")]
+    Redis(super::Address),
 }
 
 impl FromStr for StoreUrl {
     type Err = String;
 
-    /// No message holds the text: it may hold a password.
+    /// No error contains the text: it may contain a password.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "memory" {
             return Ok(Self::Memory);
         }
         if let Some(path) = text.strip_prefix("file:") {
-            // `file://PATH` is what a URL of a file looks like; a host in it would be silently taken for a directory.
+            // A host in `file://HOST/PATH` must not be taken for a directory.
             let path = path.strip_prefix("//").map_or(Ok(path), |path| {
                 if path.starts_with('/') { Ok(path) } else { Err("a file is `file:PATH`, or `file://` and an absolute path".to_owned()) }
             })?;
-            return if path.is_empty() { Err("`file:` needs a path".to_owned()) } else { Ok(Self::File(path.into())) };
+            return if path.is_empty() { Err("`file:` needs a path".to_owned()) } else { file(path) };
         }
         match text.split_once("://").map(|(scheme, _)| scheme) {
-            Some("redis" | "valkey") => {}
+            Some("redis" | "valkey") => redis(text),
             Some("rediss" | "valkeys") => {
-                return Err("TLS to the store is not supported: use redis:// on a network that is trusted, or through a tunnel".to_owned());
+                Err("TLS to the store is not supported: use redis:// on a network that is trusted, or through a tunnel".to_owned())
             }
-            _ => return Err("a store is `memory`, `file:PATH` or `redis://[user:password@]host[:port][/database]`".to_owned()),
+            _ => Err("a store is `memory`, `file:PATH` or `redis://[user:password@]host[:port][/database]`".to_owned()),
         }
-        let wrong = "that is not `redis://[user:password@]host[:port][/database]`; in user and password, other signs than letters and digits are \
-                     written as % and two hexadecimal digits";
-        let info: ConnectionInfo = text.parse().map_err(|_| wrong.to_owned())?;
-        if matches!(info.addr(), ConnectionAddr::Tcp(..)) { Ok(Self::Redis(Address(info))) } else { Err(wrong.to_owned()) }
     }
 }
 
-#[cfg(test)]
+#[cfg(feature = "file-store")]
+fn file(path: &str) -> Result<StoreUrl, String> {
+    Ok(StoreUrl::File(path.into()))
+}
+
+#[cfg(not(feature = "file-store"))]
+fn file(_: &str) -> Result<StoreUrl, String> {
+    Err("this build has no file store (feature `file-store`)".to_owned())
+}
+
+#[cfg(feature = "redis")]
+fn redis(text: &str) -> Result<StoreUrl, String> {
+    super::Address::parse(text).map(StoreUrl::Redis)
+}
+
+#[cfg(not(feature = "redis"))]
+fn redis(_: &str) -> Result<StoreUrl, String> {
+    Err("this build has no Redis support (feature `redis`)".to_owned())
+}
+
+#[cfg(all(test, feature = "file-store", feature = "redis"))]
 mod tests {
     use super::*;
 

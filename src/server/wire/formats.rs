@@ -13,17 +13,13 @@ impl Formats {
     pub const ANY: Self = Self([1.0; Format::ALL.len()]);
 
     /// By how much each is wanted.
-    ///
-    /// # Errors
-    /// 406 when none is.
+    /// Errors: 406 when none is.
     pub fn new(wanted: [f32; Format::ALL.len()]) -> Result<Self, Problem> {
         if wanted.iter().any(|q| *q > 0.0) { Ok(Self(wanted)) } else { Err(refused(&Format::ALL)) }
     }
 
     /// The format to write: `asked` where the request names one, otherwise what the client wants most, the `usual` one among equals.
-    ///
-    /// # Errors
-    /// 406 when the request names a format that its `Accept` refuses.
+    /// Errors: 406 when the request names a format that its `Accept` refuses.
     pub fn choose(&self, asked: Option<Format>, usual: Format) -> Result<Format, Problem> {
         let wanted = |format: Format| Format::ALL.iter().zip(self.0).find(|(f, _)| **f == format).map_or(0.0, |(_, q)| q);
         match asked {

@@ -24,7 +24,6 @@ pub struct MeshShape {
 
 impl MeshShape {
     /// The grid of a setup over its picture.
-    #[must_use]
     pub fn new(setup: &Setup, extent: Extent) -> Self {
         let ((columns, rows), cell) = (setup.grid(), setup.cell());
         Self { columns, rows, width: extent.width(), height: extent.height(), cell: cell.into() }

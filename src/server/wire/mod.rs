@@ -50,17 +50,13 @@ pub struct WarpObject {
 
 impl WarpObject {
     /// Reads the object; a field that is not known is refused.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
 
     /// The posed handles where they are needed: `q`, or none when there are none at rest.
-    ///
-    /// # Errors
-    /// `bad_value` at `/q` when there are handles at rest and `q` was not sent.
+    /// Errors: `bad_value` at `/q` when there are handles at rest and `q` was not sent.
     pub fn posed(&self) -> Result<&[Handle], Problem> {
         match &self.q {
             Some(q) => Ok(q),
@@ -85,9 +81,7 @@ pub struct DragObject {
 
 impl DragObject {
     /// Reads the object. `session`: whether the field is required (else it is unknown).
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8], session: bool) -> Result<Self, Problem> {
         let root = json::root(json)?;
         if session {
@@ -105,9 +99,7 @@ impl DragObject {
     }
 
     /// Reads the object of a request for the mesh: `q` and `seq` alone.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, seq] = root.fields("an object", &["q", "seq"])?;
@@ -137,9 +129,7 @@ pub struct PointsObject {
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent where there is no `p`.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
@@ -152,9 +142,7 @@ impl PointsObject {
     }
 
     /// Reads the object of `/sessions/{id}/points`.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, points, polygons, boxes, inverse, refine] =

@@ -31,7 +31,6 @@ pub struct OutputPatch {
 
 impl OutputPatch {
     /// The session's output with the given fields replaced.
-    #[must_use]
     pub fn merge_onto(&self, base: &OutputSpec) -> OutputSpec {
         OutputSpec {
             format: self.format.unwrap_or(base.format),

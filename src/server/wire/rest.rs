@@ -64,9 +64,7 @@ pub struct WarpPatch {
 
 impl WarpPatch {
     /// Reads the object; a field that is not known is refused.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         Self::read(root.fields("an object", &FIELDS)?)
@@ -92,7 +90,6 @@ impl WarpPatch {
 
     /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. What had been left to its default
     /// (`alpha`, `point_mass`) is left to it again.
-    #[must_use]
     pub fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
         WarpObject {

@@ -32,21 +32,17 @@ pub struct UnreadHandles(Box<str>);
 
 impl UnreadHandles {
     /// Bytes of text.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
     }
 
     /// There is no text, not even that of no handles.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// Reads them.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer into the message.
+    /// Errors: A problem with the code and a JSON pointer into the message.
     pub fn read(&self) -> Result<Vec<Handle>, Problem> {
         handles(&json::kept(&self.0, At::Field(&At::Root, "q")))
     }
@@ -63,9 +59,7 @@ pub struct BadMessage {
 
 impl DragMessage {
     /// Reads a message.
-    ///
-    /// # Errors
-    /// A problem with the code and a JSON pointer.
+    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, BadMessage> {
         let mut number = None;
         Self::read(json, &mut number).map_err(|problem| BadMessage { seq: number, problem: Box::new(problem) })

@@ -1,15 +1,15 @@
 //! Any bytes as a picture's file, behind limits. What is decoded is what the header said, and neither takes more memory or work than follows
 //! from the file's bytes and the pixels that it claims within the limits.
 
-use mlswarp::codec::{self, Limits, Work, probe};
+use mlswarp::codec::{self, Limits, StepCounter, probe};
 
 const LIMITS: Limits = Limits { max_pixels: 1 << 20, max_side: 1 << 12 };
 /// Most bytes that decoding a picture within the limits may be predicted to take beside five times the file: 16 a pixel, its tables, 2 MiB.
 const MOST: u64 = (16 << 20) + (128 << 20) + (2 << 20);
 
 /// The steps of `read` are at most `most`.
-fn within<T>(most: u64, read: impl FnOnce(&Work<'_>) -> T) -> T {
-    let work = Work::new(&|| false);
+fn within<T>(most: u64, read: impl FnOnce(&StepCounter<'_>) -> T) -> T {
+    let work = StepCounter::new(&|| false);
     let result = read(&work);
     assert!(work.steps() <= most, "{} steps of at most {most}", work.steps());
     result

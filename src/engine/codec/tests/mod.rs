@@ -21,7 +21,7 @@ fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
 }
 
 fn probe(bytes: &[u8]) -> Result<Header, CodecError> {
-    super::probe(bytes, &Work::new(&|| false))
+    super::probe(bytes, &StepCounter::new(&|| false))
 }
 
 fn photograph(name: &str) -> Vec<u8> {

@@ -53,8 +53,8 @@ fn header_bytes(bytes: &[u8]) -> u64 {
 
 /// The steps of reading the header, of opening and of decoding.
 fn steps(bytes: &[u8]) -> [u64; 3] {
-    let counted = |read: &dyn Fn(&Work<'_>)| {
-        let work = Work::new(&|| false);
+    let counted = |read: &dyn Fn(&StepCounter<'_>)| {
+        let work = StepCounter::new(&|| false);
         read(&work);
         work.steps()
     };
@@ -95,11 +95,11 @@ fn decoding_ends_at_the_first_question_that_is_answered_with_no() {
         let mut stop = 0;
         loop {
             let questions = Cell::new(0);
-            let gone = || {
+            let cancelled = || {
                 questions.set(questions.get() + 1);
                 questions.get() > stop
             };
-            let result = super::super::decode(&bytes, &Limits::default(), &gone);
+            let result = super::super::decode(&bytes, &Limits::default(), &cancelled);
             asked += 1;
             if questions.get() <= stop {
                 break;

@@ -1,5 +1,6 @@
-//! Posing a block of vertices: the only loop that a drag runs over the table; and weighing a block for a plan. One dispatch point; every level
-//! does the same operations in the same order (no fused multiply-add), so all levels give the same bits. Figures and dead ends: `notes.md`.
+//! Poses blocks of vertices, the only loop over the table during a drag, and computes blocks of rows for a plan. The one place of `deform`
+//! that chooses an instruction set; every level does the same operations in the same order (no fused multiply-add), so all levels give the
+//! same bits. Measurements and rejected variants: `notes.md`.
 
 mod scalar;
 #[cfg(target_arch = "x86_64")]
@@ -32,13 +33,13 @@ pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
     }
 }
 
-/// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px.
-/// Shapes: `table: [blocks][lanes per block]`, `d: [columns]`, `out: [blocks]`. Returns the least |m| (rigid), else 1.
+/// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px. Shapes: `table: [blocks][lanes per block]`, `d: [columns]`,
+/// `out: [blocks]`. Returns the least |m| (rigid), else 1.
 pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     displace_at(Level::detect(), family, table, d, out)
 }
 
-/// The same at a level; one that the processor lacks is scalar.
+/// Like [`displace`], at a level; scalar if the processor lacks it.
 pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
@@ -54,7 +55,7 @@ pub(super) fn rows<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scrat
     rows_at(Level::detect(), waist, v, scratch, rows);
 }
 
-/// The same at a level; one that the processor lacks is scalar.
+/// Like [`rows`], at a level; scalar if the processor lacks it.
 pub(super) fn rows_at<const N: usize>(level: Level, waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
     match level {
         #[cfg(target_arch = "x86_64")]

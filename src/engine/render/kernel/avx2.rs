@@ -1,5 +1,5 @@
-//! AVX2: the scalar loops compiled again for wide registers, and the bilinear sampler by hand, with the integers of `scalar`. The functions that
-//! are seen outside take a [`Kernel`], which is proof that the machine has the level.
+//! AVX2: the scalar loops compiled again for wide registers, and a hand-written bilinear sampler with the integers of `scalar`. Public
+//! functions take a [`Kernel`] as proof that the machine has the level.
 
 use std::arch::x86_64::*;
 use std::ops::Range;
@@ -29,19 +29,19 @@ macro_rules! widened {
 
 widened! {
     snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
-    reaches(y: &[i32], reaches: &mut [YRange]);
+    y_ranges(y: &[i32], y_ranges: &mut [YRange]);
     edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges);
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
+    classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.
 const LANES: usize = 8;
 const _: () = assert!(LANES == BLOCK, "a block of columns fills a register");
 
-/// Where columns cross rows: [`scalar::crossings`], a block of columns in registers for all rows that it reaches.
+/// Crossings of columns with rows: [`scalar::crossings`], with a block of columns in registers for all rows that it reaches.
 pub(super) fn crossings(kernel: Kernel, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
     debug_assert!(kernel.0 >= Level::Avx2);
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
@@ -52,14 +52,14 @@ pub(super) fn crossings(kernel: Kernel, lattice: &Lattice, rows: Range<u32>, x: 
 fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [f32]) {
     let blocks = lattice.pitch / BLOCK;
     let stride = lattice.pitch + BLOCK;
-    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(rows)) {
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(rows)) {
         let (top, fall) = (_mm256_set1_ps(lattice.v[j]), _mm256_set1_ps(lattice.v[j + 1] - lattice.v[j]));
         let above = j * lattice.pitch..(j + 1) * lattice.pitch;
         let below = above.end..above.end + lattice.pitch;
         let lines = lattice.x[above.clone()].as_chunks().0.iter().zip(lattice.y[above].as_chunks().0);
         let lines = lines.zip(lattice.x[below.clone()].as_chunks().0.iter().zip(lattice.y[below].as_chunks().0));
-        for ((b, reach), ((xa, ya), (xb, yb))) in lattice.block_reach[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
-            let touched = reach.rows(rows);
+        for ((b, range), ((xa, ya), (xb, yb))) in lattice.block_ranges[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
+            let touched = range.rows(rows);
             if touched.is_empty() {
                 continue;
             }
@@ -76,7 +76,7 @@ fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [
                 let (x, v) = (first_of(&mut x[at..]), first_of(&mut v[at..]));
                 let x_new = _mm256_add_ps(x0, _mm256_mul_ps(below, slope_x));
                 let v_new = _mm256_add_ps(top, _mm256_mul_ps(below, slope_v));
-                // Into zeros: a blend would be compiled to a masked store, which takes ten times as long on some machines.
+                // Adds to zeros: a blend would be compiled to a masked store, which takes ten times as long on some machines.
                 put(x, _mm256_or_ps(get(x), _mm256_and_ps(x_new, crosses)));
                 put(v, _mm256_or_ps(get(v), _mm256_and_ps(v_new, crosses)));
             }
@@ -126,7 +126,7 @@ fn note(spans: &mut Spans<'_>) {
         let at = b * BLOCK;
         let pair = |values: &[f32]| (get(block_of(&values[at..])), get(block_of(&values[at + 1..])));
         let ((x0, x1), (v0, v1), (u0, u1)) = (pair(spans.x), pair(spans.v), pair(spans.u));
-        // NaN is 0, as the second operand.
+        // NaN becomes 0, as the second operand.
         let kept = _mm256_min_ps(_mm256_max_ps(x0, _mm256_setzero_ps()), width);
         let rounded = _mm256_add_ps(kept, round);
         let pixel = _mm256_and_si256(_mm256_castps_si256(rounded), _mm256_set1_epi32(0x007f_ffff));
@@ -143,8 +143,8 @@ fn note(spans: &mut Spans<'_>) {
     scalar::pin_ends(spans);
 }
 
-/// Coordinates along a row: [`note`], then eight pixels a time. A span always writes its first group: what lies beyond its end
-/// belongs to a later span, which overwrites it, or outside the run that is covered.
+/// Coordinates along a row: [`note`], then eight pixels at a time. A span always writes its first group: values beyond its end belong to a
+/// later span, which overwrites them, or lie outside the covered run.
 pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
     #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
     unsafe fn wide(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
@@ -185,15 +185,15 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
 
 pub(super) use super::avx2_cells::fill;
 
-/// Rows of the source that are fetched ahead.
+/// Rows of the source that are prefetched.
 const AHEAD: usize = 4;
 
-/// Bilinear samples, eight pixels a time; [`scalar::sample`] where 32-bit indices do not reach.
+/// Bilinear samples, eight pixels at a time; [`scalar::sample`] where 32-bit indices are too small.
 pub(super) fn sample(kernel: Kernel, packed: &Packed, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
     debug_assert!(kernel.0 >= Level::Avx2);
     assert!(u.len() == v.len() && out.len() == u.len() * channels.count(), "one place for each pixel");
     assert_eq!(packed.texels.len(), (packed.width + 1) * (packed.height + 1), "texels are padded on two sides");
-    // Beyond, 128 times a place is not exact in f32, and an index may not fit 31 bits.
+    // Beyond this, 128 times a coordinate is inexact in f32, and an index may not fit 31 bits.
     if packed.width > 1 << 15 || packed.height > 1 << 15 {
         return scalar::sample(packed, u, v, channels, out);
     }
@@ -212,7 +212,7 @@ pub(super) fn sample(kernel: Kernel, packed: &Packed, u: &[f32], v: &[f32], chan
 /// The sizes are those that [`sample`] asserts.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(packed: &Packed, u: &[f32], v: &[f32], out: &mut [u8]) {
-    // Places are found for a chunk first and texels fetched after: fetches then wait for nothing but themselves.
+    // Computes the positions of a chunk first and fetches texels afterwards, so that fetches only wait for each other.
     let mut places = [Places { index: [0; LANES], fractions: [0; LANES] }; CHUNK];
     let (us, u_rest) = u.as_chunks::<LANES>();
     let (vs, v_rest) = v.as_chunks::<LANES>();
@@ -240,14 +240,14 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(packed: &Packed, u: &[f
 /// Groups that are located before they are fetched.
 const CHUNK: usize = 8;
 
-/// Where eight pixels are read: the upper left texel, and fx and fy in 16 bits each.
+/// Sampling positions of eight pixels: the upper left texel, and fx and fy in 16 bits each.
 #[derive(Clone, Copy)]
 struct Places {
     index: [u32; LANES],
     fractions: [u32; LANES],
 }
 
-/// Places of eight pixels, kept in the picture.
+/// Sampling positions of eight pixels, clamped to the picture.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Places) {
@@ -261,7 +261,7 @@ fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Plac
     let (across, down) = (inside(u, last_x), inside(v, last_y));
     let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
     let index = _mm256_add_epi32(index, _mm256_srli_epi32::<7>(across));
-    // The low half of each lane from `across`, the high half from `down`; what is left of whole parts goes.
+    // The low half of each lane comes from `across`, the high half from `down`; integer parts are dropped.
     let fractions = _mm256_blend_epi16::<0b1010_1010>(across, _mm256_slli_epi32::<16>(down));
     let fractions = _mm256_and_si256(fractions, _mm256_set1_epi16(127));
     // SAFETY: eight integers are stored into eight integers, twice.
@@ -283,7 +283,7 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
         if CHANNELS == 4 {
             _mm256_storeu_si256(out.cast(), pixels);
         } else {
-            // 12 bytes in each half, then these together.
+            // 12 bytes in each half, then joined.
             let drop = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
             let packed = _mm256_permutevar8x32_epi32(_mm256_shuffle_epi8(pixels, drop), _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 7, 7));
             _mm_storeu_si128(out.cast(), _mm256_castsi256_si128(packed));
@@ -300,7 +300,7 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i {
     let (stride, index) = (packed.stride(), &places.index);
-    // A pair of texels left and right for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the row above and the row below.
+    // A left and right texel for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the upper and the lower row.
     let texels = packed.texels.as_ptr();
     let pair = |row: *const u32, a: usize, b: usize| {
         // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so a pixel's pair begins before the last column and row, which are padding.
@@ -318,7 +318,7 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     }
 
     if !OPAQUE {
-        // Alpha 255 is stored as 127, the largest: the least of all is that only if each is.
+        // Alpha 255 is stored as 127, the maximum: the minimum of all is 127 only if each is.
         let least = _mm256_min_epi8(_mm256_min_epi8(rows[0], rows[1]), _mm256_min_epi8(rows[2], rows[3]));
         let full = _mm256_cmpgt_epi32(least, _mm256_set1_epi32(0x7eff_ffff));
         if _mm256_movemask_epi8(full) != -1 {
@@ -333,7 +333,7 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
 
     // SAFETY: eight integers are loaded from eight integers.
     let fractions = unsafe { _mm256_loadu_si256(places.fractions.as_ptr().cast()) };
-    // Per pixel: bytes 128 - fx and fx, which are 255 fx + 128, and 16 bits 256 fy.
+    // Per pixel: bytes 128 - fx and fx, from 255 fx + 128, and 256 fy in 16 bits.
     let weights = _mm256_mullo_epi16(fractions, _mm256_set1_epi32(256 << 16 | 255));
     let weights = _mm256_add_epi16(weights, _mm256_set1_epi32(128));
     let spread = |a: i8, b: i8| {
@@ -343,11 +343,12 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     let (wx_a, wx_b) = (spread(0, 4), spread(8, 12));
     let (wy_a, wy_b) = (spread(2, 6), spread(10, 14));
     let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15));
-    // Across: the sum of w (t - 128), at most 2^14 either way.
+    // Across: the sum of w (t - 128), absolute value at most 2^14.
     let blend = |pairs: __m256i, weights: __m256i| _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pairs, beside));
     let (above_a, above_b) = (blend(rows[0], wx_a), blend(rows[1], wx_b));
     let (below_a, below_b) = (blend(rows[2], wx_a), blend(rows[3], wx_b));
-    // Down: above + (below - above) f / 128, the product rounded to nearest by 2^6; then 2^14 for what was taken off each texel, and 2^6 to round.
+    // Down: above + (below - above) f / 128, rounded to nearest by 2^6; then 2^14 for the 128 subtracted from each texel, and 2^6 to
+    // round.
     let bias = _mm256_set1_epi16((1 << 14) + (1 << 6));
     let mean = |above: __m256i, below: __m256i, weights: __m256i| {
         let step = _mm256_mulhrs_epi16(_mm256_sub_epi16(below, above), weights);

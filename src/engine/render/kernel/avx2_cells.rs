@@ -1,4 +1,4 @@
-//! AVX2: `cells::fill`, eight pixels of a row a time, block by block of columns and then row by row. The same operations in the same order.
+//! AVX2: `cells::fill` for eight pixels of a row at a time, by blocks of columns and then by rows. The same operations in the same order.
 
 use std::arch::x86_64::*;
 
@@ -56,7 +56,7 @@ pub(super) fn root(map: &Root, x: __m256, y: f32) -> (__m256, __m256) {
     (within(s), t)
 }
 
-/// Into [0, 1]; NaN becomes 0, as the first operand.
+/// Clamps to [0, 1]; NaN becomes 0, as the first operand.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn within(share: __m256) -> __m256 {
@@ -86,8 +86,8 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
-            // What is painted already is passed by: many cells may lie over one another.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
+            // Skips painted blocks, because many cells may overlap.
+            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
             let outside = _mm256_or_si256(_mm256_or_si256(inside[0], inside[1]), _mm256_or_si256(inside[2], inside[3]));
             let start = row * canvas.pitch + at;
             // SAFETY: `at < width`, and there is room for a block behind the width.

@@ -1,5 +1,5 @@
-//! AVX-512: cells as `avx2_cells` draws them, with masks where it has blends: a pixel that is not painted is not stored, and where cells are painted
-//! over others nothing is loaded. All else as `avx2` has it: wider registers gain little or nothing (`notes.md`).
+//! AVX-512: the cells of `avx2_cells` with masks instead of blends: unpainted pixels are not stored, and nothing is loaded where cells
+//! overwrite others. Everything else is `avx2`: wider registers gain little or nothing (`notes.md`).
 
 use std::arch::x86_64::*;
 
@@ -10,7 +10,7 @@ use crate::level::Level;
 use crate::render::lattice::ONE;
 use crate::render::lattice::STEP;
 
-pub(super) use super::avx2::{bends, crossings, edges, glance, reaches, sample, snap, soundness, spans, steepness};
+pub(super) use super::avx2::{bends, classify, crossings, edges, sample, snap, soundness, spans, steepness, y_ranges};
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
@@ -34,7 +34,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let top = rows.trailing_zeros();
     let y0 = line(canvas.first + top).wrapping_sub(piece.y);
-    // Loops, not `map`: its closures are not compiled for this level.
+    // Loops, not `map`, whose closures are not compiled for this level.
     let mut down = [_mm256_setzero_si256(); 4];
     for (down, [_, gy, _]) in down.iter_mut().zip(piece.edges) {
         *down = _mm256_set1_epi32(gy.wrapping_mul(ONE));
@@ -55,8 +55,8 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
-            // What is painted already is passed by: many cells may lie over one another.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.bare[row].end && at + LANES > canvas.bare[row].start);
+            // Skips painted blocks, because many cells may overlap.
+            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
             if wanted {
                 let outside = _mm256_or_si256(_mm256_ternarylogic_epi32::<0xfe>(inside[0], inside[1], inside[2]), inside[3]);
                 let start = row * canvas.pitch + at;

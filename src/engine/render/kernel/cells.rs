@@ -1,6 +1,6 @@
-//! The general way of a cell, in lanes: which pixel centres a convex polygon holds, by exact integers (the rule of `edge`), and the place of the
-//! source that each shows, by the closed inverse of the bilinear patch (`patch` says why it is this root). One loop over eight pixels of a row,
-//! without branches, that every compiler turns into vectors; f32 in a fixed order, so each level gives the same bits. O(rows * blocks of pixels).
+//! Draws single cells in lanes. Exact integers decide which pixel centres a convex polygon contains (the rule of `edge`); the closed
+//! inverse of the bilinear patch gives the source position of each (`patch` derives the root). One branch-free loop over eight pixels of a
+//! row, which compilers vectorise; f32 in a fixed order, so all levels give the same bits. Cost: O(rows * blocks of pixels).
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "rows and columns that vertices reach lie below 2^21")]
 #![expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
@@ -10,16 +10,16 @@ use std::ops::Range;
 
 use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, STEP, row_centre};
 
-/// Pixels that are decided together.
+/// Pixels that are processed together.
 pub(in crate::render) const LANES: usize = 8;
 
-/// u where nothing is painted; no place has it.
+/// The u of uncovered pixels; no position has it.
 pub(in crate::render) const UNCOVERED: f32 = f32::NEG_INFINITY;
 
-/// Rows of pixels whose coordinates are found cell by cell.
+/// Rows of pixels whose coordinates are drawn cell by cell.
 #[derive(Debug)]
 pub(in crate::render) struct Canvas<'a> {
-    /// The target row of the first.
+    /// The target row of the first row.
     pub(in crate::render) first: u32,
     /// Pixels of a row.
     pub(in crate::render) width: usize,
@@ -27,16 +27,17 @@ pub(in crate::render) struct Canvas<'a> {
     pub(in crate::render) pitch: usize,
     pub(in crate::render) u: &'a mut [f32],
     pub(in crate::render) v: &'a mut [f32],
-    /// Whether cells come in order and are painted over what is there; else from the last one back, on bare pixels only.
+    /// Whether cells come in drawing order and overwrite earlier ones; otherwise they come in reverse order and fill uncovered pixels
+    /// only.
     pub(in crate::render) over: bool,
-    /// In each row, from the first bare pixel to behind the last: what lies outside is not looked at again.
-    pub(in crate::render) bare: &'a mut [Range<usize>],
-    /// Rows that may still be painted, a bit each: those with bare pixels.
+    /// In each row, the range from the first to the last uncovered pixel.
+    pub(in crate::render) uncovered: &'a mut [Range<usize>],
+    /// Rows that may still be painted, one bit each: those with uncovered pixels.
     pub(in crate::render) open: u32,
 }
 
 impl Canvas<'_> {
-    /// Notes what has been painted since. O(1) for a pixel, all calls together, and for a row a call.
+    /// Updates `bare` and `open` after painting. O(1) per pixel over all calls together, and per row and call.
     #[inline]
     pub(in crate::render) fn shrink(&mut self) {
         if self.over {
@@ -46,27 +47,27 @@ impl Canvas<'_> {
         while left != 0 {
             let row = left.trailing_zeros() as usize;
             left &= left - 1;
-            let (bare, u) = (&mut self.bare[row], &self.u[row * self.pitch..]);
-            while bare.start < bare.end && u[bare.start] != UNCOVERED {
-                bare.start += 1;
+            let (uncovered, u) = (&mut self.uncovered[row], &self.u[row * self.pitch..]);
+            while uncovered.start < uncovered.end && u[uncovered.start] != UNCOVERED {
+                uncovered.start += 1;
             }
-            while bare.start < bare.end && u[bare.end - 1] != UNCOVERED {
-                bare.end -= 1;
+            while uncovered.start < uncovered.end && u[uncovered.end - 1] != UNCOVERED {
+                uncovered.end -= 1;
             }
-            self.open &= !(u32::from(bare.start >= bare.end) << row);
+            self.open &= !(u32::from(uncovered.start >= uncovered.end) << row);
         }
     }
 }
 
-/// A convex polygon, its last corner twice if it is a triangle, and the map of the source on it: the patch of a cell, or affine.
+/// A convex polygon (a triangle repeats its last corner) and the map of the source on it: the patch of a cell, or affine.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct Piece {
-    /// The lattice place that all else is relative to.
+    /// The lattice origin of all other coordinates.
     pub(super) x: i32,
     pub(super) y: i32,
-    /// Pixels of a row that it can reach.
+    /// The range of pixels of a row that it can reach.
     pub(super) pixels: [i32; 2],
-    /// Of each edge, the function `x X + y Y + c` that is not negative inside.
+    /// For each edge, the function `x X + y Y + c` that is not negative inside.
     pub(super) edges: [[i32; 3]; 4],
     pub(super) map: Map,
     /// Coordinates at the origin (for `Map::Near` at the middle), and their growth with s and t.
@@ -74,25 +75,25 @@ pub(in crate::render) struct Piece {
     pub(super) v: [f32; 3],
 }
 
-/// How s and t are found.
+/// How s and t are computed.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Map {
     Near(Near),
     Root(Root),
 }
 
-/// Around the middle of a patch that is not far from affine, with s and t from -1/2 to 1/2: `s = s0 - s t twist.0` and `t = t0 - s t twist.1`, solved
-/// by two substitutions; s0 and t0 are the affine inverse, each `x X + y Y + c` of px.
+/// Around the middle of a patch that is nearly affine, with s and t from -1/2 to 1/2: `s = s0 - s t twist.0` and `t = t0 - s t twist.1`,
+/// solved by two substitutions; s0 and t0 are the affine inverse, each `x X + y Y + c` in px.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Near {
     pub(super) s: [f32; 3],
     pub(super) t: [f32; 3],
     pub(super) twist: [f32; 2],
-    /// The sides lie so far apart that single precision tells.
+    /// The angle between the sides is large enough for single precision.
     is_wide: bool,
 }
 
-/// The root of the quadratic, as `patch` has it; e, f and d in px, `area = e x f`, `bend = -f x d`.
+/// The root of the quadratic of `patch`; e, f and d in px, `area = e x f`, `bend = -f x d`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Root {
     pub(super) e: [f32; 2],
@@ -103,15 +104,15 @@ pub(super) struct Root {
     pub(super) sign: f32,
 }
 
-/// How far `Near` may be off, px of the sampled picture, times 16.
+/// Largest error of `Near`, px of the sampled picture, times 16.
 const NEAR: f32 = 16.0 / 64.0;
-/// The least squared sine between sides that are told apart.
+/// The smallest squared sine between sides that single precision can use.
 const NARROWEST: f32 = 1e-6;
-/// The substitutions halve what is left at least.
+/// Each substitution at least halves the remaining error.
 const LARGEST_TWIST: f32 = 0.5;
 
 impl Piece {
-    /// Cell `k` of a block that was looked at; it must be convex there.
+    /// Cell `k` of a classified block; it must be convex there.
     #[inline(always)]
     pub(in crate::render) fn cell(seen: &CellBlock, k: usize, corners: &[Corner; 4]) -> Self {
         let [a, b, c, d] = corners;
@@ -134,7 +135,7 @@ impl Piece {
         }
     }
 
-    /// A triangle, its last corner twice.
+    /// A triangle, which repeats its last corner.
     #[inline(always)]
     pub(in crate::render) fn triangle(corners: &[Corner; 4], sign: i32) -> Self {
         let [a, b, c, _] = corners;
@@ -152,7 +153,7 @@ impl Piece {
     }
 }
 
-/// Of an edge that is passed with the inside on its right if `sign` is 1, the function that is not negative inside.
+/// The function that is not negative inside an edge, where the inside is on the right of `from` to `to` if `sign` is 1.
 #[inline(always)]
 fn edge(from: &Corner, to: &Corner, origin: &Corner, sign: i32) -> [i32; 3] {
     edge_between([from.x, from.y], [to.x, to.y], [origin.x, origin.y], sign)
@@ -164,17 +165,17 @@ fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i
     // Horizontal edges decide nothing: the rows of the polygon are known.
     let dx = if dy == 0 { 0 } else { dx };
     let (x, y) = (from[0].wrapping_sub(origin[0]), from[1].wrapping_sub(origin[1]));
-    // What lies on a right edge is outside.
+    // Pixels on a right edge are outside.
     [dy.wrapping_neg(), dx, x.wrapping_mul(dy).wrapping_sub(y.wrapping_mul(dx)).wrapping_sub(i32::from(dy > 0))]
 }
 
-/// The first pixel whose centre is not left of a place.
+/// The first pixel whose centre is not left of x.
 #[inline(always)]
 fn first_pixel(x: i32) -> i32 {
     x.wrapping_add(ONE - 1 - HALF) >> ONE.trailing_zeros()
 }
 
-/// From a corner to another, px.
+/// The vector between two corners, px.
 #[inline(always)]
 fn side(from: &Corner, to: &Corner) -> [f32; 2] {
     [(to.x - from.x) as f32 * STEP, (to.y - from.y) as f32 * STEP]
@@ -215,23 +216,23 @@ impl Near {
     }
 }
 
-/// What is seen of a block of cells at once.
+/// The classification of a block of cells.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::render) struct CellBlock {
-    /// The rows of the canvas that each cell meets and that are open, a bit each.
+    /// The open rows of the canvas that each cell meets, one bit each.
     pub(in crate::render) rows: [u32; BLOCK],
-    /// The sign of the area where a cell is strictly convex and its sides are not too long for lanes, else 0.
+    /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes, else 0.
     pub(in crate::render) convex: [i32; BLOCK],
-    /// What pieces are made of where cells are convex: [`Near`], if it holds, the pixels that they reach, and their edges.
+    /// Input of convex cells' pieces: [`Near`] if it is accurate, the pixels that they can reach, and their edges.
     near: [[f32; BLOCK]; 8],
     is_near: [bool; BLOCK],
     pixels: [[i32; BLOCK]; 2],
     edges: [[[i32; BLOCK]; 3]; 4],
 }
 
-/// Looks at the cells of block `b` of row `j`.
+/// Classifies the cells of block `b` of row `j`.
 #[inline(always)]
-pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
+pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
     let at = j * lattice.pitch + b * BLOCK;
     let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
         let places = &places[at..=at + BLOCK];
@@ -239,18 +240,18 @@ pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>,
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
-    // Of the centres of the canvas's first row and of the first column behind it.
+    // Of the centres of the canvas's first row and of the column behind its last.
     let (first, right_end) = (canvas.first as i32 * ONE + HALF, canvas.width as i32 * ONE);
     for k in 0..BLOCK {
         let (left, right_side) = (ax[k].min(bx[k]).min(cx[k].min(dx[k])), ax[k].max(bx[k]).max(cx[k].max(dx[k])));
         let (top, bottom) = (ay[k].min(by[k]).min(cy[k].min(dy[k])), ay[k].max(by[k]).max(cy[k].max(dy[k])));
-        // The first row whose centre is not above, from the canvas's first.
+        // The first row whose centre is not above y, relative to the canvas's first.
         let row = |y: i32| ((y - first + (ONE - 1)) >> ONE.trailing_zeros()).clamp(0, 32) as u64;
         let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
         let rows = below(row(top)) & !below(row(bottom)) & canvas.open;
         seen.rows[k] = if (right_side > 0) & (left < right_end) { rows } else { 0 };
         let small = (right_side - left).max(bottom - top) <= lattice.longest_side;
-        // Of no meaning where the cell is not small.
+        // Meaningless if the cell is not small.
         let turn = |ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32| {
             let (px, py, qx, qy) = (bx.wrapping_sub(ax), by.wrapping_sub(ay), cx.wrapping_sub(bx), cy.wrapping_sub(by));
             px.wrapping_mul(qy).wrapping_sub(py.wrapping_mul(qx))
@@ -278,7 +279,7 @@ pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>,
         let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
         let [ds, dt] = near.twist.map(f32::abs);
         let (off_u, off_v, both) = (ds * (u[k + 1] - u[k]).abs(), dt * dv, ds + dt);
-        // False where the area is lost.
+        // False if the area vanishes.
         let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
         seen.is_near[k] = near.is_wide & (both < LARGEST_TWIST) & (off < NEAR * lattice.unit);
         let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
@@ -293,7 +294,7 @@ pub(super) fn glance(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>,
     }
 }
 
-/// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest corner and its lowest.
+/// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest and its lowest corner.
 #[inline(always)]
 pub(super) fn fill(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
     let (from, to) = reach(piece, canvas.width);
@@ -368,7 +369,7 @@ impl Piece {
     }
 }
 
-/// Into [0, 1]; NaN becomes 0.
+/// Clamps to [0, 1]; NaN becomes 0.
 #[inline(always)]
 fn within(share: f32) -> f32 {
     let share = if share > 0.0 { share } else { 0.0 };

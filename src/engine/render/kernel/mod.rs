@@ -1,7 +1,7 @@
-//! The inner loops of the renderer and the one place where an instruction set is chosen. `scalar` is the reference and defines every result:
-//! f32 operations in a fixed order without fused products, and integers; so each level gives the same bytes. `avx2` repeats it: the loops
-//! that a compiler can widen are the scalar ones compiled again, the sampler and the cells are written by hand. `avx512` has cells of its own.
-//! What was tried and dropped: `notes.md`.
+//! The inner loops of the renderer, and the selection of an instruction set. `scalar` is the reference and defines every result: f32
+//! operations in a fixed order without fused products, and integers; so all levels give the same bytes. `avx2` compiles the scalar loops
+//! that the compiler can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells. Rejected variants:
+//! `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
@@ -27,11 +27,11 @@ use crate::pixmap::Channels;
 pub(super) use cells::{Canvas, CellBlock, LANES, Piece, UNCOVERED};
 pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed};
 
-/// The kernels of a level that this machine was seen to have.
+/// The kernels of a level that this machine has.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kernel(Level);
 
-/// Calls the same function of the module that belongs to the level.
+/// Calls the function of this name in the level's module.
 macro_rules! dispatch {
     ($self:ident, $name:ident($($argument:expr),*)) => {
         match $self.0 {
@@ -47,7 +47,7 @@ macro_rules! dispatch {
 }
 
 impl Kernel {
-    /// The kernels of a level; scalar where the machine does not have it.
+    /// The kernels of a level; scalar if the machine lacks it.
     pub(super) fn new(level: Level) -> Self {
         Self(if level.is_here() { level } else { Level::Scalar })
     }
@@ -62,9 +62,9 @@ impl Kernel {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
     }
 
-    /// How far the vertices of each block of a line, and the one right of it, reach up and down.
-    pub(super) fn reaches(self, y: &[i32], reaches: &mut [YRange]) {
-        dispatch!(self, reaches(y, reaches));
+    /// Range of y of each block of cells along a line: the block's vertices and the next one.
+    pub(super) fn y_ranges(self, y: &[i32], y_ranges: &mut [YRange]) {
+        dispatch!(self, y_ranges(y, y_ranges));
     }
 
     /// The vectors from some vertices to others, times `scale`.
@@ -72,23 +72,23 @@ impl Kernel {
         dispatch!(self, edges(from, to, scale, edges));
     }
 
-    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`], or 0; upright ones may be [`STEEP`] besides.
+    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; upright cells may also have the bit [`STEEP`].
     pub(super) fn soundness(self, cells: &Neighbours<'_>, soundness: &mut [u8]) {
         dispatch!(self, soundness(cells, soundness));
     }
 
-    /// How each cell of a row may be drawn if it is steep: [`SOUND`], [`UPRIGHT`], or 0.
+    /// How each steep cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0.
     pub(super) fn steepness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
         dispatch!(self, steepness(cells, above, below, soundness));
     }
 
-    /// How much the columns bend at the line between two rows of cells: squared jump of the derivative along them.
+    /// The bend of the columns at the line between two rows of cells: squared jump of the derivative along them.
     pub(super) fn bends(self, above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
         dispatch!(self, bends(above, below, bends));
     }
 
-    /// Where every column crosses target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before and where nothing is crossed; of no meaning for a
-    /// column that crosses a row more than once.
+    /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is
+    /// crossed; meaningless for a column that crosses a row more than once.
     pub(super) fn crossings(self, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
         dispatch!(self, crossings(lattice, rows, x, v));
     }
@@ -98,12 +98,12 @@ impl Kernel {
         dispatch!(self, spans(spans, u, v));
     }
 
-    /// Looks at a block of cells: which rows of the canvas they meet, and whether they are convex.
-    pub(super) fn glance(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
-        dispatch!(self, glance(lattice, j, block, canvas, seen));
+    /// Classifies a block of cells: the rows of the canvas that they meet, and whether they are convex.
+    pub(super) fn classify(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
+        dispatch!(self, classify(lattice, j, block, canvas, seen));
     }
 
-    /// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest corner and its lowest.
+    /// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest and its lowest corner.
     pub(super) fn fill(self, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
         dispatch!(self, fill(piece, rows, canvas));
     }

@@ -1,14 +1,15 @@
-//! The reference kernels, and the definition of every result. Snapping: f64 to 1/256 px, to nearest. Column crossings: f32. Bilinear samples:
-//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (the same for v), the value is `(sum of w t + 8256) >> 14` over the
-//! four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 is rounding in two steps of 7 bits, which 16-bit lanes can do); with alpha `round(sum of w a t / sum of w a)`, so colours under alpha 0 never
-//! show. The functions are inlined so that `avx2` can compile them again for wider registers.
+//! The reference kernels, which define every result. Snapping: f64 to the nearest 1/256 px. Column crossings: f32. Bilinear samples:
+//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (likewise for v), the value is `(sum of w t + 8256) >> 14`
+//! over the four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 rounds in two steps of 7 bits, which
+//! 16-bit lanes can do). With alpha it is `round(sum of w a t / sum of w a)`, so colours under alpha 0 never show. The functions are
+//! inlined so that `avx2` can compile them again for wider registers.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to their range before they are narrowed")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
 use std::ops::Range;
 
-pub(super) use super::cells::{fill, glance};
+pub(super) use super::cells::{classify, fill};
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
 use crate::render::source::{FLIP, Packed};
@@ -17,7 +18,7 @@ use crate::render::source::{FLIP, Packed};
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Adding 2^23 leaves the nearest integer in the low bits of an f32 from 0 to 2^22.
 pub(super) const ROUND_F32: f32 = 8_388_608.0;
-/// Added to a weighted sum of samples before 14 bits are dropped.
+/// Rounding term of a weighted sum of samples before 14 bits are dropped.
 pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
 /// Pixels that are written together.
 const LANES: usize = 8;
@@ -35,18 +36,18 @@ pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale
     }
 }
 
-/// Reaches of the vertices of each block of a line, and of the one right of it.
+/// Range of y of the vertices of each block of a line and the next vertex.
 #[inline(always)]
-pub(super) fn reaches(y: &[i32], reaches: &mut [YRange]) {
-    for (b, reach) in reaches.iter_mut().enumerate() {
+pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
+    for (b, range) in y_ranges.iter_mut().enumerate() {
         let block = block(&y[b * BLOCK..]);
         let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
         let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| (top.min(y), bottom.max(y)));
-        *reach = YRange { top, bottom };
+        *range = YRange { top, bottom };
     }
 }
 
-/// A row of cells: its two lines of vertices, lattice steps, padded to whole blocks and one more.
+/// A row of cells: its two lines of vertices, lattice steps, padded by one block beyond whole blocks.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct CellRow<'a> {
     pub(in crate::render) top: (&'a [i32], &'a [i32]),
@@ -83,47 +84,48 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// Drawn coordinates may be this far from the patch, px of the sampled picture: seven eighths of what the contract allows, the rest is for snapping.
+/// Tolerance of drawn coordinates relative to the patch, px of the sampled picture: seven eighths of the contract's, the rest is for
+/// snapping.
 const TOLERANCE: f32 = 7.0 / 128.0;
-/// The least area of a cell, as a share of the area at rest, at which crossings are trusted.
+/// The smallest area of a cell, as a share of its area at rest, at which crossings are used.
 const LEAST_AREA: f32 = 0.02;
-/// Places beyond are not exact in f32, px.
+/// Coordinates beyond this are inexact in f32, px.
 const FARTHEST: f32 = 32_768.0;
 
-/// A cell of which the columns lead downwards and which is convex: it lies between its columns, in order.
+/// A convex cell whose columns lead downwards: it lies between its columns, in order.
 pub(in crate::render) const UPRIGHT: u8 = 1;
-/// An upright cell that column crossings show well enough.
+/// An upright cell that column crossings draw accurately.
 pub(in crate::render) const SOUND: u8 = 2;
-/// Rows of cells that a row of pixels may cross from one column to the next.
+/// Largest number of rows of cells that a row of pixels may cross between neighbouring columns.
 const STEEPEST: f32 = 4.0;
 
-/// A cell whose chords may run through more cells than its neighbours: [`steepness`] says what it is.
+/// A cell whose chords may cross more cells than its neighbours; [`steepness`] classifies it.
 pub(in crate::render) const STEEP: u8 = 4;
 
-/// Vectors from vertex to vertex, lattice steps: along a line of the grid, or along the columns in a row of cells for a px at rest.
+/// Vectors from vertex to vertex, lattice steps: along a grid line, or along the columns of a row of cells per px at rest.
 #[derive(Clone, Debug, Default)]
 pub(in crate::render) struct Edges {
     pub(in crate::render) x: Vec<f32>,
     pub(in crate::render) y: Vec<f32>,
 }
 
-/// `from` and `to` hold the places of the vertices; the vectors are multiplied by `scale`.
+/// `from` and `to` hold the positions of the vertices; the vectors are multiplied by `scale`.
 #[inline(always)]
 pub(super) fn edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges) {
     for (edges, from, to) in [(&mut edges.x, from.0, to.0), (&mut edges.y, from.1, to.1)] {
         for ((edge, from), to) in edges.iter_mut().zip(from).zip(to) {
-            // Places lie within +-LIMIT, so differences fit.
+            // Positions lie within +-LIMIT, so differences do not overflow.
             *edge = to.wrapping_sub(*from) as f32 * scale;
         }
     }
 }
 
-/// A row of cells and those beside it (itself at an end of the grid), as [`soundness`] looks at them.
+/// A row of cells and its neighbours (itself at an end of the grid), as input of [`soundness`].
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct Neighbours<'a> {
-    /// The lines above and below the row above, this row, and the row below.
+    /// Lines above and below the previous row, this row, and the next row.
     pub(in crate::render) lines: [&'a Edges; 4],
-    /// The columns in these three rows.
+    /// Columns of the same rows.
     pub(in crate::render) columns: [&'a Edges; 3],
     /// The least height of these rows at rest, px of the sampled picture.
     pub(in crate::render) height: f32,
@@ -133,14 +135,14 @@ pub(in crate::render) struct Neighbours<'a> {
     pub(in crate::render) unit: f32,
 }
 
-/// How cells may be drawn, [`UPRIGHT`] and [`SOUND`] apart from `STEEP`.
+/// How cells may be drawn: [`UPRIGHT`], [`SOUND`] and [`STEEP`].
 ///
-/// A chord is drawn from a column, at the height V0 of the source, to the next one, at V1. It leaves the patches that it runs through by
-/// `δ = λ (1 - λ) (V1 - V0) (B' - A')`, with A' and B' the derivatives of the two columns, each a mean over what lies on its side of λ. In a cell
-/// whose chords run through one line of the grid at most, B' - A' is thus a mean of the twist of this cell and of what is
-/// between the column of one cell and the other column of the next; each bounds the error of this cell's pixels by
-/// `|ΔV| / 4 |cross(column, B' - A')| width / area` in u and `|ΔV| / 4 |cross(line, B' - A')| / area` in v, columns and area for a px of height. The
-/// area is the one in the middle, less half of what it falls to one side: `4 λ (1 - λ)` falls as well.
+/// A chord is drawn from a column, at the height V0 of the source, to the next one, at V1. Its error relative to the patches that it
+/// crosses is `δ = λ (1 - λ) (V1 - V0) (B' - A')`, where A' and B' are the derivatives of the two columns, each a mean over its side of λ.
+/// In a cell whose chords cross at most one grid line, B' - A' is a mean of this cell's twist and of the difference between one cell's
+/// column and the next cell's other column; each bounds the error of this cell's pixels by `|ΔV| / 4 |cross(column, B' - A')| width /
+/// area` in u and `|ΔV| / 4 |cross(line, B' - A')| / area` in v, with columns and area per px of height. The area is the one in the
+/// middle, minus half of its decrease to one side, because `4 λ (1 - λ)` decreases as well.
 #[inline(always)]
 pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
     let n = soundness.len();
@@ -162,7 +164,7 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
 
         let (areas_top, areas_bottom) = ((cross(top, left), cross(top, right)), (cross(bottom, left), cross(bottom, right)));
         let (least_top, least_bottom) = (least(areas_top.0, areas_top.1), least(areas_bottom.0, areas_bottom.1));
-        // Four times.
+        // Four times the area.
         let middle = least(2.0 * least_top + (areas_top.0 + areas_top.1), 2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1));
         let width = (u[c + 1] - u[c]) * cells.unit;
         let fall = least(left.1, right.1);
@@ -170,7 +172,8 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
         let least_fall = least(fall, least(least(over_left.1, over_right.1), least(under_left.1, under_right.1)));
         let most_slant = most(slant, most(over_y[c].abs(), under_y[c].abs()));
 
-        // The twist of the cell itself, and what is between columns across a line. Where it falls to the right a row comes from the cell below it.
+        // The cell's own twist, and the difference of columns across a line. Where a line falls to the right, a row comes from the cell
+        // below.
         let twist = minus(right, left);
         let across_top = choose(top.1 > 0.0, minus(over_right, left), minus(right, over_left));
         let across_bottom = choose(bottom.1 > 0.0, minus(right, under_left), minus(under_right, left));
@@ -184,10 +187,10 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
     }
 }
 
-/// The same of steep cells, whose chords may run through many: one is sound when it is not too steep (|dt| rows of cells from column to column), and when the
-/// chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px (each
-/// line of the grid that it crosses bends it once), r |column| width / area and r |line| height / area bound the error in u and v. All
-/// squared, and multiplied by the denominators.
+/// How steep cells may be drawn, whose chords may cross many cells. A cell is sound if it is not too steep (|dt| rows of cells between
+/// columns) and the chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the
+/// chord in target px (each grid line that it crosses bends it once), r |column| width / area and r |line| height / area bound the error
+/// in u and v. All terms are squared and multiplied by the denominators.
 #[inline(always)]
 pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
     let n = soundness.len();
@@ -212,7 +215,7 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
         let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
         let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
         let fall2 = fall * fall;
-        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else 1 + |dt| at most.
+        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else at most 1 + |dt|.
         let lines = if slant < fall { fall } else { fall + slant };
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
         let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
@@ -233,10 +236,10 @@ fn block<T>(values: &[T]) -> &[T; BLOCK] {
 pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
     let blocks = lattice.pitch / BLOCK;
     let stride = lattice.pitch + BLOCK;
-    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_reach[j].meets(&rows)) {
+    for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(&rows)) {
         let (top, fall) = (lattice.v[j], lattice.v[j + 1] - lattice.v[j]);
         for b in 0..blocks {
-            let touched = lattice.block_reach[j * blocks + b].rows(&rows);
+            let touched = lattice.block_ranges[j * blocks + b].rows(&rows);
             if touched.is_empty() {
                 continue;
             }
@@ -267,7 +270,7 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
     }
 }
 
-/// Room for the spans of a row, and what they are made from.
+/// Input and buffers of the spans of a row.
 #[derive(Debug)]
 pub(in crate::render) struct Spans<'a> {
     /// Crossings of the columns, px.
@@ -276,22 +279,22 @@ pub(in crate::render) struct Spans<'a> {
     pub(in crate::render) v: &'a [f32],
     /// The sampler's coordinate of each column.
     pub(in crate::render) u: &'a [f32],
-    /// Columns in all.
+    /// Number of columns.
     pub(in crate::render) columns: usize,
     /// Pixels of the target row.
     pub(in crate::render) width: usize,
-    /// The pixels that are covered, exactly.
+    /// The covered pixels, exactly.
     pub(in crate::render) covered: Range<usize>,
-    /// Where spans are noted.
+    /// Output of [`note`]: see [`NOTES`].
     pub(in crate::render) notes: &'a mut [[f32; BLOCK]],
     /// The first pixel of each span.
     pub(in crate::render) first: &'a mut [u32],
 }
 
-/// Kinds of notes a block of spans has: u and v at the first pixel and their steps.
+/// Values noted per span: u and v at the first pixel, and their steps.
 pub(in crate::render) const NOTES: usize = 4;
 
-/// The first pixel whose centre is not left of x, but for rounding; as a float too.
+/// The first pixel whose centre is not left of x, except for rounding; also as a float.
 #[inline(always)]
 fn first_pixel(x: f32, width: f32) -> (u32, f32) {
     let x = if x > 0.0 { x } else { 0.0 };
@@ -308,7 +311,7 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
         let c = c % BLOCK;
         let mut k = 0.0;
         while at < end {
-            // Whole groups: what is written beyond the end belongs to later spans, or lies outside.
+            // Whole groups: values written beyond the end belong to later spans or lie outside.
             for lane in 0..LANES {
                 let k = k + lane as f32;
                 u[at + lane] = nu[c] + k * ndu[c];
@@ -325,7 +328,7 @@ fn notes(notes: &[[f32; BLOCK]], block: usize) -> &[[f32; BLOCK]; NOTES] {
     notes[block * NOTES..].first_chunk().expect("there is room for whole blocks")
 }
 
-/// Notes the first pixel of every span, the coordinates there and their steps.
+/// Notes the first pixel of every span, and the coordinates there with their steps.
 #[inline(always)]
 pub(super) fn note(spans: &mut Spans<'_>) {
     let width = spans.width as f32;
@@ -349,7 +352,7 @@ pub(super) fn note(spans: &mut Spans<'_>) {
     pin_ends(spans);
 }
 
-/// The ends of a run are exact, whatever f32 made of them.
+/// Sets the ends of a run to their exact values, free of f32 errors.
 #[inline(always)]
 pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     let inside = spans.covered.start as f32 + 0.5 - spans.x[0];
@@ -359,7 +362,7 @@ pub(super) fn pin_ends(spans: &mut Spans<'_>) {
     spans.first[spans.columns - 1] = spans.covered.end as u32;
 }
 
-/// U of a coordinate: kept in the picture, then truncated. NaN is 0.
+/// U of a coordinate: clamped to the picture, then truncated. NaN becomes 0.
 #[inline(always)]
 pub(in crate::render) fn fixed(coordinate: f32, last: f32) -> usize {
     let coordinate = if coordinate > 0.0 { coordinate } else { 0.0 };
@@ -393,7 +396,7 @@ pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
     blend(packed, at, fx, fy)
 }
 
-/// The four texels from index `at` on, blended.
+/// The blend of the four texels from index `at` on.
 #[inline(always)]
 pub(super) fn blend(packed: &Packed, at: usize, fx: u64, fy: u64) -> [u8; 4] {
     let below = at + packed.stride();
@@ -405,7 +408,7 @@ pub(super) fn blend(packed: &Packed, at: usize, fx: u64, fy: u64) -> [u8; 4] {
     }
 }
 
-/// Four samples of 8 bits apart by 16.
+/// Spreads four 8-bit samples to 16 bits each.
 #[inline(always)]
 fn spread(texel: u32) -> u64 {
     let pairs = (u64::from(texel) | (u64::from(texel) << 16)) & 0x0000_ffff_0000_ffff;
@@ -414,7 +417,7 @@ fn spread(texel: u32) -> u64 {
 
 #[inline(always)]
 fn opaque(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
-    // Across: up to 128 * 255, fits 16 bits. Down: up to 128^2 * 255, two samples at a time apart by 32.
+    // Across: up to 128 * 255, fits 16 bits. Down: up to 128^2 * 255, two samples at a time, spaced by 32 bits.
     let across = |left: u32, right: u32| spread(left) * (128 - fx) + spread(right) * fx;
     let (above, below) = (across(texels[0], texels[1]), across(texels[2], texels[3]));
     let down = |shift: u32| {
@@ -435,7 +438,7 @@ fn translucent(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
     let texels = texels.map(u32::to_le_bytes);
     let mut sums = [0_u32; 4];
     for (weight, texel) in weights.into_iter().zip(texels) {
-        // At most 2^14 * 255^2 < 2^30 in all.
+        // At most 2^14 * 255^2 < 2^30 in total.
         let alpha = weight * u32::from(texel[3]);
         for (sum, colour) in sums.iter_mut().zip(&texel[..3]) {
             *sum += alpha * u32::from(*colour);

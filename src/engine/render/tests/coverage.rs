@@ -17,17 +17,20 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
         for (i, j) in lattice.cells_touching(rows.clone()) {
             u.fill(UNCOVERED);
             u.chunks_exact_mut(pitch).for_each(|row| row[width..].fill(0.0));
-            let mut bare = vec![0..width; rows.len()];
+            let mut uncovered = vec![0..width; rows.len()];
             let open = (1 << rows.len()) - 1;
-            let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, bare: &mut bare, open };
+            let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, uncovered: &mut uncovered, open };
             let only = |b: usize| if b == i / 8 { 1 << (i % 8) } else { 0 };
             cell::draw_row(kernel, lattice, j, only, |_| u32::MAX, &rows, &mut canvas);
             canvas.shrink();
-            for (y, bare) in rows.clone().zip(bare) {
+            for (y, uncovered) in rows.clone().zip(uncovered) {
                 let row = (y - first) as usize * pitch;
                 let left: Vec<_> = (0..width).filter(|x| u[row + x] == UNCOVERED).collect();
                 let (first, end) = (left.first().copied(), left.last().map(|x| x + 1));
-                assert!(left.is_empty() && bare.is_empty() || (first, end) == (Some(bare.start), Some(bare.end)), "what is bare is known");
+                assert!(
+                    left.is_empty() && uncovered.is_empty() || (first, end) == (Some(uncovered.start), Some(uncovered.end)),
+                    "what is uncovered is known"
+                );
                 for x in (0..width).filter(|x| u[row + x] != UNCOVERED) {
                     painted(x, y as usize, Point::new(f64::from(u[row + x]) / 128.0, f64::from(v[row + x]) / 128.0));
                 }
@@ -227,7 +230,7 @@ fn divided_rows_are_those_of_painting_in_order() {
         });
         let target = extent(160, 120);
         let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
-        divided += (0..target.height()).filter(|&row| drawing.is_divided(row)).count();
+        divided += (0..target.height()).filter(|&row| drawing.is_mixed(row)).count();
         painted += as_painted_in_order(&drawing, target, &format!("seed {seed}"));
     }
     assert!(painted > 300_000 && divided > 500, "{painted} {divided}");

@@ -132,12 +132,9 @@ fn banded(renderer: &Renderer, rows: u32) -> Vec<u8> {
 
 /// The astronaut, 8-bit RGB, 512 x 512.
 fn astronaut() -> Pixmap {
-    let file = std::fs::File::open(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/astronaut.png")).unwrap();
-    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
-    let mut samples = vec![0; reader.output_buffer_size().unwrap()];
-    let info = reader.next_frame(&mut samples).unwrap();
-    assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
-    Pixmap::new(extent(info.width, info.height), Channels::Rgb, Samples::Eight(samples))
+    let picture = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/astronaut.png")).unwrap();
+    let image::DynamicImage::ImageRgb8(rgb) = picture else { panic!("8-bit RGB") };
+    Pixmap::new(extent(rgb.width(), rgb.height()), Channels::Rgb, Samples::Eight(rgb.into_raw()))
 }
 
 /// The same picture with an alpha that is opaque in a disc, softly edged, and clear outside.

@@ -89,9 +89,7 @@ impl std::fmt::Debug for Drag {
 
 impl App {
     /// Opens a drag of a session.
-    ///
-    /// # Errors
-    /// Unknown session, or too little capacity.
+    /// Errors: Unknown session, or too little capacity.
     pub async fn open_drag(&self, client: Client, id: SessionId, options: DragOptions) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.require_running()?;
@@ -242,7 +240,6 @@ impl Drag {
     }
 
     /// Whether the session has ended; only the remaining messages are sent.
-    #[must_use]
     pub const fn is_over(&self) -> bool {
         self.is_over
     }
@@ -253,13 +250,11 @@ impl Drag {
     }
 
     /// The record of the newest frame.
-    #[must_use]
     pub fn record(&self) -> &Record {
         &self.record
     }
 
     /// When the frame was sent that the client has not acknowledged.
-    #[must_use]
     pub fn owed_since(&self) -> Option<Instant> {
         self.scheduler.owed_since()
     }

@@ -5,12 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::sync::watch;
-use tokio_rustls::rustls::ServerConfig;
 
 use super::signals::Signals;
 use super::unless;
 use crate::app::App;
-use crate::auth::tls::TlsFiles;
+use crate::auth::tls::{ServerConfig, TlsFiles};
 use crate::config::KeysConfig;
 
 /// Pause between two looks at the files.

@@ -23,14 +23,12 @@ use socket2::SockRef;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
-use tokio_rustls::TlsAcceptor;
-use tokio_rustls::rustls::ServerConfig;
 
 use super::stream_stall::{Streams, with_stall_timeout};
 use super::transport::{Transport, WriteTimeoutStream};
 use super::unless;
 use crate::app::App;
-use crate::auth::tls::H2;
+use crate::auth::tls::{ServerConfig, accept};
 use crate::config::Timeouts;
 use crate::http::{ops_router, router, tls_required_router};
 use crate::limits::connections::{ConnectionLimiter, ConnectionPermit};
@@ -139,9 +137,8 @@ impl Connections {
             return Ok((Transport::Left(stream), Protocol::NotTls));
         }
         let config = Arc::clone(&tls.borrow());
-        let stream = TlsAcceptor::from(config).accept(stream).await?;
-        let protocol = if stream.get_ref().1.alpn_protocol() == Some(H2) { Protocol::Http2 } else { Protocol::Http1 };
-        Ok((Transport::Right(Box::new(stream)), protocol))
+        let (stream, is_http2) = accept(config, stream).await?;
+        Ok((Transport::Right(Box::new(stream)), if is_http2 { Protocol::Http2 } else { Protocol::Http1 }))
     }
 
     async fn http1(&self, transport: Transport, peer: SocketAddr, router: &Router, keep_alive: bool) {

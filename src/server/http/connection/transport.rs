@@ -9,9 +9,9 @@ use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Sleep, sleep};
-use tokio_rustls::server::TlsStream;
 use tokio_util::either::Either;
 
+use crate::auth::tls::{TlsStream, inner};
 use crate::limits::connections::ConnectionPermit;
 
 /// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100 Mbit/s over 40 ms.
@@ -26,7 +26,7 @@ pub(crate) type Transport = Either<WriteTimeoutStream, Box<TlsStream<WriteTimeou
 pub(crate) fn without_write_timeout(mut transport: Transport) -> Transport {
     match &mut transport {
         Either::Left(stream) => stream.timeout = None,
-        Either::Right(stream) => stream.get_mut().0.timeout = None,
+        Either::Right(stream) => inner(stream).timeout = None,
     }
     transport
 }

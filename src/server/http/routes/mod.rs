@@ -1,5 +1,9 @@
 //! The routes, one file per family.
 
+#[cfg(feature = "docs")]
+pub(crate) mod docs;
+#[cfg(not(feature = "docs"))]
+#[path = "no_docs.rs"]
 pub(crate) mod docs;
 pub(crate) mod mesh;
 pub(crate) mod points;

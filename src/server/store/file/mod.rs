@@ -1,11 +1,10 @@
-//! Sessions in one file of this machine: a session that was answered is there after the process was killed or the power went. Records, numbers and
-//! pictures live in an embedded transactional database (`disk.rs`); every change of a session is one transaction that has reached the disk before it is
-//! answered, and goes on to its end whoever waits for it. What sessions there are is also held in memory, so that looking and using take no disk.
+//! The store in a file of this machine: an embedded transactional database (`disk.rs`) with records, numbers and pictures.
 //!
-//! A session that was there lives for another idle period after a start. Numbers (`seq`) and ends of idle sessions are written by the next sweep, and
-//! numbers when the store is closed: after a crash they may be those of some seconds before. One process opens the file; a second one is told so.
-//!
-//! When the disk fails or is full, the change is refused, the database is closed, and the next change opens it again; meanwhile looking and using go on.
+//! A change is one transaction that has reached the disk before it is answered; it is finished even if its request is dropped. An index in
+//! memory answers everything that changes no record. After a start every session lives for another idle period. The highest numbers (`seq`)
+//! and the end of expired sessions are written by the next sweep, numbers also when the store is closed: after a crash they may be some
+//! seconds old. One process opens the file. After a disk error the change is refused and the database closed; the next change opens it
+//! again, and until then reads go on.
 
 mod disk;
 #[cfg(test)]
@@ -25,14 +24,17 @@ use redb::ReadableTable as _;
 use super::index::{Index, PutOutcome};
 use super::record;
 use super::record::Unreadable;
-use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
+use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, known};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
-use disk::{Change, Disk, Opened};
+use disk::{Change, Disk};
 
-/// Longest wait of those who ask whether the store is there.
-const READINESS: Duration = Duration::from_secs(1);
+/// Longest wait of a `ready` for a database that is opened again.
+const READY_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// The highest numbers as they are on the disk.
+type Numbers = HashMap<SessionId, u64>;
 
 /// A store in a file. Cloning shares it.
 #[derive(Clone)]
@@ -41,8 +43,8 @@ pub struct FileStore(Arc<FileStoreState>);
 struct FileStoreState {
     bounds: Bounds,
     index: Mutex<Index>,
-    /// Numbers as they are on the disk. Held from the decision until the index knows of it: one change at a time.
-    writing: Mutex<HashMap<SessionId, u64>>,
+    /// Locked from the check of a change until the index has it: one change at a time.
+    written: Mutex<Numbers>,
     disk: Disk,
     damaged: AtomicU64,
     other_version: AtomicU64,
@@ -55,10 +57,10 @@ impl fmt::Debug for FileStore {
 }
 
 impl FileStore {
-    /// Opens the file, or makes it. Records that are damaged are named in the log and left out.
+    /// Opens the file, or creates it. Damaged records are logged and left out.
     ///
     /// # Errors
-    /// The file cannot be opened, is none of ours, is damaged beyond reading, or is another process's.
+    /// The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
     pub fn open(path: &Path, bounds: Bounds) -> Result<Self, NotOpened> {
         let store = Self::on(Disk::open(path)?, bounds)?;
         let Figures { sessions, bytes, damaged, .. } = store.figures();
@@ -69,32 +71,33 @@ impl FileStore {
 
     fn on(disk: Disk, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = disk.not_opened("it cannot be read; the log has more");
-        let shared = FileStoreState {
+        let state = FileStoreState {
             bounds,
             index: Mutex::new(Index::new(bounds)),
-            writing: Mutex::default(),
+            written: Mutex::default(),
             disk,
             damaged: AtomicU64::new(0),
             other_version: AtomicU64::new(0),
         };
-        shared.read_all(&mut shared.writing()).map_err(|_| not_opened)?;
-        Ok(Self(Arc::new(shared)))
+        state.read_all(&mut state.written()).map_err(|_| not_opened)?;
+        Ok(Self(Arc::new(state)))
     }
 
-    /// A store on a disk that is none.
     #[cfg(test)]
     fn over(disk: impl redb::StorageBackend, bounds: Bounds) -> Result<Self, NotOpened> {
         Self::on(Disk::over(disk)?, bounds)
     }
 
-    /// Off the async threads, and to its end whoever waits for it.
+    /// Runs on a blocking thread, to its end even if the answer is dropped.
     fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&FileStoreState) -> Result<T, StoreError> + Send + 'static) -> Answer<'_, T> {
-        let shared = Arc::clone(&self.0);
-        let scope = Scope::current();
-        let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&shared)));
+        let (state, scope) = (Arc::clone(&self.0), Scope::current());
+        let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&state)));
         Box::pin(async move { task.await.unwrap_or(Err(StoreError::Away)) })
     }
 }
+
+/// The files that records name: the size of each, or what is wrong with it.
+type Files = HashMap<Digest, Result<u64, &'static str>>;
 
 impl FileStoreState {
     fn index(&self) -> MutexGuard<'_, Index> {
@@ -102,115 +105,100 @@ impl FileStoreState {
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn writing(&self) -> MutexGuard<'_, HashMap<SessionId, u64>> {
-        self.writing.lock().unwrap_or_else(PoisonError::into_inner)
+    fn written(&self) -> MutexGuard<'_, Numbers> {
+        self.written.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The right to change; the database is open.
-    fn begin(&self) -> Result<MutexGuard<'_, HashMap<SessionId, u64>>, StoreError> {
-        let mut written = self.writing();
-        if self.disk.revive()? == Opened::Again {
-            // A change that failed may be there or not: the disk says.
+    /// Begins a change: the database is open and no other change is under way.
+    fn begin(&self) -> Result<MutexGuard<'_, Numbers>, StoreError> {
+        let mut written = self.written();
+        if self.disk.reopen()? {
+            // The change that failed may be on the disk or not.
             self.read_all(&mut written)?;
         }
         Ok(written)
     }
 
-    /// Reads the index from the disk. What is damaged is named and left where it is, and so is what another version of the program has written, with
-    /// the files that it names; files that no session names are taken away.
-    fn read_all(&self, written: &mut HashMap<SessionId, u64>) -> Result<(), StoreError> {
+    /// Builds the index from the disk and deletes files that no session names. Damaged records are left where they are; records of another
+    /// version, and the files that they name, are kept.
+    fn read_all(&self, written: &mut Numbers) -> Result<(), StoreError> {
         let mut index = Index::new(self.bounds);
         written.clear();
-        let (damaged, other_version) = self.disk.change(|change| {
-            let (mut damaged, mut other_version) = (0, 0);
-            let mut files: HashMap<Digest, Result<u64, &str>> = HashMap::new();
-            let mut whole = |change: &Change<'_>, digest: Digest| -> Result<Result<u64, &str>, redb::Error> {
-                Ok(match files.get(&digest) {
-                    Some(file) => *file,
-                    None => *files.entry(digest).or_insert(checked(&change.file(digest)?, digest)),
-                })
-            };
+        self.disk.change(|change| {
+            let mut files = Files::new();
             for entry in change.records.iter()? {
                 let (name, bytes) = entry?;
                 let id = SessionId::from_bytes(&name.value());
-                let (record, file) = match record::read(bytes.value()) {
-                    Ok(record) => {
-                        let file = whole(change, record.image)?;
-                        let file = if record.id == id { file } else { Err("its record is another session's") };
-                        (Some(record), file.map_err(str::to_owned))
-                    }
+                let why = match record::read(bytes.value()) {
+                    Ok(record) => match (checked_file(change, &mut files, record.image)?, record.id == id) {
+                        (Ok(file), true) => {
+                            let number = change.numbers.get(&name.value())?.map(|number| number.value());
+                            written.extend(number.map(|number| (id, number)));
+                            index.restore(record, file, number);
+                            continue;
+                        }
+                        (Ok(_), false) => "its record is another session's",
+                        (Err(why), _) => why,
+                    },
                     Err(Unreadable::OtherVersion(why)) => {
-                        other_version += 1;
+                        self.other_version.fetch_add(1, Ordering::Relaxed);
                         tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
                         let mut named = Vec::new();
                         for digest in record::named_files(bytes.value()) {
-                            named.extend(whole(change, digest)?.ok().map(|len| (digest, len)));
+                            named.extend(checked_file(change, &mut files, digest)?.ok().map(|len| (digest, len)));
                         }
                         index.restore_unread(id, bytes.value().len() as u64, &named);
                         continue;
                     }
-                    Err(why) => (None, Err(why.to_string())),
+                    Err(Unreadable::Damaged(why)) => why,
                 };
-                match (record, file) {
-                    (Some(record), Ok(file)) => {
-                        let number = change.numbers.get(&name.value())?.map(|number| number.value());
-                        written.extend(number.map(|number| (id, number)));
-                        index.restore(record, file, number);
-                    }
-                    (_, why) => {
-                        damaged += 1;
-                        let why = why.err().unwrap_or_default();
-                        tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
-                    }
-                }
+                self.damaged.fetch_add(1, Ordering::Relaxed);
+                tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
             }
-            let unnamed: Vec<Digest> = change.files()?.into_iter().filter(|digest| !files.contains_key(digest)).collect();
-            for digest in unnamed {
-                change.remove_file(digest)?;
+            for digest in change.files()?.iter().filter(|digest| !files.contains_key(digest)) {
+                change.remove_file(*digest)?;
             }
-            Ok((damaged, other_version))
+            Ok(())
         })?;
-        self.damaged.fetch_add(damaged, Ordering::Relaxed);
-        self.other_version.fetch_add(other_version, Ordering::Relaxed);
-        let mut known = self.index();
-        let old = std::mem::replace(&mut *known, index);
-        known.go_on_from(old);
+        let mut current = self.index();
+        let old = std::mem::replace(&mut *current, index);
+        current.carry_over(old);
         Ok(())
     }
 
     fn put(&self, record: Arc<Record>, file: &Bytes) -> Result<Put, StoreError> {
         let mut written = self.begin()?;
         let len = file.len() as u64;
-        let full = self.index().weigh(&record, len).is_err();
-        if full {
+        let is_full = self.index().check_put(&record, len).is_err();
+        if is_full {
             self.sweep(&mut written)?;
         }
-        let (will, has, freed) = {
+        let (outcome, is_stored, freed) = {
             let index = self.index();
-            // What another owner has is written again: a faster answer would tell of it.
-            let has = index.names(record.id.owner(), record.image);
-            (index.weigh(&record, len)?, has, index.freed(&[record.id], Some(record.image)))
+            // A file that only another owner has is written again: a faster answer would reveal it.
+            let is_stored = index.names(record.id.owner(), record.image);
+            (index.check_put(&record, len)?, is_stored, index.freed(&[record.id], Some(record.image)))
         };
-        if will != PutOutcome::Stay {
+        if outcome != PutOutcome::Stay {
             let (name, bytes) = (record.id.to_bytes(), record::write(&record));
             self.disk.change(|change| {
                 change.records.insert(&name, bytes.as_slice())?;
                 change.numbers.remove(&name)?;
-                if !has {
-                    // There may be pieces of a damaged one.
+                if !is_stored {
+                    // Pieces of a damaged file may be there.
                     change.remove_file(record.image)?;
                     change.add_file(record.image, file)?;
                 }
-                free(change, &freed)
+                change.remove_files(&freed)
             })?;
             written.remove(&record.id);
         }
-        Ok(self.index().put(record, len, will))
+        Ok(self.index().put(record, len, Bytes::new(), outcome))
     }
 
     fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
-        let _one = self.begin()?;
-        if !self.index().weigh_revision(old, &new)? {
+        let _written = self.begin()?;
+        if !self.index().check_revise(old, &new)? {
             return Ok(None);
         }
         let (name, bytes) = (new.id.to_bytes(), record::write(&new));
@@ -220,43 +208,42 @@ impl FileStoreState {
 
     fn delete(&self, id: SessionId) -> Result<(), StoreError> {
         let mut written = self.begin()?;
-        if !self.index().weigh_delete(id)? {
-            return Ok(());
+        if self.index().check_delete(id)? {
+            self.remove(&[id], &mut written)?;
+            self.index().delete(id);
         }
-        self.take_away(&[id])?;
-        written.remove(&id);
-        self.index().delete(id);
         Ok(())
     }
 
-    /// From the disk first: a session whose end was answered is not there after a crash.
-    fn take_away(&self, gone: &[SessionId]) -> Result<(), StoreError> {
-        let freed = self.index().freed(gone, None);
+    /// Removes sessions from the disk. The index follows: a session whose end was answered must not come back after a crash.
+    fn remove(&self, ids: &[SessionId], written: &mut Numbers) -> Result<(), StoreError> {
+        let freed = self.index().freed(ids, None);
         self.disk.change(|change| {
-            for id in gone {
+            for id in ids {
                 change.records.remove(&id.to_bytes())?;
                 change.numbers.remove(&id.to_bytes())?;
             }
-            free(change, &freed)
-        })
-    }
-
-    /// Buries what has expired, and writes numbers that are not on the disk.
-    fn sweep(&self, written: &mut HashMap<SessionId, u64>) -> Result<usize, StoreError> {
-        let ended = self.index().expired();
-        if !ended.is_empty() {
-            self.take_away(&ended)?;
-        }
-        // Also when nothing has ended: graves are forgotten here.
-        self.index().expire(&ended);
-        for id in &ended {
+            change.remove_files(&freed)
+        })?;
+        for id in ids {
             written.remove(id);
         }
-        self.write_numbers(written)?;
-        Ok(ended.len())
+        Ok(())
     }
 
-    fn write_numbers(&self, written: &mut HashMap<SessionId, u64>) -> Result<(), StoreError> {
+    /// Removes what has expired, and writes new numbers.
+    fn sweep(&self, written: &mut Numbers) -> Result<usize, StoreError> {
+        let expired = self.index().expired();
+        if !expired.is_empty() {
+            self.remove(&expired, written)?;
+        }
+        // Also when nothing has expired: old tombstones are removed here.
+        self.index().expire(&expired);
+        self.write_numbers(written)?;
+        Ok(expired.len())
+    }
+
+    fn write_numbers(&self, written: &mut Numbers) -> Result<(), StoreError> {
         let newer: Vec<(SessionId, u64)> = self.index().numbers().filter(|(id, number)| written.get(id) != Some(number)).collect();
         if newer.is_empty() {
             return Ok(());
@@ -271,46 +258,47 @@ impl FileStoreState {
         Ok(())
     }
 
-    fn file(&self, digest: Digest) -> Result<Bytes, StoreError> {
-        if let Some(whole) = self.whole(digest)? {
-            return Ok(whole);
+    /// Reads a picture's file. A damaged one ends its sessions.
+    fn image(&self, digest: Digest) -> Result<Bytes, StoreError> {
+        if let Some(file) = self.undamaged(digest)? {
+            return Ok(file);
         }
         let mut written = self.begin()?;
-        // It may have gone in good order meanwhile, and come again: what nobody can change now is certain.
-        if let Some(whole) = self.whole(digest)? {
-            return Ok(whole);
+        // Between the read and the lock the file may have been removed and stored again.
+        if let Some(file) = self.undamaged(digest)? {
+            return Ok(file);
         }
-        let lost = self.index().named_by(digest);
+        let lost: Vec<SessionId> = self.index().records().filter(|record| record.image == digest).map(|record| record.id).collect();
         tracing::error!(sessions = ?lost, "sessions have ended: their picture's file is damaged");
-        self.take_away(&lost)?;
+        self.remove(&lost, &mut written)?;
+        self.damaged.fetch_add(lost.len() as u64, Ordering::Relaxed);
+        let mut index = self.index();
         for id in lost {
-            self.damaged.fetch_add(1, Ordering::Relaxed);
-            written.remove(&id);
-            self.index().remove(id);
+            index.remove(id);
         }
-        self.index().lose_file(digest);
+        index.lose_file(digest);
         Err(StoreError::NoSuchSession)
     }
 
-    /// The file that some session names, if it is read as it was written.
-    fn whole(&self, digest: Digest) -> Result<Option<Bytes>, StoreError> {
-        let len = self.index().file(digest).ok_or(StoreError::NoSuchSession)?;
+    /// The file of a living session, unless it is damaged.
+    fn undamaged(&self, digest: Digest) -> Result<Option<Bytes>, StoreError> {
+        let len = self.index().file_bytes(digest).ok_or(StoreError::NoSuchSession)?;
         let bytes = self.disk.file(digest, len)?;
-        Ok((checked(&bytes, digest) == Ok(len)).then(|| bytes.into()))
+        Ok((check_file(&bytes, digest) == Ok(len)).then(|| bytes.into()))
     }
 }
 
 impl Drop for FileStoreState {
     fn drop(&mut self) {
-        let written = std::mem::take(&mut *self.writing());
-        if let Err(error) = self.write_numbers(&mut { written }) {
+        let mut written = std::mem::take(&mut *self.written());
+        if let Err(error) = self.write_numbers(&mut written) {
             tracing::warn!(%error, "the sessions' last numbers were not written");
         }
     }
 }
 
-/// How long the file is, if it is the one of that digest.
-fn checked(file: &[u8], digest: Digest) -> Result<u64, &'static str> {
+/// The size of a file, if it has that digest.
+fn check_file(file: &[u8], digest: Digest) -> Result<u64, &'static str> {
     match file.len() {
         0 => Err("its picture's file is not there"),
         len if Digest::of(file) == digest => Ok(len as u64),
@@ -318,41 +306,41 @@ fn checked(file: &[u8], digest: Digest) -> Result<u64, &'static str> {
     }
 }
 
-fn free(change: &mut Change<'_>, files: &[(Digest, u64)]) -> Result<(), redb::Error> {
-    files.iter().try_for_each(|(digest, _)| change.remove_file(*digest))
-}
-
-fn ready<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
-    Box::pin(std::future::ready(answer))
+/// As [`check_file`], once for each file.
+fn checked_file(change: &Change<'_>, files: &mut Files, digest: Digest) -> Result<Result<u64, &'static str>, redb::Error> {
+    Ok(match files.get(&digest) {
+        Some(file) => *file,
+        None => *files.entry(digest).or_insert(check_file(&change.file(digest)?, digest)),
+    })
 }
 
 impl Store for FileStore {
     fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-        self.blocking(move |shared| shared.put(record, &image))
+        self.blocking(move |state| state.put(record, &image))
     }
 
     fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
-        self.blocking(move |shared| shared.revise(old, new))
+        self.blocking(move |state| state.revise(old, new))
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
-        ready(self.0.index().peek(id))
+        known(self.0.index().peek(id))
     }
 
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
-        ready(self.0.index().touch(id, seq))
+        known(self.0.index().touch(id, seq))
     }
 
     fn delete(&self, id: SessionId) -> Answer<'_, ()> {
-        self.blocking(move |shared| shared.delete(id))
+        self.blocking(move |state| state.delete(id))
     }
 
     fn image_bytes(&self, _: SessionId, digest: Digest) -> Answer<'_, u64> {
-        ready(self.0.index().file(digest).ok_or(StoreError::NoSuchSession))
+        known(self.0.index().file_bytes(digest).ok_or(StoreError::NoSuchSession))
     }
 
     fn image(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        self.blocking(move |shared| shared.file(digest))
+        self.blocking(move |state| state.image(digest))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {
@@ -360,18 +348,18 @@ impl Store for FileStore {
     }
 
     fn sweep(&self) -> Answer<'_, usize> {
-        self.blocking(|shared| {
-            let mut written = shared.begin()?;
-            shared.sweep(&mut written)
+        self.blocking(|state| {
+            let mut written = state.begin()?;
+            state.sweep(&mut written)
         })
     }
 
     fn ready(&self) -> Answer<'_, ()> {
         if self.0.disk.is_open() {
-            return ready(Ok(()));
+            return known(Ok(()));
         }
-        let opened = self.blocking(|shared| shared.begin().map(drop));
-        Box::pin(async { tokio::time::timeout(READINESS, opened).await.unwrap_or(Err(StoreError::Away)) })
+        let opened = self.blocking(|state| state.begin().map(drop));
+        Box::pin(async { tokio::time::timeout(READY_TIMEOUT, opened).await.unwrap_or(Err(StoreError::Away)) })
     }
 
     fn figures(&self) -> Figures {

@@ -1,5 +1,6 @@
-//! A connection to the server, with a time limit on every wait. A broken connection is replaced by the next request. A server that does not answer is
-//! not asked for a second; requests in that second fail at once. A file that is late says nothing about the server and closes only its own connection.
+//! A connection to the server, with a time limit on every wait. A broken connection is replaced by the next request. A server that does not
+//! answer is not asked for a second; requests in that second fail at once. A file that is late says nothing about the server and closes
+//! only its own connection.
 
 use std::future::Future;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -11,8 +12,9 @@ use redis::{AsyncConnectionConfig, Client, ErrorKind, RedisError, RedisResult};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
+use super::address::Address;
 use crate::observe::Scope;
-use crate::store::{Address, StoreError};
+use crate::store::StoreError;
 
 /// Longest wait for a connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
@@ -132,8 +134,8 @@ impl RedisConnection {
         }
     }
 
-    /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that turns out to be broken it is sent once more: all
-    /// requests are idempotent.
+    /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that turns out to be broken it is sent once
+    /// more: all requests are idempotent.
     pub(crate) async fn ask<T, F>(&self, limit: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
@@ -219,8 +221,8 @@ impl RedisConnection {
         slot.generation == generation && slot.connection.take().is_some()
     }
 
-    /// Classifies an error. Only a full server, and a foreign value under a session's key, leave the connection open: after any other error the
-    /// server may have become a replica, or be starting.
+    /// Classifies an error. Only a full server, and a foreign value under a session's key, leave the connection open: after any other error
+    /// the server may have become a replica, or be starting.
     async fn fail(&self, generation: u64, error: &RedisError) -> StoreError {
         let (text, endpoint) = (error.to_string(), &self.0.endpoint);
         if text.contains("OOM") {

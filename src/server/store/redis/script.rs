@@ -2,17 +2,17 @@
 //!
 //! | key | content | expires after |
 //! |---|---|---|
-//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (digest of what it was made from), `revision`, `life` (when it was created), `seq` | one idle period |
+//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (its digest), `revision`, `life` (creation time), `seq` | one idle period |
 //! | `mlswarp:{NAME}:file` | the picture's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
 //! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
 //!
-//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they compare as strings. A full server refuses the first
-//! write of a script if it may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
+//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they compare as strings. A full server refuses
+//! the first write of a script if it may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
 //!
-//! Scripts are called by their digest (`EVALSHA`) and sent once. `PUT` is sent in full each time: inside `MULTI` a missing script would fail after the
-//! file has been stored.
+//! Scripts are called by their digest (`EVALSHA`) and sent once. `PUT` is sent in full each time: inside `MULTI` a missing script would
+//! fail after the file has been stored.
 
 use std::sync::LazyLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -49,8 +49,8 @@ return {status, is[2] or '', is[3] or '', is[4] or ''}",
     )
 });
 
-/// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no session),
-/// and whether its record is readable. Any other revision, and its file, stay as they are.
+/// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no
+/// session), and whether its record is readable. Any other revision, and its file, stay as they are.
 const PUT: &str = r"
 local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision')
 if (is[3] or '') ~= ARGV[6] then

@@ -208,7 +208,8 @@ fn resealed(record: &Record, change: impl Fn(&str) -> String) -> Vec<u8> {
     crate::store::record::sealed(change(json).as_bytes())
 }
 
-/// Records as a later version of the program may write them. `plant` puts these bytes in the places of those sessions' records, as another process does.
+/// Records as a later version of the program may write them. `plant` puts these bytes in the places of those sessions' records, as another
+/// process does.
 pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, plant: impl AsyncFn(S, &[(SessionId, Vec<u8>)]) -> S) {
     let (a, b, c, neighbour) = (record(30), record(31), record(32), record(30));
     for (record, picture) in [(&a, 30), (&b, 31), (&c, 32), (&neighbour, 30)] {

@@ -262,7 +262,7 @@ async fn a_picture_that_goes_and_is_sent_again_while_it_is_read_is_not_damaged()
     let store = place.open();
     let (a, b) = (suite::record(1), suite::record(1));
     store.put(Arc::clone(&a), file(1)).await.unwrap();
-    let writing = store.0.writing();
+    let writing = store.0.written();
     store.0.disk.change(|change| change.remove_file(a.image)).unwrap();
     let reading = store.image(a.id, a.image);
     // It has read nothing and waits for the right to change.

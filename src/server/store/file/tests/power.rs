@@ -94,7 +94,7 @@ type State = HashMap<SessionId, Arc<Record>>;
 
 fn state(store: &FileStore) -> State {
     let index = store.0.index();
-    index.records().map(|record| (record.id, record)).collect()
+    index.records().map(|record| (record.id, Arc::clone(record))).collect()
 }
 
 #[tokio::test]

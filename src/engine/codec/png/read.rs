@@ -1,35 +1,34 @@
-//! PNG (W3C, third edition): chunks are walked for the header, rows are taken from the `png` crate one at a time, so memory is
-//! touched only as data arrives. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit
-//! stays 16 bit. Every checksum must agree and IEND must be there. Shapes: samples `[height][width][channels]`, rows as stored.
+//! Reads PNG (W3C, third edition): walks the chunks for the header, then takes rows from the `png` crate one at a time, so memory is
+//! touched only as data arrives. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit stays 16 bit.
+//! Every checksum must match and IEND must be present. Shapes: samples `[height][width][channels]`, rows as stored.
 
 use std::borrow::Cow;
 use std::io::Read;
 
-use super::CodecError;
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Pieces, Work};
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
-pub(super) const NAME: &str = "PNG";
 const SIGNATURE: usize = 8;
 
-/// What deflate can expand a byte to at most: matches of 258 bytes at two bits each.
+/// Largest expansion by deflate: matches of 258 bytes at two bits each.
 const MAX_INFLATION: u64 = 1032;
 
-/// What the data may take at most for each byte of filtered rows. Deflate without any gain takes 9/8 (fixed codes); the rest is for encoders
-/// that write stored blocks of a few bytes.
+/// Largest size of the data per byte of filtered rows. Deflate without any gain takes 9/8 (fixed codes); the rest is for encoders that
+/// write stored blocks of a few bytes.
 const DATA_PER_BYTE: u64 = 2;
-/// The same for each row: an encoder may flush each row, which takes 5 bytes, or some blocks of their own.
+/// Additional data per row: an encoder may flush each row, which takes 5 bytes, or some blocks of its own.
 const DATA_PER_ROW: u64 = 16;
-/// The same for a picture of any size.
+/// Additional data for a picture of any size.
 const FREE_DATA: u64 = 64 << 10;
-/// Data chunks, beside one for each row: encoders have buffers of some KiB, and the smallest that are known of half a KiB.
+/// Bytes per data chunk, beside one chunk for each row: encoders have buffers of some KiB, the smallest known half a KiB.
 const BYTES_PER_CHUNK: u64 = 512;
-/// Data chunks for a picture of any size: test suites have small pictures with a chunk for each byte.
+/// Additional data chunks for a picture of any size: test suites have small pictures with a chunk for each byte.
 const FREE_CHUNKS: u64 = 4096;
 
-/// What a deflated profile may take at most: stored, with as much to spare as the data of a picture has.
+/// Largest size of a deflated profile: stored, with the same reserve as the data of a picture.
 const MAX_DEFLATED_ICC: usize = MAX_ICC + (64 << 10);
 
 /// First column, first row, column step, row step of the seven passes.
@@ -38,19 +37,19 @@ const ADAM7: [(usize, usize, usize, usize); 7] =
 
 /// A PNG whose chunks have been walked.
 #[derive(Debug)]
-pub(super) struct PngFile<'a> {
+pub(in crate::codec) struct PngFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     bits: u8,
     colour: u8,
     interlaced: bool,
     transparency: bool,
     animation_chunks: bool,
-    pub(super) exif: Option<&'a [u8]>,
+    pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
     idat_bytes: u64,
     idat_chunks: u64,
-    /// Where the file ends; `None` when it is cut off before IEND.
+    /// End of the file; `None` if it is truncated before IEND.
     end: Option<usize>,
 }
 
@@ -60,7 +59,7 @@ struct Chunk<'a> {
     end: usize,
 }
 
-/// The chunk that begins at `at`, when all of it is there.
+/// The chunk at `at`, if it is complete.
 fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
     let head = bytes.get(at..at.checked_add(8)?)?;
     let length = u32::from_be_bytes(head[..4].try_into().ok()?);
@@ -71,11 +70,11 @@ fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::Png.name(), detail)
 }
 
 impl<'a> PngFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
         let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
             return Err(bad("a header chunk of the wrong size or with an unknown method"));
@@ -103,7 +102,7 @@ impl<'a> PngFile<'a> {
         Ok(file)
     }
 
-    fn walk(&mut self, mut at: usize, work: &Work<'_>) -> Result<(), CodecError> {
+    fn walk(&mut self, mut at: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
         let mut before_data = true;
         while let Some(chunk) = chunk_at(self.bytes, at) {
             work.step(1)?;
@@ -136,23 +135,23 @@ impl<'a> PngFile<'a> {
         Ok(())
     }
 
-    pub(super) fn channels(&self) -> Channels {
+    pub(in crate::codec) fn channels(&self) -> Channels {
         if self.transparency || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
     }
 
-    pub(super) fn depth(&self) -> Depth {
+    pub(in crate::codec) fn depth(&self) -> Depth {
         if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
     }
 
-    /// Beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
         let exif = 4 * self.exif.map_or(0, |exif| exif.len() as u64);
         let copy = if self.animation_chunks { self.bytes.len() as u64 } else { 0 };
         (512 << 10) + rows + exif + copy
     }
 
-    /// The filtered rows, and their bytes.
+    /// Number of the filtered rows, and their bytes.
     fn filtered(&self) -> (u64, u64) {
         let samples = match self.colour {
             2 => 3,
@@ -173,8 +172,8 @@ impl<'a> PngFile<'a> {
         passes.fold((0, 0), |(rows, bytes), (more_rows, more)| (rows + more_rows, bytes.saturating_add(more)))
     }
 
-    /// The data can hold the picture, and holds little else: what an inflater does with empty blocks, empty chunks and data beyond the last
-    /// row is proportional to the picture then.
+    /// Checks that the data can hold the picture and little else, so that the inflater's work for empty blocks, empty chunks and data
+    /// beyond the last row is proportional to the picture.
     fn weigh_data(&self) -> Result<(), CodecError> {
         let (rows, raw) = self.filtered();
         if self.idat_bytes.saturating_mul(MAX_INFLATION) < raw {
@@ -191,9 +190,8 @@ impl<'a> PngFile<'a> {
         Ok(())
     }
 
-    /// The file without the chunks of a one-frame animation: its still picture is what is wanted, and the frame's own size
-    /// must not reach the decoder.
-    fn still(&self, end: usize, work: &Work<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
+    /// The file without the chunks of a one-frame animation, whose frame size must not reach the decoder.
+    fn still(&self, end: usize, work: &StepCounter<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
         let whole = &self.bytes[..end];
         if !self.animation_chunks {
             return Ok(Cow::Borrowed(whole));
@@ -211,8 +209,8 @@ impl<'a> PngFile<'a> {
         Ok(Cow::Owned(copy))
     }
 
-    /// The rows as stored. `budget`: bytes that the decoder itself may allocate.
-    pub(super) fn samples(&self, budget: u64, work: &Work<'_>) -> Result<Samples, CodecError> {
+    /// The stored rows. `budget`: bytes that the decoder itself may allocate.
+    pub(in crate::codec) fn samples(&self, budget: u64, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
         self.weigh_data()?;
         let mut options = png::DecodeOptions::default();
@@ -228,7 +226,7 @@ impl<'a> PngFile<'a> {
             Depth::Eight => self.rows::<u8, _>(&mut reader, work).map(Samples::Eight),
             Depth::Sixteen => self.rows::<u16, _>(&mut reader, work).map(Samples::Sixteen),
         }?;
-        // Also what follows the last row must be whole: the data's own end, the checksums, IEND.
+        // The rest of the data must be complete too: its end, the checksums, IEND.
         reader.finish().map_err(bad)?;
         Ok(samples)
     }
@@ -236,7 +234,7 @@ impl<'a> PngFile<'a> {
     fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(
         &self,
         reader: &mut png::Reader<R>,
-        work: &Work<'_>,
+        work: &StepCounter<'_>,
     ) -> Result<Vec<T>, CodecError> {
         let (colour, bits) = reader.output_color_type();
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
@@ -281,12 +279,12 @@ impl<'a> PngFile<'a> {
         Ok(out)
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         self.profile.is_some()
     }
 
-    /// The profile, inflated to at most one byte more than is kept.
-    pub(super) fn icc(&self, work: &Work<'_>) -> Option<Vec<u8>> {
+    /// The profile, inflated to at most one byte more than the limit.
+    pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
         if !matches!(self.colour, 2 | 3 | 6) {
             return None;
         }
@@ -300,14 +298,14 @@ impl<'a> PngFile<'a> {
     }
 }
 
-/// A sample as PNG stores it.
+/// A sample in PNG's format.
 trait Sample: Copy + Default {
     const BYTES: usize;
     const OPAQUE: Self;
     fn from_be(bytes: &[u8]) -> Self;
     fn append(row: &[u8], out: &mut Vec<Self>);
 
-    /// Appends a row of grey, grey and alpha, RGB or RGBA (by `stored` samples a pixel) as `channels`.
+    /// Appends a row of grey, grey and alpha, RGB or RGBA (`stored` samples per pixel) as `channels`.
     fn expand(row: &[u8], stored: usize, channels: Channels, out: &mut Vec<Self>) {
         if stored == channels.count() {
             return Self::append(row, out);

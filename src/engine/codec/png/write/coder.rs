@@ -1,48 +1,48 @@
-//! From filtered bytes to the bits of a deflate block. Bytes are taken apart into eights that are not all zero, runs of at least eight zeros
-//! (a literal and matches of distance 1), and an end of less than eight; the same walk counts symbols and writes codes. Bytes are looked up two at a
-//! time (`Pairs`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short for such a table, one at a time; four go to a
-//! store. A level may take many eights at once (`Lookup::many`). Cost: about 0.4 ns a byte with pairs, 0.6 without.
+//! Codes filtered bytes as a deflate block. Bytes are split into groups of eight that are not all zero, runs of at least eight zeros (a
+//! literal and matches of distance 1), and fewer than eight at the end; `walk` does this both to count symbols and to write codes. Codes
+//! are looked up for two bytes at a time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short
+//! for such a table, for one; four go to a store. A level may code many groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with
+//! pairs, 0.6 without.
 
 use super::bits::BitWriter;
 use super::huffman::{Codes, END, LITERALS};
 
-/// Longest code. Two fit 26 bits with room for their length in a `u32`; four fit a 64-bit store beside 7 waiting bits.
+/// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store together with 7 waiting bits.
 pub(super) const LIMIT: usize = 12;
 
 /// Filtered bytes that are coded at once; a multiple of 8.
 pub(super) const PIECE: usize = 4096;
 
-/// Most bytes a piece is coded to (12 bits a byte; a run is never longer than its bytes).
+/// Upper bound of a coded piece (12 bits per byte; a coded run is never longer than its bytes).
 const STAGE: usize = 8192;
-/// Where a piece is coded to; a store may reach 8 bytes beyond.
-pub(super) type Stage = [u8; STAGE + 8];
+/// Output of a coded piece; stores may reach 24 bytes beyond.
+pub(super) type Stage = [u8; STAGE + 24];
 
 /// An empty stage.
-pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 8];
+pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 24];
 
 const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
 
-/// What a strip is coded with.
+/// The tables of a strip's code.
 #[derive(Debug)]
 pub(super) struct Tables<'a, L> {
     pub(super) pairs: &'a L,
     pub(super) single: &'a Single,
-    pub(super) runs: &'a Runs,
 }
 
 /// Appends the codes of at most `PIECE` bytes to `out`.
 #[inline(always)]
-pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: &Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
-    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled, at: 0, stage }, tables };
+pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled & 7, at: 0, stage }, tables };
     walk(piece, &mut coder);
     let Staged { waiting, filled, at, .. } = coder.bits;
     *bits = BitWriter { waiting, filled };
     out.extend_from_slice(&stage[..at]);
 }
 
-/// Takes filtered bytes apart: eight bytes that are not all zero, runs of zeros, and single bytes at the end.
+/// Receives the parts of filtered bytes: groups of eight that are not all zero, runs of zeros, and single bytes at the end.
 pub(super) trait Sink {
-    /// Takes as many whole eights from the front as it likes, up to the first that is all zero; returns how many bytes these are.
+    /// Takes any number of whole groups from the front, up to the first that is all zero; returns their number of bytes.
     #[inline(always)]
     fn many(&mut self, _bytes: &[u8]) -> usize {
         0
@@ -82,58 +82,27 @@ pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     }
 }
 
-/// `count` zeros taken apart: a literal, `longest` matches of the longest length, a match of `matched` when not 0, and `literals` that are too few for one.
-struct Zeros {
-    longest: usize,
-    matched: usize,
-    literals: usize,
-}
-
+/// Splits a run of zeros into a literal (length 1), matches of the greatest length, and the rest as a match or, if too short, as literals.
 #[inline(always)]
-fn split_zeros(count: usize) -> Zeros {
-    let (longest, left) = ((count - 1) / LONGEST, (count - 1) % LONGEST);
-    if left < SHORTEST { Zeros { longest, matched: 0, literals: left } } else { Zeros { longest, matched: left, literals: 0 } }
+fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
+    let mut length = 1;
+    while count > 0 {
+        take(length);
+        count -= length;
+        length = if count < SHORTEST { 1 } else { count.min(LONGEST) };
+    }
 }
 
 const SHORTEST: usize = 3;
 const LONGEST: usize = 258;
 
-/// First length and number of extra bits of the symbols 257 and on (RFC 1951, 3.2.5).
-const LENGTHS: [(u16, u8); 29] = [
-    (3, 0),
-    (4, 0),
-    (5, 0),
-    (6, 0),
-    (7, 0),
-    (8, 0),
-    (9, 0),
-    (10, 0),
-    (11, 1),
-    (13, 1),
-    (15, 1),
-    (17, 1),
-    (19, 2),
-    (23, 2),
-    (27, 2),
-    (31, 2),
-    (35, 3),
-    (43, 3),
-    (51, 3),
-    (59, 3),
-    (67, 4),
-    (83, 4),
-    (99, 4),
-    (115, 4),
-    (131, 5),
-    (163, 5),
-    (195, 5),
-    (227, 5),
-    (258, 0),
-];
+/// First length of the symbols 257 and on, and their numbers of extra bits (RFC 1951, 3.2.5).
+const LENGTHS: [u16; 29] =
+    [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15, 17, 19, 23, 27, 31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258];
+const EXTRA_BITS: [u8; 29] = [0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 0];
 
 fn length_symbol(length: usize) -> usize {
-    let above = LENGTHS.partition_point(|&(first, _)| usize::from(first) <= length);
-    END + above
+    END + LENGTHS.partition_point(|&first| usize::from(first) <= length)
 }
 
 #[derive(Debug)]
@@ -171,13 +140,10 @@ impl Sink for Counts {
 
     #[inline(always)]
     fn zeros(&mut self, count: usize) {
-        let zeros = split_zeros(count);
-        let count = |n: usize| u32::try_from(n).expect("at most a piece");
-        self.bytes[0][0] += count(1 + zeros.literals);
-        self.lengths[END + LENGTHS.len()] += count(zeros.longest);
-        if zeros.matched > 0 {
-            self.lengths[length_symbol(zeros.matched)] += 1;
-        }
+        split_zeros(count, |length| match length {
+            1 => self.bytes[0][0] += 1,
+            _ => self.lengths[length_symbol(length)] += 1,
+        });
     }
 
     #[inline(always)]
@@ -186,10 +152,10 @@ impl Sink for Counts {
     }
 }
 
-/// Bits of an entry below its code. Six, although a length needs five: two entries may be added and their lengths with them.
+/// Bits of an entry below its code. Six, although a length needs five, because two entries may be added including their lengths.
 const LENGTH_BITS: u32 = 6;
 
-/// `code << 6 | length`: a shift by an entry is a shift by its length, because shifts of 64-bit words look at six bits.
+/// `code << 6 | length`: shifts of 64-bit words use six bits of their count, so shifting by an entry shifts by its length.
 const fn entry(code: u32, length: u32) -> u32 {
     code << LENGTH_BITS | length
 }
@@ -209,25 +175,41 @@ pub(super) const fn length(entry: u32) -> u32 {
 pub(super) trait Lookup {
     fn two(&self, bytes: u16) -> u32;
 
-    /// [`Sink::many`], coded.
+    /// Codes groups for [`Sink::many`].
     #[inline(always)]
     fn many(&self, _bytes: &[u8], _bits: &mut Staged<'_>) -> usize {
         0
     }
 }
 
-/// One entry a byte.
+/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a match with its extra bits and the
+/// distance's one bit.
 #[derive(Debug)]
-pub(super) struct Single([u32; 256]);
+pub(super) struct Single {
+    bytes: [u32; 256],
+    runs: [u32; LONGEST + 1],
+}
 
 impl Single {
     pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
-        Self(std::array::from_fn(|byte| entry(codes.bits[byte].into(), codes.length[byte].into())))
+        let byte = |byte: usize| entry(codes.bits[byte].into(), codes.length[byte].into());
+        let run = |length| {
+            if length < SHORTEST {
+                return byte(0);
+            }
+            let symbol = length_symbol(length);
+            let (first, extra_bits) = (LENGTHS[symbol - END - 1], EXTRA_BITS[symbol - END - 1]);
+            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
+            let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
+            // The distance code is a single zero bit.
+            entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
+        };
+        Self { bytes: std::array::from_fn(byte), runs: std::array::from_fn(run) }
     }
 
     #[inline(always)]
     pub(super) fn one(&self, byte: u8) -> u32 {
-        self.0[usize::from(byte)]
+        self.bytes[usize::from(byte)]
     }
 }
 
@@ -245,42 +227,22 @@ fn pair(first: u32, second: u32) -> u32 {
     (second_code << length(first)) + first + length(second)
 }
 
-#[derive(Debug)]
-pub(super) struct Pairs<'a>(pub(super) &'a [u32; 1 << 16]);
+/// One entry for each pair of bytes.
+pub(super) type PairTable = [u32; 1 << 16];
 
-impl Lookup for Pairs<'_> {
+impl Lookup for PairTable {
     #[inline(always)]
     fn two(&self, bytes: u16) -> u32 {
-        self.0[usize::from(bytes)]
+        self[usize::from(bytes)]
     }
 }
 
 #[inline(always)]
-pub(super) fn fill_pairs(single: &Single, pairs: &mut [u32; 1 << 16]) {
-    for (row, &second) in pairs.chunks_exact_mut(256).zip(&single.0) {
-        for (two, &first) in row.iter_mut().zip(&single.0) {
+pub(super) fn fill_pairs(single: &Single, pairs: &mut PairTable) {
+    for (row, &second) in pairs.chunks_exact_mut(256).zip(&single.bytes) {
+        for (two, &first) in row.iter_mut().zip(&single.bytes) {
             *two = pair(first, second);
         }
-    }
-}
-
-/// Codes of runs by length, with extra bits and the distance's one bit.
-#[derive(Debug)]
-pub(super) struct Runs([u32; LONGEST + 1]);
-
-impl Runs {
-    pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
-        Self(std::array::from_fn(|length| {
-            if length < SHORTEST {
-                return 0;
-            }
-            let symbol = length_symbol(length);
-            let (first, extra_bits) = LENGTHS[symbol - END - 1];
-            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
-            let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
-            // The distance code is a single zero bit.
-            entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
-        }))
     }
 }
 
@@ -292,16 +254,16 @@ pub(super) struct Staged<'a> {
     stage: &'a mut Stage,
 }
 
-/// For the kernel that codes many pixels at a time.
+/// For the kernel that codes many bytes at once.
 #[cfg(target_arch = "x86_64")]
 impl Staged<'_> {
-    /// The same place, to be kept in registers by a loop; its end goes back by [`Staged::go_on`].
+    /// A copy that a loop can keep in registers; [`Staged::go_on`] takes its result back.
     #[inline(always)]
     pub(super) fn lend(&mut self) -> Staged<'_> {
         Staged { waiting: self.waiting, filled: self.filled, at: self.at, stage: &mut *self.stage }
     }
 
-    /// Where a lent one ended.
+    /// The result of a copy.
     #[inline(always)]
     pub(super) fn ended(self) -> (u64, u32, usize) {
         (self.waiting, self.filled, self.at)
@@ -317,10 +279,16 @@ impl Staged<'_> {
     /// `length <= 56`.
     #[inline(always)]
     pub(super) fn put(&mut self, code: u64, length: u32) {
+        // Never changes the value (STAGE holds the longest coded piece); it replaces a bounds check.
+        self.at &= STAGE - 1;
+        self.put_next(code, length);
+    }
+
+    /// Like [`Self::put`], directly after it, so that its mask serves both.
+    #[inline(always)]
+    fn put_next(&mut self, code: u64, length: u32) {
         self.waiting |= code << self.filled;
         self.filled += length;
-        // Never masks anything (STAGE holds the longest coded piece); it stands for a bounds check.
-        self.at &= STAGE - 1;
         self.stage[self.at..self.at + 8].copy_from_slice(&self.waiting.to_le_bytes());
         self.at += (self.filled / 8) as usize;
         self.waiting >>= self.filled & 56;
@@ -330,7 +298,7 @@ impl Staged<'_> {
 
 struct Coder<'a, L> {
     bits: Staged<'a>,
-    tables: &'a Tables<'a, L>,
+    tables: Tables<'a, L>,
 }
 
 impl<L: Lookup> Coder<'_, L> {
@@ -341,8 +309,8 @@ impl<L: Lookup> Coder<'_, L> {
 
     /// Two pairs, 48 bits at most.
     #[inline(always)]
-    fn four(&mut self, first: u32, second: u32) {
-        self.bits.put(code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)));
+    fn four(first: u32, second: u32) -> (u64, u32) {
+        (code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)))
     }
 }
 
@@ -356,24 +324,15 @@ impl<L: Lookup> Sink for Coder<'_, L> {
     #[expect(clippy::cast_possible_truncation, reason = "the low half word of a shifted word is what is meant")]
     fn eight(&mut self, bytes: u64) {
         let [a, b, c, d] = [0, 16, 32, 48].map(|shift| self.tables.pairs.two((bytes >> shift) as u16));
-        self.four(a, b);
-        self.four(c, d);
+        let (fore, fore_length) = Self::four(a, b);
+        self.bits.put(fore, fore_length);
+        let (rear, rear_length) = Self::four(c, d);
+        self.bits.put_next(rear, rear_length);
     }
 
     #[inline(always)]
     fn zeros(&mut self, count: usize) {
-        let zeros = split_zeros(count);
-        let literal = self.tables.single.one(0);
-        self.put_entry(literal);
-        for _ in 0..zeros.longest {
-            self.put_entry(self.tables.runs.0[LONGEST]);
-        }
-        if zeros.matched > 0 {
-            self.put_entry(self.tables.runs.0[zeros.matched]);
-        }
-        for _ in 0..zeros.literals {
-            self.put_entry(literal);
-        }
+        split_zeros(count, |length| self.put_entry(self.tables.single.runs[length]));
     }
 
     #[inline(always)]

@@ -3,7 +3,8 @@
 
 use std::arch::x86_64::*;
 
-use super::super::coder::{Lookup, Single, Staged, code, length};
+use super::super::bits::BitWriter;
+use super::super::coder::{Lookup, Single, Stage, Staged, Tables, code, code_piece, length};
 use super::super::fast;
 use super::super::rows::Rows;
 
@@ -21,10 +22,15 @@ fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Op
 /// Looked up in registers.
 struct Registers;
 
-impl fast::Way for Registers {
+impl fast::Kernel for Registers {
     #[inline(always)]
     fn code(single: &Single, coder: fast::RowCoder<'_>) -> Option<u32> {
-        coder.code(&Wide::new(single))
+        coder.code::<Self>(&Wide::new(single))
+    }
+
+    #[inline(always)]
+    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+        code_piece(piece, tables, stage, bits, out);
     }
 }
 

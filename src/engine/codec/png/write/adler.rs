@@ -1,12 +1,12 @@
-//! Adler-32 of joined pieces from the sums of the pieces (RFC 1950). Modulo 65521, `a = 1 + sum d_i` and `b = sum over prefixes of a`; so of
-//! x followed by y: `a = a_x + a_y - 1` and `b = b_x + b_y + |y| (a_x - 1)`. Cost: a few operations, whatever the lengths.
+//! Adler-32 of joined pieces from the checksums of the pieces (RFC 1950). Modulo 65521, `a = 1 + sum d_i` and `b = sum over prefixes of
+//! a`; so for x followed by y: `a = a_x + a_y - 1` and `b = b_x + b_y + |y| (a_x - 1)`. Cost: a few operations, whatever the lengths.
 
 const MODULUS: u64 = 65_521;
 
-/// The sum of nothing.
+/// The checksum of no bytes.
 pub(super) const EMPTY: u32 = 1;
 
-/// The sum of `x` followed by `y`, given the sum of each and the length of `y`.
+/// The checksum of `x` followed by `y`, given the checksum of each and the length of `y`.
 pub(super) fn combine(x: u32, y: u32, y_len: u64) -> u32 {
     let split = |sum: u32| (u64::from(sum & 0xffff), u64::from(sum >> 16));
     let ((ax, bx), (ay, by)) = (split(x), split(y));

@@ -1,32 +1,32 @@
-//! JPEG: whole pictures through `jpeg-encoder`. Colour is kept at full resolution from quality 90 on, halved both ways below.
+//! Writes JPEG: whole pictures through `jpeg-encoder`. Colour has full resolution from quality 90 on, half below.
 
 use jpeg_encoder::{ColorType, Encoder, EncodingError, JfifWrite};
 
 use crate::pixmap::{Channels, Extent};
 
-/// Bytes of the file between two looks at whether someone still waits for it.
-const LOOK: usize = 64 << 10;
+/// Bytes of output between two calls of `wanted`.
+const CHECK_BYTES: usize = 64 << 10;
 
-/// Takes the file as long as someone waits for it.
-pub(super) struct Attended<'a> {
+/// Collects the file and stops when it is no longer wanted.
+pub(in crate::codec) struct WhileWanted<'a> {
     out: &'a mut Vec<u8>,
     wanted: &'a dyn Fn() -> bool,
-    look: usize,
+    next_check: usize,
 }
 
-impl<'a> Attended<'a> {
-    /// Appends to `out` until `wanted` says no.
-    pub(super) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
-        let look = out.len() + LOOK;
-        Self { out, wanted, look }
+impl<'a> WhileWanted<'a> {
+    /// Appends to `out` until `wanted` returns false.
+    pub(in crate::codec) fn new(out: &'a mut Vec<u8>, wanted: &'a dyn Fn() -> bool) -> Self {
+        let next_check = out.len() + CHECK_BYTES;
+        Self { out, wanted, next_check }
     }
 }
 
-impl JfifWrite for Attended<'_> {
+impl JfifWrite for WhileWanted<'_> {
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), EncodingError> {
         self.out.extend_from_slice(bytes);
-        if self.out.len() >= self.look {
-            self.look = self.out.len() + LOOK;
+        if self.out.len() >= self.next_check {
+            self.next_check = self.out.len() + CHECK_BYTES;
             if !(self.wanted)() {
                 return Err(EncodingError::Write(String::new()));
             }
@@ -35,15 +35,16 @@ impl JfifWrite for Attended<'_> {
     }
 }
 
-/// Appends the file, or as much of it as someone waits for. What is transparent stands on `ground`: `(c a + g (255 - a)) / 255`, rounded. The sides are those of a JPEG.
-pub(super) fn write(
+/// Appends the file, or its beginning if it is no longer wanted. Transparent pixels are blended with `ground`: `(c a + g (255 - a)) /
+/// 255`, rounded. The sides must be valid for JPEG.
+pub(in crate::codec) fn write(
     extent: Extent,
     channels: Channels,
     samples: &[u8],
     quality: u8,
     ground: [u8; 3],
     icc: Option<&[u8]>,
-    out: Attended<'_>,
+    out: WhileWanted<'_>,
 ) {
     let side = |length: u32| u16::try_from(length).expect("the target was held against the format's longest side");
     let (width, height) = (side(extent.width()), side(extent.height()));

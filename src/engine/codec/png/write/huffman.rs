@@ -1,6 +1,6 @@
-//! Length-limited prefix codes and the header of a deflate block that uses them (RFC 1951, 3.2.2 and 3.2.7). Lengths by Huffman's two queues
-//! over sorted weights, then the Kraft sum is mended at the limit; codes are canonical and stored bit-reversed, as deflate sends them.
-//! Cost: one sort of at most 286 weights, about 10 us.
+//! Length-limited prefix codes and the header of a deflate block that uses them (RFC 1951, 3.2.2 and 3.2.7). Lengths come from Huffman's
+//! algorithm with two queues over sorted weights, then the Kraft sum is corrected at the limit; codes are canonical and stored
+//! bit-reversed, as deflate sends them. Cost: one sort of at most 286 weights, about 10 us.
 
 use super::bits::BitWriter;
 
@@ -10,7 +10,7 @@ pub(super) const LITERALS: usize = 286;
 /// The end of a block.
 pub(super) const END: usize = 256;
 
-/// Order in which the lengths of the length code are sent.
+/// The order in which the lengths of the code of lengths are sent.
 const LENGTH_ORDER: [usize; 19] = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
 
 /// Longest code of the code of lengths.
@@ -26,7 +26,7 @@ pub(super) struct Codes<const N: usize> {
 }
 
 impl<const N: usize> Codes<N> {
-    /// The code of least expected length under `limit`, to within what mending the Kraft sum costs.
+    /// The code of least expected length under `limit`, except for the cost of correcting the Kraft sum.
     pub(super) fn new(weights: &[u32; N], limit: usize) -> Self {
         let length = lengths(weights, limit);
         Self { length, bits: canonical(&length) }
@@ -54,10 +54,11 @@ fn lengths<const N: usize>(weights: &[u32; N], limit: usize) -> [u8; N] {
     lengths
 }
 
-/// Number of leaves at every depth of the Huffman tree. `leaves` ascend, two at least.
+/// Number of leaves at every depth of the Huffman tree. `leaves` are in ascending order, at least two.
 fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
     let n = leaves.len();
-    // Nodes 0..n are the leaves and n..2n-1 the merges, which come into being in ascending order of weight: the second queue is their own order.
+    // Nodes 0..n are the leaves and n..2n-1 the merged nodes, which are created in ascending order of weight, so they are the second
+    // queue.
     let mut weight: Vec<u64> = leaves.iter().map(|leaf| u64::from(leaf.0)).collect();
     let mut parent = vec![0; 2 * n - 1];
     let (mut leaf, mut merged) = (0, n);
@@ -82,7 +83,7 @@ fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
     counts
 }
 
-/// Moves leaves deeper than `limit` up to it and pays by lengthening the deepest others until the Kraft sum is one again.
+/// Moves leaves deeper than `limit` up to it and lengthens the deepest others until the Kraft sum is one again.
 fn limit_depths(counts: &mut Vec<usize>, limit: usize) {
     let deeper: usize = counts.drain(limit + 1..).sum();
     counts[limit] += deeper;
@@ -97,7 +98,7 @@ fn limit_depths(counts: &mut Vec<usize>, limit: usize) {
 }
 
 fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
-    // First how many codes are one bit shorter, then the first code of every length.
+    // First the number of codes that are one bit shorter, then the first code of every length.
     let mut next = [0u32; 17];
     for &length in lengths.iter().filter(|&&length| length > 0) {
         next[usize::from(length) + 1] += 1;
@@ -115,7 +116,7 @@ fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
     })
 }
 
-/// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one distance code, that of distance 1, one bit long.
+/// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one distance code for distance 1, one bit long.
 pub(super) fn block_header(codes: &Codes<LITERALS>, last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     let mut lengths = codes.length.to_vec();
     lengths.push(1);
@@ -147,7 +148,7 @@ struct Run {
     extra_bits: u8,
 }
 
-/// Lengths with repetitions folded: 16 repeats the last 3 to 6 times, 17 and 18 stand for 3 to 10 and 11 to 138 zeros.
+/// Lengths with repetitions: 16 repeats the last 3 to 6 times, 17 and 18 stand for 3 to 10 and 11 to 138 zeros.
 fn run_lengths(lengths: &[u8]) -> Vec<Run> {
     let mut runs = Vec::with_capacity(lengths.len());
     for same in lengths.chunk_by(|a, b| a == b) {
@@ -168,8 +169,8 @@ fn run_lengths(lengths: &[u8]) -> Vec<Run> {
     runs
 }
 
-#[cfg(test)]
 #[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[cfg(test)]
 mod tests {
     use super::*;
 

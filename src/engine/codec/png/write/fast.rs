@@ -1,64 +1,68 @@
-//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at most 12 bits for them, and runs of zeros as
-//! matches of distance 1. No match search. The code comes from a sample of the strip's own rows; every byte and every length has a code, so
-//! whatever the other rows hold can be written. Rows are filtered in pieces of 4 KiB that are coded while they are in the first-level cache.
-//! Residuals are looked up two at a time (256 KiB of table: 65536 codes of at most 24 bits with their lengths), four to a store.
-//! Cost: about 0.4 ns a byte, scratch 256 KiB a thread. What was tried: `notes.md`.
+//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at most 12 bits for them, and runs of
+//! zeros as matches of distance 1. No match search. The code is made from a sample of the strip's rows; every byte and every length has a
+//! code, so all other rows can be written too. Rows are filtered in pieces of 4 KiB that are coded while they are in the first-level
+//! cache. Cost: about 0.4 ns per byte, and scratch of 256 KiB per thread. Rejected variants: `notes.md`.
 
 use std::cell::Cell;
 
 use super::bits::BitWriter;
-use super::coder::{Counts, LIMIT, Lookup, PIECE, Pairs, Runs, STAGE_EMPTY, Single, Tables, code_piece, fill_pairs, walk};
+use super::coder::{Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single, Stage, Tables, code_piece, fill_pairs, walk};
 use super::huffman::{self, Codes, END, LITERALS};
 use super::rows::{self, PAETH, Rows, SUB};
 
-/// Filtered bytes that the code table is made from.
+/// Size of the sample from which the code is made, filtered bytes.
 const SAMPLE: usize = 16 << 10;
 
-/// How much a byte that was sampled outweighs one that was not.
+/// Weight of a sampled byte relative to the minimum of every symbol.
 const SAMPLED: u32 = 8;
 
-/// Strips below this are looked up byte by byte: the table of pairs costs about 15 us.
+/// Smaller strips look up single bytes, because the table of pairs costs about 15 us.
 const PAIRS_FROM: usize = 48 << 10;
 
-/// How a level looks bytes up.
-pub(super) trait Way {
-    /// Codes all rows with the codes of single bytes; a method and not a closure, so that it is compiled for the level of its caller.
-    fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32>;
-}
-
-/// Two bytes at a time, or one in strips that are too short for such a table.
-pub(super) struct Portable;
-
-impl Way for Portable {
+/// The parts of `body` that differ between levels. The defaults are the portable code.
+pub(super) trait Kernel: Sized {
+    /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a closure, so that it is compiled for the
+    /// level of its caller.
     #[inline(always)]
     fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
         if coder.rows.filtered_len() < PAIRS_FROM {
-            return coder.code(single);
+            return coder.code::<Self>(single);
         }
         let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
         fill_pairs(single, &mut pairs);
-        let adler = coder.code(&Pairs(&pairs));
+        let adler = coder.code::<Self>(&*pairs);
         PAIRS.set(Some(pairs));
         adler
     }
+
+    /// Calls `code_piece` as a function of its own: inlined into the loop over rows, its variables do not all get registers.
+    #[inline(never)]
+    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+        code_piece(piece, tables, stage, bits, out);
+    }
 }
 
-/// The whole of `encode` but the fallback; `None` as soon as `out` is longer than `most`. Compiled once a level.
+/// The defaults.
+pub(super) struct Portable;
+
+impl Kernel for Portable {}
+
+/// Codes a strip; `None` as soon as `out` is longer than `most`. Compiled once per level.
 #[inline(always)]
-pub(super) fn body<W: Way>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+pub(super) fn body<K: Kernel>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     let mut piece = [0; PIECE];
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
-    let (single, runs) = (Single::new(&codes), Runs::new(&codes));
-    let coder = RowCoder { rows, single: &single, runs: &runs, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
-    let adler = W::code(&single, coder)?;
+    let single = Single::new(&codes);
+    let coder = RowCoder { rows, single: &single, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
+    let adler = K::code(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
     (out.len() <= most).then_some(adler)
 }
 
-/// Ends a strip on a byte. An empty stored block does, where another strip follows.
+/// Ends a strip on a byte, with an empty stored block if another strip follows.
 pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     if !last {
         bits.put(out, 0, 3);
@@ -68,7 +72,7 @@ pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     bits.pad(out);
 }
 
-/// One block of filtered bytes with the code that is best for exactly them; for `Compression::Best`.
+/// One block of filtered bytes with the optimal code for exactly them; for `Compression::Best`.
 pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     let mut counts = Counts::default();
     filtered.chunks(PIECE).for_each(|piece| walk(piece, &mut counts));
@@ -76,26 +80,25 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
     weights[END] = 1;
     let codes = Codes::new(&weights, LIMIT);
     huffman::block_header(&codes, last, bits, out);
-    let (single, runs) = (Single::new(&codes), Runs::new(&codes));
-    let tables = Tables { pairs: &single, single: &single, runs: &runs };
+    let single = Single::new(&codes);
     let mut stage = STAGE_EMPTY;
     for piece in filtered.chunks(PIECE) {
-        code_piece(piece, &tables, &mut stage, bits, out);
+        code_piece(piece, Tables { pairs: &single, single: &single }, &mut stage, bits, out);
     }
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
 }
 
 thread_local! {
-    /// The table of pairs outlives a strip: its 64 pages are not faulted in anew.
-    static PAIRS: Cell<Option<Box<[u32; 1 << 16]>>> = const { Cell::new(None) };
+    /// Kept between strips, which saves the page faults of its 64 pages.
+    static PAIRS: Cell<Option<Box<PairTable>>> = const { Cell::new(None) };
 }
 
-/// Weights of all symbols, from about `SAMPLE` bytes of evenly spread rows.
+/// Weights of all symbols, from about `SAMPLE` bytes of evenly spaced rows.
 #[inline(always)]
 fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
     let mut counts = Counts::default();
     let step = (rows.filtered_len() / SAMPLE).clamp(1, rows.count());
-    // The middle of every stretch of `step` rows; never the first row alone, which has a filter of its own.
+    // The middle of every group of `step` rows; never the first row alone, which has another filter.
     let mut index = step / 2;
     while index < rows.count() {
         let mut from = 0;
@@ -122,11 +125,10 @@ fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
     }
 }
 
-/// The rows of a strip on their way to `out`.
+/// The state of coding a strip's rows.
 pub(super) struct RowCoder<'a> {
     rows: Rows<'a>,
     single: &'a Single,
-    runs: &'a Runs,
     piece: &'a mut [u8; PIECE],
     bits: &'a mut BitWriter,
     most: usize,
@@ -136,9 +138,8 @@ pub(super) struct RowCoder<'a> {
 impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
-    pub(super) fn code(self, lookup: &impl Lookup) -> Option<u32> {
-        let Self { rows, single, runs, piece, bits, most, out } = self;
-        let tables = &Tables { pairs: lookup, single, runs };
+    pub(super) fn code<K: Kernel>(self, lookup: &impl Lookup) -> Option<u32> {
+        let Self { rows, single, piece, bits, most, out } = self;
         let mut stage = STAGE_EMPTY;
         let mut adler = simd_adler32::Adler32::new();
         let mut filled = 0;
@@ -153,7 +154,7 @@ impl RowCoder<'_> {
                 filled += n;
                 if filled == PIECE {
                     adler.write(piece);
-                    code_piece(piece, tables, &mut stage, bits, out);
+                    K::piece(piece, Tables { pairs: lookup, single }, &mut stage, bits, out);
                     filled = 0;
                     if out.len() > most {
                         return None;
@@ -165,7 +166,7 @@ impl RowCoder<'_> {
             }
         }
         adler.write(&piece[..filled]);
-        code_piece(&piece[..filled], tables, &mut stage, bits, out);
+        K::piece(&piece[..filled], Tables { pairs: lookup, single }, &mut stage, bits, out);
         (out.len() <= most).then(|| adler.finish())
     }
 }

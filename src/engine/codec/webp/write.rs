@@ -6,7 +6,7 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use crate::pixmap::{Channels, Extent};
 
 /// Appends the file. The sides are those of a lossless WebP.
-pub(super) fn write(extent: Extent, channels: Channels, samples: &[u8], icc: Option<&[u8]>, out: &mut Vec<u8>) {
+pub(in crate::codec) fn write(extent: Extent, channels: Channels, samples: &[u8], icc: Option<&[u8]>, out: &mut Vec<u8>) {
     let colour = match channels {
         Channels::Rgb => ExtendedColorType::Rgb8,
         Channels::Rgba => ExtendedColorType::Rgba8,

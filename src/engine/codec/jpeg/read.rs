@@ -1,20 +1,18 @@
-//! JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): segments are walked for the header, `zune-jpeg` decodes baseline and
-//! progressive Huffman pictures of 8 bit to RGB. Decoders fill what is missing with grey, so completeness is proved here: the
-//! marker EOI must stand outside every segment, and it is handed on behind a run of one-bits. No Huffman code consists of ones
-//! alone (T.81, annex C), so a scan that ends early meets an invalid code instead of silent zeros. Cost: one copy of the file.
+//! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header; `zune-jpeg` decodes baseline and progressive
+//! Huffman pictures of 8 bit to RGB. Decoders fill missing data with grey, so completeness is checked here: the marker EOI must be present
+//! outside every segment, and is passed on behind a run of one-bits. No Huffman code consists of ones alone (T.81, annex C), so a
+//! truncated scan meets an invalid code instead of zeros. Cost: one copy of the file.
 
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::CodecError;
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Bytes, Work};
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Bytes, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(super) const NAME: &str = "JPEG";
-
-/// Ones before EOI: enough to use up the magnitude bits that a cut code still asks for, and then a whole code of 16 bits.
+/// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still requests, and a whole code of 16 bits.
 const ONES: usize = 8;
 
 const SOF0: u8 = 0xC0;
@@ -34,16 +32,16 @@ const TEM: u8 = 0x01;
 
 /// A JPEG whose segments have been walked up to its first scan.
 #[derive(Debug)]
-pub(super) struct JpegFile<'a> {
+pub(in crate::codec) struct JpegFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     progressive: bool,
-    /// Sampling factors, horizontal and vertical, of each component.
+    /// Horizontal and vertical sampling factor of each component.
     factors: Vec<(u64, u64)>,
-    pub(super) exif: Option<&'a [u8]>,
-    /// Sequence number, count of parts, part.
+    pub(in crate::codec) exif: Option<&'a [u8]>,
+    /// Sequence number, number of parts, part.
     profile: Vec<(u8, u8, &'a [u8])>,
-    /// Where the first scan's entropy-coded data begins.
+    /// Start of the first scan's entropy-coded data.
     scan: usize,
 }
 
@@ -53,9 +51,9 @@ struct Segment<'a> {
     end: usize,
 }
 
-/// Where the scans end.
+/// The end of the scans.
 struct End {
-    /// Behind the first scan's entropy-coded data.
+    /// End of the first scan's entropy-coded data.
     first_scan: usize,
     /// Position of EOI.
     eoi: usize,
@@ -64,15 +62,15 @@ struct End {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::Jpeg.name(), detail)
 }
 
 fn cut_off() -> CodecError {
     bad("it is cut off before its end")
 }
 
-/// The segment whose marker stands at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
-fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Segment<'a>, CodecError> {
+/// The segment whose marker is at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
+fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &StepCounter<'_>) -> Result<Segment<'a>, CodecError> {
     if *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
         return Err(bad("a segment does not begin with a marker"));
     }
@@ -94,7 +92,7 @@ fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &Work<'_>) -> Result<Seg
 }
 
 impl<'a> JpegFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let mut frame = None;
         let mut exif = None;
         let mut profile = Vec::new();
@@ -121,7 +119,7 @@ impl<'a> JpegFile<'a> {
                 SOI | EOI => return Err(bad("it ends before its first scan")),
                 SOS => {
                     let Frame { extent, progressive, factors } = frame.ok_or_else(|| bad("a scan before the frame"))?;
-                    // The decoder drops the last rows of such a scan when they are short, without a word.
+                    // The decoder silently drops the last rows of such a scan if they are truncated.
                     if !progressive && segment.data.first().is_none_or(|&count| usize::from(count) != factors.len()) {
                         return Err(CodecError::unsupported("a baseline JPEG whose components come in separate scans"));
                     }
@@ -132,7 +130,7 @@ impl<'a> JpegFile<'a> {
         }
     }
 
-    /// Blocks of 8 x 8 in each component, rounded up to whole MCUs.
+    /// Number of 8 x 8 blocks of all components, rounded up to whole MCUs.
     fn padded_blocks(&self) -> u64 {
         let (h_max, v_max) = self.largest_factors();
         let columns = u64::from(self.extent.width()).div_ceil(8 * h_max);
@@ -140,7 +138,7 @@ impl<'a> JpegFile<'a> {
         self.factors.iter().map(|(h, v)| columns * rows * h * v).sum()
     }
 
-    /// Blocks that a file must code, each with at least one bit.
+    /// Number of blocks that a file must code, each with at least one bit.
     fn coded_blocks(&self) -> u64 {
         let (h_max, v_max) = self.largest_factors();
         let blocks = |side: u32, factor: u64, max: u64| (u64::from(side) * factor).div_ceil(8 * max);
@@ -151,9 +149,9 @@ impl<'a> JpegFile<'a> {
         self.factors.iter().fold((1, 1), |(h, v), factors| (h.max(factors.0), v.max(factors.1)))
     }
 
-    /// Beside the picture: the copy of the file, the coefficients of all blocks where scans build them up, and some
-    /// rows of MCUs before and after upsampling.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a progressive picture, and some rows of MCUs
+    /// before and after upsampling.
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let coefficients = if self.progressive { 2 * 64 * self.padded_blocks() } else { 0 };
         let (h_max, v_max) = self.largest_factors();
         let row_of_mcus = u64::from(self.extent.width()).next_multiple_of(8 * h_max) * 8 * v_max;
@@ -161,7 +159,7 @@ impl<'a> JpegFile<'a> {
     }
 
     /// Walks all scans.
-    fn find_end(&self, work: &Work<'_>) -> Result<End, CodecError> {
+    fn find_end(&self, work: &StepCounter<'_>) -> Result<End, CodecError> {
         let mut end = End { first_scan: 0, eoi: 0, scans: 1, entropy_bytes: 0 };
         let mut at = self.scan;
         loop {
@@ -197,8 +195,8 @@ impl<'a> JpegFile<'a> {
         }
     }
 
-    /// The rows as stored, RGB.
-    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    /// The stored rows, RGB.
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let end = self.find_end(work)?;
         if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
             return Err(bad(format!("{} bytes of data cannot hold the picture", end.entropy_bytes)));
@@ -206,11 +204,11 @@ impl<'a> JpegFile<'a> {
         if !self.progressive && end.scans > 1 {
             return Err(bad("a second scan of components that are complete"));
         }
-        // A marker that the decoder sees ahead of the last rows makes it leave them out, so nothing may follow a lone scan.
+        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
         let data_end = if self.progressive { end.eoi } else { end.first_scan };
         let mut whole = room::<u8>((data_end + 2 * ONES + 2) as u64)?;
         whole.extend_from_slice(&self.bytes[..data_end]);
-        // The decoder looks for the marker right behind the first scan of a progressive picture, where ones would hide it.
+        // The decoder looks for the marker directly behind the first scan of a progressive picture, where ones would hide it.
         if !(self.progressive && end.scans == 1) {
             whole.extend_from_slice(&[0xFF, 0].repeat(ONES));
         }
@@ -237,12 +235,12 @@ impl<'a> JpegFile<'a> {
         Ok(Samples::Eight(out))
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         !self.profile.is_empty()
     }
 
-    /// The profile, its parts put in order.
-    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+    /// The profile, with its parts in order.
+    pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         if self.factors.len() != 3 || self.profile.is_empty() {
             return None;
         }

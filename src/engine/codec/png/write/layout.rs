@@ -1,21 +1,21 @@
-//! Which rows stand in which strip, and how long a strip can get.
+//! The division of a picture's rows into strips, and the largest size of a strip.
 //!
-//! The layout depends on shape and compression alone, so that a picture has the same bytes whatever encodes it. A row is `1 + row_bytes`
-//! bytes of the zlib stream (its filter byte and its samples); a strip of `f` such bytes never takes more than the stored form:
-//! `f + 5` a deflate block of 65535, the zlib header in the first strip, and the frame of one chunk.
+//! The layout depends on shape and compression alone, so a picture has the same bytes whatever encodes it. A row is `1 + row_bytes` bytes
+//! of the zlib stream (its filter byte and its samples); a strip of `f` such bytes never takes more than the stored form: `f + 5` per
+//! deflate block of 65535, the zlib header in the first strip, and the overhead of one chunk.
 
 use std::ops::Range;
 
 use super::{Compression, PngShape, chunk, stored};
 
-/// Filtered bytes that one strip aims at. Below, every strip's own code table begins to weigh (0.1 % and 40 us a strip, `notes.md`);
-/// above, two threads share a 500 x 500 picture unevenly and the first bytes of a large one leave late.
+/// Target size of a strip, filtered bytes. Below, the code table of every strip costs too much (0.1 % and 40 us a strip, `notes.md`);
+/// above, two threads share a 500 x 500 picture unevenly and the first bytes of a large one are late.
 const STRIP: u64 = 512 << 10;
 
-/// The same for `Compression::Best`, which forgets its window at every strip.
+/// Target size for `Compression::Best`, which resets its window at every strip.
 const STRIP_BEST: u64 = 1 << 20;
 
-/// Pictures below this many filtered bytes are one strip: handing over costs more than it gives.
+/// Pictures with fewer filtered bytes are one strip, because sharing the work costs more than it saves.
 const WHOLE: u64 = 96 << 10;
 
 /// Longest row in bytes: an IDAT chunk, and so a strip of a single row in its stored form, must stay below 2^31.
@@ -57,7 +57,7 @@ impl Layout {
         self.row_bytes
     }
 
-    /// Rows of one strip; strips differ by one row at most.
+    /// Rows of one strip; strips differ by at most one row.
     pub(super) fn rows(self, strip: u32) -> Range<u32> {
         assert!(strip < self.strips, "strip {strip} of {}", self.strips);
         let edge = |k: u32| {
@@ -79,7 +79,7 @@ impl Layout {
     }
 }
 
-/// Bytes of a pixel: the distance of the PNG filters, 3, 4, 6 or 8.
+/// Bytes per pixel, the distance of the PNG filters: 3, 4, 6 or 8.
 pub(super) const fn pixel_bytes(shape: PngShape) -> usize {
     shape.channels.count() * shape.depth.bytes()
 }

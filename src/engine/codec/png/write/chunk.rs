@@ -1,5 +1,5 @@
-//! PNG chunks: length, type, payload, CRC-32 of type and payload (PNG 3rd edition, section 5.3); and the chunks of the head.
-//! A chunk is opened in the buffer it is written to, so that a payload is never moved. CRC: one pass, about 0.02 ms a megabyte.
+//! PNG chunks: length, type, payload, CRC-32 of type and payload (PNG 3rd edition, section 5.3), and the chunks of the head. A chunk is
+//! opened in its output buffer, so payloads are never moved. CRC: one pass, about 0.02 ms per megabyte.
 
 use std::io::Write;
 
@@ -10,10 +10,10 @@ use super::{PngShape, Profile};
 /// The eight bytes every PNG begins with.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-/// Bytes of a chunk beside its payload.
+/// Bytes of a chunk without its payload.
 pub(super) const FRAME: usize = 12;
 
-/// A chunk whose payload is still being appended.
+/// A chunk whose payload is being appended.
 #[derive(Debug)]
 #[must_use = "a chunk must be closed"]
 pub(super) struct Open {
@@ -34,7 +34,7 @@ impl Open {
         self.start + 8
     }
 
-    /// Writes the length into its place and appends the checksum.
+    /// Fills in the length and appends the checksum.
     pub(super) fn close(self, out: &mut Vec<u8>) {
         let length = u32::try_from(out.len() - self.payload()).expect("Layout keeps chunks below 2^31");
         out[self.start..self.start + 4].copy_from_slice(&length.to_be_bytes());
@@ -43,7 +43,7 @@ impl Open {
     }
 }
 
-/// A whole chunk.
+/// Appends a whole chunk.
 pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
     let chunk = open(out, kind);
     out.extend_from_slice(payload);
@@ -64,7 +64,7 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
         Channels::Rgb => 2,
         Channels::Rgba => 6,
     });
-    // Deflate, the five filters, no interlacing: each the only value in use.
+    // Deflate, the five filters, no interlacing.
     header.extend_from_slice(&[0, 0, 0]);
     write(&mut out, *b"IHDR", &header);
     if let Some(Profile { chunk, .. }) = icc {
@@ -73,7 +73,7 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
     out
 }
 
-/// iCCP: a name and its end, the method (deflate), and the profile compressed.
+/// iCCP: a name and its terminator, the method (deflate), and the compressed profile.
 pub(super) fn profile(icc: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     let chunk = open(&mut out, *b"iCCP");

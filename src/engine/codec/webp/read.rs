@@ -1,52 +1,52 @@
-//! WebP (RFC 9649): chunks are walked for the header, `image` decodes the bitstream. The decoder is given a container made
-//! here, which holds nothing but the frame: its size, its alpha and its length have been checked, so flags that promise absent
-//! chunks do no harm, and a frame larger than its canvas is refused before it takes memory. Cost: one copy of the file.
+//! Reads WebP (RFC 9649): walks the chunks for the header; `image` decodes the bitstream. The decoder gets a container made here that
+//! holds only the frame with validated size, alpha and length, so flags that promise absent chunks do no harm, and a frame larger than its
+//! canvas is refused before memory is allocated. Cost: one copy of the file.
 
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
-use super::alloc::{room, sample_count, zeros};
-use super::profile::{MAX_ICC, keep_rgb_profile};
-use super::work::{Pieces, Work};
-use super::{CodecError, vp8l};
+use super::vp8l;
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
 
-pub(super) use super::vp8l::NAME;
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const ALPHA_FLAG: u8 = 0b0001_0000;
-/// The bits of an ALPH chunk's first byte that say how it is coded, and what they say of a lossless stream.
+/// The bits of an ALPH chunk's first byte that give its coding, and their value for a lossless stream.
 const ALPHA_CODING: u8 = 0b11;
 const ALPHA_LOSSLESS: u8 = 1;
-/// Position, size, duration and flags of an animation's frame, before its own chunks.
+/// Position, size, duration and flags of an animation's frame, before its chunks.
 const ANMF_HEAD: usize = 16;
 
 #[derive(Clone, Copy, Debug)]
 enum Coding<'a> {
-    /// VP8, and the ALPH chunk beside it.
+    /// VP8, and its ALPH chunk.
     Lossy(&'a [u8], Option<&'a [u8]>),
     /// VP8L.
     Lossless(&'a [u8], bool),
 }
 
-/// What is coded as VP8L, and its width and height where the stream does not say them.
+/// A VP8L stream, and its width and height if the stream does not contain them.
 type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 
 /// A WebP whose chunks have been walked.
 #[derive(Debug)]
-pub(super) struct WebPFile<'a> {
-    pub(super) extent: Extent,
+pub(in crate::codec) struct WebPFile<'a> {
+    pub(in crate::codec) extent: Extent,
     coding: Coding<'a>,
-    pub(super) exif: Option<&'a [u8]>,
+    pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
-    /// The most that the tables of a lossless stream's prefix codes may take; what they do take once the codes have been read.
+    /// Memory for the tables of a lossless stream's prefix codes: an upper bound, and exact once the codes have been read.
     code_bytes: u64,
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::WebP.name(), detail)
 }
 
-/// What the chunks of a container hold, the first of each kind.
+/// The chunks of a container, the first of each kind.
 #[derive(Default)]
 struct Chunks<'a> {
     canvas: Option<&'a [u8]>,
@@ -60,7 +60,7 @@ struct Chunks<'a> {
 }
 
 impl<'a> Chunks<'a> {
-    fn walk(mut rest: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    fn walk(mut rest: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let mut found = Self::default();
         while let Some((head, behind)) = rest.split_first_chunk::<8>() {
             work.step(1)?;
@@ -81,7 +81,7 @@ impl<'a> Chunks<'a> {
                 _ => &mut None,
             };
             place.get_or_insert(data);
-            // A last chunk of odd length may lack its padding: the container's own length has been checked.
+            // A last chunk of odd length may lack its padding, because the container's length has been checked.
             rest = behind.get(size + size % 2..).unwrap_or_default();
         }
         Ok(found)
@@ -89,7 +89,7 @@ impl<'a> Chunks<'a> {
 }
 
 impl<'a> WebPFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &Work<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
         let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
         let body = bytes.get(12..end).ok_or_else(|| bad("it is cut off before its end"))?;
@@ -139,25 +139,25 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Learns how much the tables of the prefix codes take.
-    pub(super) fn read_codes(&mut self, work: &Work<'_>) -> Result<(), CodecError> {
+    /// Computes the memory for the tables of the prefix codes.
+    pub(in crate::codec) fn read_codes(&mut self, work: &StepCounter<'_>) -> Result<(), CodecError> {
         if let Some((stream, size)) = self.lossless_stream() {
             self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
         }
         Ok(())
     }
 
-    pub(super) fn channels(&self) -> Channels {
+    pub(in crate::codec) fn channels(&self) -> Channels {
         match self.coding {
             Coding::Lossy(_, Some(_)) | Coding::Lossless(_, true) => Channels::Rgba,
             Coding::Lossy(_, None) | Coding::Lossless(_, false) => Channels::Rgb,
         }
     }
 
-    /// Beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes a pixel of
-    /// whole macroblocks, and a record of each), for ALPH its RGBA and its green; for VP8L the RGBA it decodes to when RGB is
-    /// wanted, up to three quarter-size images of transforms and code groups, and the tables of its codes.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    /// Memory beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes per pixel of
+    /// whole macroblocks, and a record of each); for ALPH its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up
+    /// to three quarter-size images of transforms and code groups, and the tables of its codes.
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
         let pixels = width * height;
         let (data, planes) = match self.coding {
@@ -172,7 +172,7 @@ impl<'a> WebPFile<'a> {
         (1 << 20) + data as u64 + planes + self.code_bytes
     }
 
-    /// A container of a canvas and the frame.
+    /// A container with a canvas and the frame.
     fn remade(&self) -> Result<Vec<u8>, CodecError> {
         let chunks: [(&[u8; 4], &[u8]); 2] = match self.coding {
             Coding::Lossy(vp8, alpha) => [(b"ALPH", alpha.unwrap_or_default()), (b"VP8 ", vp8)],
@@ -198,8 +198,8 @@ impl<'a> WebPFile<'a> {
         Ok(out)
     }
 
-    /// The rows as stored.
-    pub(super) fn samples(&self, work: &Work<'_>) -> Result<Samples, CodecError> {
+    /// The stored rows.
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
         let len = sample_count(self.extent.pixels(), self.channels());
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
@@ -210,11 +210,11 @@ impl<'a> WebPFile<'a> {
         Ok(Samples::Eight(out))
     }
 
-    pub(super) fn has_profile(&self) -> bool {
+    pub(in crate::codec) fn has_profile(&self) -> bool {
         self.profile.is_some()
     }
 
-    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         self.profile.filter(|profile| profile.len() <= MAX_ICC).map(<[u8]>::to_vec).and_then(keep_rgb_profile)
     }
 }

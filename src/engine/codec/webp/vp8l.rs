@@ -1,31 +1,29 @@
-//! What a lossless WebP stream (RFC 9649, section 3) makes its decoder build before the first pixel: the tables of its prefix codes. A
+//! Bounds the memory of a lossless WebP stream's prefix codes (RFC 9649, section 3), which a decoder builds before the first pixel. A
 //! stream may hold 65,536 groups of five codes whatever the size of its picture, and eight bytes of it can describe a code whose tables
-//! take 70 KiB: a file of 672 kB took 3.6 GB. So the stream is read up to its picture here, without building anything: the images of
-//! the transforms are skipped symbol by symbol (how many bits they take does not depend on their pixels), the number of groups is the
-//! largest literal of the entropy image, and each code's lengths give the size of its tables. Cost: at most a fixed number of steps for each
-//! bit that is read and each byte of the tables, whatever size the header claims: a transform may occur once, and an image whose symbols
-//! take no bits is skipped in one step.
+//! take 70 KiB: a file of 672 kB took 3.6 GB. This module reads the stream up to its picture without building anything: it skips the
+//! images of the transforms symbol by symbol (their number of bits does not depend on the pixels), takes the number of groups from the
+//! largest literal of the entropy image, and computes table sizes from the code lengths. Cost: at most a fixed number of steps per bit
+//! read and per byte of the tables, whatever size the header claims: a transform may occur once, and an image whose symbols take no bits
+//! is skipped in one step.
 
-use super::CodecError;
-use super::work::Work;
+use crate::codec::work::StepCounter;
+use crate::codec::{CodecError, Format};
 
-pub(super) const NAME: &str = "WebP";
-
-/// Tables of more bytes than this are refused. Encoders stay far below it: libwebp makes at most 2,600 groups, of some 20 KiB each.
+/// Larger tables are refused. Encoders stay far below: libwebp makes at most 2,600 groups of about 20 KiB.
 const MAX_CODE_BYTES: u64 = 128 << 20;
 /// Tables for a picture of any size: eight groups of the largest codes.
 const FREE_CODE_BYTES: u64 = 1 << 20;
-/// More tables than this for each pixel are refused. A code of n bits needs as many pixels as the n-th Fibonacci number to be worth its
-/// length, so a table of 1024 entries of 4 bytes stands for at least 89 pixels, and five of them for at most 230 bytes a pixel.
+/// Larger tables per pixel are refused. A code of n bits pays off only for as many pixels as the n-th Fibonacci number, so a table of 1024
+/// entries of 4 bytes stands for at least 89 pixels, and five of them for at most 230 bytes per pixel.
 const PIXEL_CODE_BYTES: u64 = 256;
 
-/// The most table bytes that are accepted for a picture of so many pixels.
+/// The largest tables that are accepted for this number of pixels.
 pub(super) fn most_code_bytes(pixels: u64) -> u64 {
     pixels.saturating_mul(PIXEL_CODE_BYTES).saturating_add(FREE_CODE_BYTES).min(MAX_CODE_BYTES)
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(NAME, detail)
+    CodecError::bad(Format::WebP.name(), detail)
 }
 
 fn damaged() -> CodecError {
@@ -42,14 +40,14 @@ const LENGTH_SYMBOLS: usize = 24;
 const TABLE_BITS: usize = 10;
 const TABLE_ENTRY: u64 = 4;
 const TREE_NODE: u64 = 16;
-/// Five codes in a vector that doubles: what is old is there while it is copied.
+/// Five codes in a vector that doubles; the old allocation exists while it is copied.
 const GROUP: u64 = 3 * 5 * 56;
-/// What an allocator keeps beside a code's two blocks.
+/// Overhead of the allocator for a code's two blocks.
 const BLOCKS: u64 = 32;
 
-/// Bytes of the tables that a decoder builds for a stream: the whole of a `VP8L` chunk (`size: None`), or what follows the first byte of an
-/// `ALPH` chunk. At most `most`.
-pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &Work<'_>) -> Result<u64, CodecError> {
+/// Bytes of the tables that a decoder builds for a stream: a whole `VP8L` chunk (`size: None`), or an `ALPH` chunk without its first byte.
+/// At most `most`.
+pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &StepCounter<'_>) -> Result<u64, CodecError> {
     let mut walk = Walk { bits: Bits { rest: stream, buffer: 0, count: 0, work }, bytes: 0, most };
     walk.stream(size)?;
     Ok(walk.bytes)
@@ -124,8 +122,8 @@ impl Walk<'_> {
         if (1..=11).contains(&bits) { Ok(1 << bits) } else { Err(damaged()) }
     }
 
-    /// Skips an image that has one group of codes. The largest number that red and green of a pixel make: copies repeat what stood before,
-    /// and the colours of a cache are zero before a literal has set them.
+    /// Skips an image that has one group of codes. Returns the largest number that red and green of a pixel make: copies repeat earlier
+    /// pixels, and colours of a cache are zero until a literal sets them.
     fn image(&mut self, width: u32, height: u32) -> Result<u32, CodecError> {
         let cached = self.cached_colours()?;
         let mut group = Vec::with_capacity(ALPHABETS.len());
@@ -133,13 +131,13 @@ impl Walk<'_> {
             group.push(Code::read(&mut self.bits, alphabet + if k == 0 { cached } else { 0 })?);
         }
         let [green, red, blue, alpha, distance] = group.as_slice() else { return Err(damaged()) };
-        // Symbols that take no bits: all pixels are alike.
+        // Symbols that take no bits: all pixels are equal.
         match (&*green.symbols, &*red.symbols, &*blue.symbols, &*alpha.symbols) {
             ([green @ 0..256], [red], [_], [_]) => return Ok(u32::from(red << 8 | green)),
             (&[cached], ..) if usize::from(cached) >= ALPHABETS[0] => return Ok(0),
             _ => {}
         }
-        // From here on every round reads at least one bit, but for a copy as the only symbol: there is nothing yet that it could copy.
+        // From here on every iteration reads at least one bit, except for a copy as the only symbol, which has nothing to copy.
         let pixels = u64::from(width) * u64::from(height);
         let (mut at, mut largest) = (0, 0);
         while at < pixels {
@@ -165,7 +163,7 @@ impl Walk<'_> {
         Ok(largest)
     }
 
-    /// A length or a distance behind its prefix.
+    /// A length or distance from its prefix and extra bits.
     fn count(&mut self, prefix: u16) -> Result<u32, CodecError> {
         let prefix = u32::from(prefix);
         if prefix < 4 {
@@ -176,14 +174,14 @@ impl Walk<'_> {
     }
 }
 
-/// Blocks of `2^bits` along a side.
+/// Number of blocks of `2^bits` along a side.
 fn blocks(side: u32, bits: u32) -> u32 {
     side.div_ceil(1 << bits)
 }
 
 /// A canonical prefix code.
 struct Code {
-    /// Codes of each length.
+    /// Number of codes of each length.
     counts: [u16; LONGEST + 1],
     /// In the order of their codes.
     symbols: Vec<u16>,
@@ -235,7 +233,7 @@ impl Code {
         if lengths.len() > alphabet { Err(damaged()) } else { Self::of_lengths(&lengths) }
     }
 
-    /// Whole codes only: every run of bits means something.
+    /// Accepts complete codes only: every bit sequence has a meaning.
     fn of_lengths(lengths: &[u16]) -> Result<Self, CodecError> {
         let mut counts = [0; LONGEST + 1];
         let used = || (0..).zip(lengths).filter(|(_, length)| **length > 0);
@@ -265,7 +263,7 @@ impl Code {
         Ok(Self { counts, symbols })
     }
 
-    /// The next symbol; the only one takes no bits.
+    /// The next symbol; a single symbol takes no bits.
     fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16, CodecError> {
         if let [only] = *self.symbols {
             return Ok(only);
@@ -284,7 +282,7 @@ impl Code {
         Err(damaged())
     }
 
-    /// What the decoder builds of it.
+    /// Bytes of the tables that the decoder builds.
     fn table_bytes(&self) -> u64 {
         let Some(longest) = self.counts.iter().rposition(|&count| count > 0) else { return 0 };
         let deep: u64 = self.counts.iter().skip(TABLE_BITS + 1).map(|&count| u64::from(count)).sum();
@@ -292,12 +290,12 @@ impl Code {
     }
 }
 
-/// Bits from the least significant one of each byte.
+/// Reads bits, starting with the least significant one of each byte.
 struct Bits<'a> {
     rest: &'a [u8],
     buffer: u64,
     count: u32,
-    work: &'a Work<'a>,
+    work: &'a StepCounter<'a>,
 }
 
 impl Bits<'_> {
@@ -324,11 +322,11 @@ impl Bits<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::bombs::{Pen, vp8l_head, webp_alpha_transforms, webp_transforms};
     use super::*;
+    use crate::codec::tests::bombs::{Pen, vp8l_head, webp_alpha_transforms, webp_transforms};
 
     fn weight(stream: &[u8], most: u64) -> Result<u64, CodecError> {
-        code_bytes(stream, None, most, &Work::new(&|| false))
+        code_bytes(stream, None, most, &StepCounter::new(&|| false))
     }
 
     /// A code of `count` symbols, all of one length, in as few bits as there are: only that length is a symbol of the code for lengths.
@@ -379,7 +377,7 @@ mod tests {
     #[test]
     fn streams_of_real_files_are_walked_to_their_picture() {
         let mut weights = Vec::new();
-        let work = Work::new(&|| false);
+        let work = StepCounter::new(&|| false);
         for name in ["lossless", "lossless-alpha", "lossless-palette", "lossless-regions"] {
             let file = std::fs::read(format!("{}/../../tests/fuzz/seeds/image/webp-{name}", env!("CARGO_MANIFEST_DIR"))).unwrap();
             assert_eq!(&file[12..16], b"VP8L");
@@ -437,7 +435,7 @@ mod tests {
     #[test]
     fn images_whose_symbols_take_no_bits_are_skipped_in_one_step() {
         let steps = |file: &[u8], at: usize, size: Option<(u32, u32)>| {
-            let work = Work::new(&|| false);
+            let work = StepCounter::new(&|| false);
             let _ = code_bytes(&file[at..], size, MAX_CODE_BYTES, &work);
             work.steps()
         };
@@ -463,7 +461,7 @@ mod tests {
         pen.put(1, 8);
         (0..4).for_each(|_| pen.put(0b0001, 4));
         pen.bytes.extend(vec![0; 3 << 20]);
-        let told = |gone: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &Work::new(gone)).unwrap_err();
+        let told = |cancelled: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &StepCounter::new(cancelled)).unwrap_err();
         assert_eq!(told(&|| true), CodecError::Cancelled);
         assert_eq!(told(&|| false), damaged(), "behind it there is no picture");
     }

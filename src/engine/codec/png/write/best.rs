@@ -1,7 +1,8 @@
-//! `Compression::Best`: every row takes the filter with the least sum of absolute residuals (PNG 3rd edition, 12.7), and the strip is
-//! coded twice: by flate2 at its highest level, and without matches in blocks of 64 KiB that each have their own code. The smaller one stays. On photographs it is the second (short distant
-//! matches cost more than the literals that they replace, and flate2 has no `Z_FILTERED` to forbid them), on drawings the first, by far.
-//! Scratch: five rows, a block, one coded strip, and what the library keeps. Cost: about 0.2 us a byte.
+//! `Compression::Best`: every row uses the filter with the least sum of absolute residuals (PNG 3rd edition, 12.7), and the strip is coded
+//! twice: by flate2 at its highest level, and without matches in blocks of 64 KiB with a code each. The smaller result is kept. For
+//! photographs it is the second (short distant matches cost more than the literals that they replace, and flate2 has no `Z_FILTERED` to
+//! forbid them), for drawings the first, by far. Scratch: five rows, a block, one coded strip, and the library's state. Cost: about 0.2 us
+//! per byte.
 
 use flate2::{Compress, Compression, FlushCompress};
 
@@ -9,10 +10,10 @@ use super::bits::BitWriter;
 use super::rows::{self, PAETH, Rows, SUB};
 use super::{fast, stored};
 
-/// Level of the library: its highest that reads 32 KiB back.
+/// The compression level of the library: its highest with a window of 32 KiB.
 const LEVEL: u32 = 9;
 
-/// Filtered bytes of a block without matches, and a row at most beyond.
+/// Filtered bytes of a block without matches, exceeded by at most a row.
 const BLOCK: usize = 64 << 10;
 
 /// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows.
@@ -62,7 +63,7 @@ fn without_matches(rows: Rows<'_>, last: bool, reserve: usize) -> Vec<u8> {
     out
 }
 
-/// Every row as it is filtered, with its filter byte.
+/// Calls `take` with every filtered row, including its filter byte.
 fn for_each_filtered(rows: Rows<'_>, mut take: impl FnMut(&[u8])) {
     let mut candidates: [Vec<u8>; 5] = std::array::from_fn(|filter| {
         let mut row = vec![0; rows.row_bytes() + 1];
@@ -74,7 +75,7 @@ fn for_each_filtered(rows: Rows<'_>, mut take: impl FnMut(&[u8])) {
     }
 }
 
-/// Filters one row in all ways that are open to it and returns the one with the smallest residuals, as signed bytes.
+/// Filters one row with every allowed filter and returns the result with the smallest residuals, as signed bytes.
 fn choose<'a>(rows: Rows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) -> &'a [u8] {
     let (row, bpp) = (rows.row(index), rows.bpp());
     candidates[0][1..].copy_from_slice(row);
@@ -92,7 +93,7 @@ fn choose<'a>(rows: Rows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) ->
     candidates[..open].iter().min_by_key(|row| size(row)).expect("two filters at least")
 }
 
-/// Hands `input` to the library and takes all that it gives back.
+/// Passes `input` to the library and appends its output.
 fn feed(deflate: &mut Compress, mut input: &[u8], flush: FlushCompress, out: &mut Vec<u8>) {
     loop {
         out.reserve(4096);

@@ -134,8 +134,8 @@ fn distance(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-#[cfg(test)]
 #[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[cfg(test)]
 mod tests {
     use super::*;
 

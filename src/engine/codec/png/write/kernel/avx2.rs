@@ -1,0 +1,34 @@
+//! The fast strip compiled for AVX2 and BMI2. No intrinsics: the compiler makes vectors of the filters and `shlx`, `shrx` of the shifts.
+
+use super::super::bits::BitWriter;
+use super::super::coder::{Lookup, Stage, Tables, code_piece};
+use super::super::fast;
+use super::super::rows::Rows;
+
+/// Must be called where [`crate::level::Level::Avx2`] is here.
+pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+    // SAFETY: the one caller asks `Level::is_here` first, which covers every feature of `fast_avx2`.
+    unsafe { fast_avx2(rows, last, most, out) }
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
+fn fast_avx2(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+    fast::body::<Avx2>(rows, last, most, out)
+}
+
+/// Made by `fast_avx2` only.
+struct Avx2;
+
+impl fast::Kernel for Avx2 {
+    #[inline(always)]
+    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+        // SAFETY: only `fast_avx2` names this type.
+        unsafe { piece_avx2(piece, tables, stage, bits, out) }
+    }
+}
+
+#[inline(never)]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
+fn piece_avx2<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    code_piece(piece, tables, stage, bits, out);
+}

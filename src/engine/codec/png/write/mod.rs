@@ -1,0 +1,213 @@
+//! The PNG writer: encodes a picture as a head, independent strips and a tail (PNG 3rd edition).
+//!
+//! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips can
+//! be encoded in any order and on any thread, and are sent in order. The first strip begins with the zlib header; the tail ends the stream
+//! with the Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
+//! Shapes: samples `[rows][width][channels]`, 16-bit ones big-endian. No sRGB or gAMA chunk is written; a profile becomes iCCP.
+
+#[forbid(unsafe_code)]
+mod adler;
+#[forbid(unsafe_code)]
+mod best;
+#[forbid(unsafe_code)]
+mod bits;
+#[forbid(unsafe_code)]
+mod chunk;
+#[forbid(unsafe_code)]
+mod coder;
+#[forbid(unsafe_code)]
+mod fast;
+#[forbid(unsafe_code)]
+mod huffman;
+mod kernel;
+#[forbid(unsafe_code)]
+mod layout;
+#[forbid(unsafe_code)]
+mod rows;
+#[forbid(unsafe_code)]
+mod stored;
+#[cfg(test)]
+#[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+mod tests;
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::level::Level;
+use crate::pixmap::{Channels, Depth, Extent};
+
+use self::layout::Layout;
+use self::rows::Rows;
+
+/// A window of 32 KiB and no dictionary; the two bytes make a multiple of 31 (RFC 1950).
+const ZLIB_HEADER: [u8; 2] = [0x78, 0x01];
+
+/// Bytes of the tail: the checksum as an IDAT of its own, and IEND.
+const TAIL: u64 = 2 * chunk::FRAME as u64 + 4;
+
+/// The effort of compression.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Compression {
+    /// Stored, not compressed.
+    None,
+    /// Filter and Huffman coding, without a match search.
+    #[default]
+    Fast,
+    /// The smallest files.
+    Best,
+}
+
+/// The shape of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct PngShape {
+    /// Size.
+    pub extent: Extent,
+    /// RGB or RGBA.
+    pub channels: Channels,
+    /// 8 or 16 bit.
+    pub depth: Depth,
+}
+
+/// One encoded strip: complete PNG chunks, and the input of [`PngWriter::tail`].
+#[derive(Debug, Clone)]
+pub struct Strip {
+    /// The bytes to send.
+    pub bytes: Vec<u8>,
+    /// Adler-32 of the filtered rows.
+    pub adler: u32,
+    /// Length of the filtered rows, bytes.
+    pub filtered_len: u64,
+}
+
+/// A colour profile, and the PNG chunk that carries it, compressed once for all pictures.
+#[derive(Debug, Clone)]
+pub struct Profile {
+    icc: Arc<[u8]>,
+    chunk: Arc<[u8]>,
+}
+
+impl Profile {
+    /// Compresses a profile. CPU work, 0.1 ms and more.
+    #[must_use]
+    pub fn new(icc: &[u8]) -> Self {
+        Self { icc: icc.into(), chunk: chunk::profile(icc).into() }
+    }
+
+    /// The profile as read.
+    #[must_use]
+    pub fn icc(&self) -> &[u8] {
+        &self.icc
+    }
+
+    /// Memory held, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.icc.len() + self.chunk.len()
+    }
+}
+
+/// Input of [`PngWriter::tail`]: the Adler-32 and the length of a strip's filtered rows.
+pub type StripChecksum = (u32, u64);
+
+/// Writes one PNG in independent strips: `head`, every strip in order, `tail`. Cheap to create and to clone.
+#[derive(Debug, Clone)]
+pub struct PngWriter {
+    compression: Compression,
+    level: Level,
+    bpp: usize,
+    layout: Layout,
+    head: Arc<[u8]>,
+}
+
+impl PngWriter {
+    /// A writer for one picture. The strip layout depends on the shape and the compression alone.
+    ///
+    /// # Panics
+    /// If a row is longer than 1 GiB.
+    #[must_use]
+    pub fn new(shape: PngShape, compression: Compression, icc: Option<&Profile>) -> Self {
+        Self {
+            compression,
+            level: Level::detect(),
+            bpp: layout::pixel_bytes(shape),
+            layout: Layout::new(shape, compression),
+            head: chunk::head(shape, icc).into(),
+        }
+    }
+
+    /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
+    #[must_use]
+    pub const fn with_level(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
+    /// Number of strips.
+    #[must_use]
+    pub const fn strips(&self) -> usize {
+        self.layout.strips() as usize
+    }
+
+    /// Rows of a strip.
+    ///
+    /// # Panics
+    /// If there is no such strip.
+    #[must_use]
+    pub fn rows(&self, strip: usize) -> Range<u32> {
+        self.layout.rows(u32::try_from(strip).expect("strips are counted in u32"))
+    }
+
+    /// Upper bound of the whole file, bytes, whatever the samples.
+    #[must_use]
+    pub fn max_bytes(&self) -> u64 {
+        self.head.len() as u64 + self.layout.max_bytes() + TAIL
+    }
+
+    /// Signature, IHDR, and the colour profile.
+    #[must_use]
+    pub fn head(&self) -> Vec<u8> {
+        self.head.to_vec()
+    }
+
+    /// Encodes one strip. `samples: [rows][width][channels]`, PNG order (16-bit big-endian).
+    ///
+    /// # Panics
+    /// If there is no such strip or the samples are not its rows.
+    #[must_use]
+    pub fn strip(&self, index: usize, samples: &[u8]) -> Strip {
+        let mut bytes = Vec::new();
+        let (adler, filtered_len) = self.strip_into(index, samples, &mut bytes);
+        Strip { bytes, adler, filtered_len }
+    }
+
+    /// Like [`Self::strip`], appended to `out`.
+    ///
+    /// # Panics
+    /// Like [`Self::strip`].
+    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
+        let rows = Rows::new(samples, self.layout.row_bytes(), self.bpp);
+        assert_eq!(rows.count(), self.rows(index).len(), "samples are the rows of strip {index}");
+        let last = index + 1 == self.strips();
+        let chunk = chunk::open(out, *b"IDAT");
+        if index == 0 {
+            out.extend_from_slice(&ZLIB_HEADER);
+        }
+        let adler = match self.compression {
+            Compression::None => stored::encode(rows, last, out),
+            Compression::Fast => kernel::encode_fast(self.level, rows, last, out),
+            Compression::Best => best::encode(rows, last, out),
+        };
+        chunk.close(out);
+        (adler, rows.filtered_len() as u64)
+    }
+
+    /// The bytes after the last strip: the checksum of all strips (`(adler, filtered_len)` of each in order) and IEND.
+    #[must_use]
+    pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
+        let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| adler::combine(sum, adler, len));
+        let mut out = Vec::new();
+        chunk::write(&mut out, *b"IDAT", &adler.to_be_bytes());
+        chunk::write(&mut out, *b"IEND", &[]);
+        out
+    }
+}

@@ -1,0 +1,5 @@
+//! WebP files: the reader, its check of lossless streams, and the writer.
+
+pub(super) mod read;
+mod vp8l;
+pub(super) mod write;
