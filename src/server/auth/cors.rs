@@ -14,9 +14,7 @@ pub enum Origins {
 
 impl Origins {
     /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the port unless it is the default.
-    ///
-    /// # Errors
-    /// The first entry that is not an origin.
+    /// Errors: the first entry that is not an origin.
     pub fn parse(text: &str) -> Result<Self, String> {
         let listed: Vec<&str> = text.split(',').map(str::trim).filter(|origin| !origin.is_empty()).collect();
         match listed.as_slice() {
@@ -27,7 +25,6 @@ impl Origins {
     }
 
     /// Whether the origin is in the set.
-    #[must_use]
     pub fn has(&self, origin: &str) -> bool {
         match self {
             Self::Own => false,

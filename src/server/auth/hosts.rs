@@ -22,7 +22,6 @@ pub struct Authority {
 
 impl Authority {
     /// Reads `host` or `host:port`.
-    #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         let (host, port) = match text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
             Some((address, port)) => (Host::Address(IpAddr::V6(address.parse::<Ipv6Addr>().ok()?)), port),
@@ -61,9 +60,7 @@ pub struct Hosts(Vec<Host>);
 
 impl Hosts {
     /// Reads a comma-separated list of host names.
-    ///
-    /// # Errors
-    /// The first entry that is not a host name.
+    /// Errors: the first entry that is not a host name.
     pub fn parse(text: &str) -> Result<Self, String> {
         let entries = text.split(',').map(str::trim).filter(|entry| !entry.is_empty());
         let host = |entry: &str| match Authority::parse(entry) {
@@ -74,13 +71,11 @@ impl Hosts {
     }
 
     /// Whether the list is empty.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// Whether a request may name this host.
-    #[must_use]
     pub fn allow(&self, host: &Host) -> bool {
         match host {
             Host::Address(_) => true,

@@ -25,7 +25,6 @@ impl Credential {
     pub const ANYBODY: Self = Self(None);
 
     /// The owner whose sessions may be used.
-    #[must_use]
     pub fn owner(self) -> Owner {
         self.0.map_or(Owner::ANYBODY, |key| key.owner)
     }
@@ -49,9 +48,7 @@ struct Key {
 
 impl Keys {
     /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and lines that begin with `#` are ignored.
-    ///
-    /// # Errors
-    /// The number of the wrong line and the cause; never the key.
+    /// Errors: the number of the wrong line and the cause; never the key.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim_start().starts_with('#')) {
@@ -70,7 +67,6 @@ impl Keys {
     }
 
     /// These keys and others; a key that is in both keeps its owner here.
-    #[must_use]
     pub fn and(mut self, others: &Self) -> Self {
         for key in &others.0 {
             if !self.has(key) {
@@ -85,20 +81,17 @@ impl Keys {
     }
 
     /// The number of keys.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
     }
 
     /// Whether there are no keys.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
     /// and the owner is selected without a branch.
-    #[must_use]
     pub fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
@@ -107,7 +100,6 @@ impl Keys {
     }
 
     /// Whether the credential's key is still configured, for the same owner.
-    #[must_use]
     pub fn is_valid(&self, credential: Credential) -> bool {
         credential.0.is_none_or(|key| self.0.contains(&key))
     }

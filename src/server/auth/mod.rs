@@ -36,7 +36,6 @@ pub struct AccessControl {
 
 impl AccessControl {
     /// Access control with these limits.
-    #[must_use]
     pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, connections: ConnectionLimiter) -> Self {
         Self {
             keys: keys.map(|keys| watch::Sender::new(Arc::new(keys))),
@@ -47,7 +46,6 @@ impl AccessControl {
     }
 
     /// The limiter of connections.
-    #[must_use]
     pub const fn connections(&self) -> &ConnectionLimiter {
         &self.connections
     }
@@ -69,9 +67,7 @@ impl AccessControl {
     }
 
     /// The credential of a request from this address with this key.
-    ///
-    /// # Errors
-    /// [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
+    /// Errors: [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
     pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Credential, Problem> {
         let now = Instant::now();
         // Before the key, so that guesses count.
@@ -91,9 +87,7 @@ fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Resul
 }
 
 /// Reads a small file.
-///
-/// # Errors
-/// It cannot be read, or has more than `limit` bytes.
+/// Errors: it cannot be read, or has more than `limit` bytes.
 pub fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let file = std::fs::File::open(path).map_err(|e| e.to_string())?;

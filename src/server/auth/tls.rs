@@ -36,9 +36,7 @@ pub struct TlsFiles {
 
 impl TlsFiles {
     /// Reads both files.
-    ///
-    /// # Errors
-    /// The file and the cause.
+    /// Errors: the file and the cause.
     pub fn load(&self) -> Result<Arc<ServerConfig>, String> {
         let chain = certificates(&self.cert)?;
         let key = read(&self.key)?;
@@ -53,9 +51,7 @@ impl TlsFiles {
     }
 
     /// A client that trusts this certificate alone, whatever its issuer and its names.
-    ///
-    /// # Errors
-    /// The file and the cause.
+    /// Errors: the file and the cause.
     pub fn trusting_it_alone(&self) -> Result<Arc<ClientConfig>, String> {
         let certificate = certificates(&self.cert)?.swap_remove(0);
         let verifier = Arc::new(PinnedCertificate { certificate, provider: provider() });
@@ -64,9 +60,7 @@ impl TlsFiles {
     }
 
     /// The client's side of a connection to `ip` that trusts this certificate alone.
-    ///
-    /// # Errors
-    /// The file and why.
+    /// Errors: the file and why.
     pub fn connect(&self, stream: TcpStream, ip: IpAddr) -> io::Result<impl Read + Write + use<>> {
         let client = self.trusting_it_alone().map_err(io::Error::other)?;
         let connection = ClientConnection::new(client, ServerName::IpAddress(ip.into())).map_err(io::Error::other)?;

@@ -12,9 +12,7 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 const STATUS_LINE: usize = 64;
 
 /// Whether the server can take work now.
-///
-/// # Errors
-/// It cannot be reached, or is not ready.
+/// Errors: it cannot be reached, or is not ready.
 pub fn ask(config: &Config) -> io::Result<()> {
     // The ops listener has no TLS and connections of its own.
     let ops = config.telemetry.metrics_listen;

@@ -16,9 +16,7 @@ use crate::problem::{Code, Problem};
 use crate::wire::{WarpObject, WarpPatch};
 
 /// Warps one picture; `-` is standard input or output.
-///
-/// # Errors
-/// The problem that a server would answer, or a file that cannot be read or written.
+/// Errors: the problem that a server would answer, or a file that cannot be read or written.
 pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Summary, Problem> {
     if is_stdio(image) && is_stdio(warp) {
         return Err(Problem::new(Code::MalformedRequest, "standard input can be the image or the warp object, not both"));
@@ -105,7 +103,6 @@ fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Problem> {
 }
 
 /// The error message of a problem: `code: detail (pointer)`.
-#[must_use]
 pub fn error_message(problem: &Problem) -> String {
     let place = problem.pointer.as_ref().map_or_else(String::new, |pointer| format!(" ({pointer})"));
     format!("{}: {}{place}", problem.code.as_str(), problem.detail)

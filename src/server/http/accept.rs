@@ -9,9 +9,7 @@ use crate::problem::{Code, Problem};
 use crate::wire::formats::Formats;
 
 /// The index of the media type among `offers` that the client prefers; of equal ones the first.
-///
-/// # Errors
-/// 406 if it accepts none.
+/// Errors: 406 if it accepts none.
 pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
     let weights = weights(headers, offers);
     let best = (0..N).fold(0, |best, index| if weights[index] > weights[best] { index } else { best });
@@ -20,9 +18,7 @@ pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> 
 }
 
 /// The picture formats that the client accepts.
-///
-/// # Errors
-/// 406 if it accepts none.
+/// Errors: 406 if it accepts none.
 pub(crate) fn formats(headers: &HeaderMap) -> Result<Formats, Problem> {
     Formats::new(weights(headers, Format::ALL.map(Format::media_type)))
 }

@@ -52,7 +52,6 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
 }
 
 /// The paths of the contract and who may use them.
-#[must_use]
 pub fn paths(app: &App) -> Vec<(&'static str, Access)> {
     routes(app).into_iter().map(|(path, access, _)| (path, access)).collect()
 }

@@ -33,9 +33,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 const OTHER_FILES: u64 = 256;
 
 /// Serves until a signal, on its own runtime.
-///
-/// # Errors
-/// It cannot start, or the listener failed.
+/// Errors: it cannot start, or the listener failed.
 pub fn run(config: Config) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let ended = runtime.block_on(async {
@@ -50,18 +48,14 @@ pub fn run(config: Config) -> io::Result<()> {
 }
 
 /// Binds an address.
-///
-/// # Errors
-/// The address cannot be bound.
+/// Errors: the address cannot be bound.
 pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let listener = TcpListener::bind(address).and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
     listener.map_err(|error| io::Error::new(error.kind(), format!("cannot listen on {address}: {error}")))
 }
 
 /// Serves on a bound socket until `stop` completes, then drains.
-///
-/// # Errors
-/// The listener failed, or the certificate cannot be read.
+/// Errors: the listener failed, or the certificate cannot be read.
 pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> io::Result<()> {
     let (access, work, timeouts) = (&app.config().auth, app.config().work, app.config().timeouts);
     app.spawn_sweeper();

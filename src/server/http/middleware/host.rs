@@ -13,9 +13,7 @@ const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
 const MAX_QUOTED: usize = 100;
 
 /// Checks the host. `served`: the hosts that the listener serves; none: any host.
-///
-/// # Errors
-/// [`Code::MalformedRequest`], [`Code::Misdirected`].
+/// Errors: [`Code::MalformedRequest`], [`Code::Misdirected`].
 pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Problem> {
     let host = host(request)?;
     let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else { return Ok(()) };

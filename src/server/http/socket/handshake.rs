@@ -23,9 +23,7 @@ const VERSION: HeaderValue = HeaderValue::from_static("13");
 const KEY_BYTES: usize = 16;
 
 /// The response to a request that opens a WebSocket. Pages of the listed origins may open one.
-///
-/// # Errors
-/// The response to another request: 405 to another method, 426 without an upgrade, 400 if malformed, 403 to pages of other sites.
+/// Errors: the response to another request: 405 to another method, 426 without an upgrade, 400 if malformed, 403 to pages of other sites.
 pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.method() != Method::GET {
