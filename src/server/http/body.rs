@@ -21,28 +21,6 @@ use crate::client::Client;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::{Code, Problem};
 
-/// Why a body ended early.
-#[derive(Clone, Copy, Debug, thiserror::Error)]
-pub(crate) enum ReadError {
-    #[error("the body is larger than {limit} bytes")]
-    TooLarge { limit: u64 },
-    /// The parts of a multipart body are not counted.
-    #[error("the heads of the parts, and what lies between the parts, are longer than {limit} bytes")]
-    PartOverheadTooLarge { limit: u64 },
-    #[error("the body was not whole within {} s", .timeout.as_secs_f64())]
-    TooSlow { timeout: Duration },
-}
-
-impl From<ReadError> for Problem {
-    fn from(error: ReadError) -> Self {
-        match error {
-            ReadError::TooLarge { limit } => too_large("body_bytes", limit, limit.saturating_add(1)),
-            ReadError::PartOverheadTooLarge { .. } => Self::new(Code::MalformedRequest, error.to_string()),
-            ReadError::TooSlow { .. } => Self::new(Code::Timeout, error.to_string()),
-        }
-    }
-}
-
 /// 413.
 pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem {
     let of = match what {
@@ -53,13 +31,11 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
     Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; at most {limit}")).limit(what, limit, actual)
 }
 
-/// The problem of a failed read: a [`ReadError`] among the causes, or a malformed body with `context`.
+/// The problem of a failed read: that of [`LimitedBody`] or of the multipart gate among the causes, or a malformed body with `context`.
 pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &str) -> Problem {
     let causes = std::iter::successors(Some(error), |error| error.source());
-    match causes.filter_map(|error| error.downcast_ref::<ReadError>()).next() {
-        Some(error) => (*error).into(),
-        None => Problem::new(Code::MalformedRequest, format!("{context}: {error}")),
-    }
+    let problem = causes.filter_map(|error| error.downcast_ref::<Problem>()).next().cloned();
+    problem.unwrap_or_else(|| Problem::new(Code::MalformedRequest, format!("{context}: {error}")))
 }
 
 /// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded for as long again, so that a client which
@@ -96,7 +72,8 @@ impl HttpBody for LimitedBody {
         let Some(body) = &mut this.body else { return Poll::Ready(None) };
         if this.deadline.as_mut().poll(cx).is_ready() {
             this.body = None;
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooSlow { timeout: this.timeout }))));
+            let detail = format!("the body was not whole within {} s", this.timeout.as_secs_f64());
+            return Poll::Ready(Some(Err(axum::Error::new(Problem::new(Code::Timeout, detail)))));
         }
         let polled = Pin::new(body).poll_frame(cx);
         this.waits.store(polled.is_pending(), Ordering::Relaxed);
@@ -108,7 +85,8 @@ impl HttpBody for LimitedBody {
                 let Some(left) = this.left.checked_sub(length) else {
                     // The body stays: it is drained when `self` is dropped.
                     this.left = 0;
-                    return Poll::Ready(Some(Err(axum::Error::new(ReadError::TooLarge { limit: this.limit }))));
+                    let problem = too_large("body_bytes", this.limit, this.limit.saturating_add(1));
+                    return Poll::Ready(Some(Err(axum::Error::new(problem))));
                 };
                 this.left = left;
             }

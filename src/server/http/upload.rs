@@ -11,7 +11,7 @@ use bytes::Bytes;
 use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, ReadError, read_problem};
+use super::body::{BodyBuffer, read_problem};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
@@ -101,7 +101,8 @@ fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
             return Poll::Pending;
         }
         if buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
-            return Poll::Ready(Some(Err(axum::Error::new(ReadError::PartOverheadTooLarge { limit: MAX_OVERHEAD }))));
+            let detail = format!("the heads of the parts, and what lies between the parts, are longer than {MAX_OVERHEAD} bytes");
+            return Poll::Ready(Some(Err(axum::Error::new(malformed(detail)))));
         }
         let frame = ready!(frames.poll_next_unpin(cx));
         if let Some(Ok(data)) = &frame {

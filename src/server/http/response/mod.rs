@@ -2,6 +2,7 @@
 
 pub(crate) mod problem;
 
+use std::io;
 use std::task::{Poll, ready};
 
 use axum::body::Body;
@@ -91,10 +92,6 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     texts.collect::<Vec<_>>().join(", ")
 }
 
-#[derive(Clone, Copy, Debug, thiserror::Error)]
-#[error("the picture was not finished")]
-struct Unfinished;
-
 /// The body of a picture that is still being drawn.
 fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
     let mut ended = false;
@@ -111,7 +108,7 @@ fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
                 trailers.then(|| Ok(Frame::trailers(timing())))
             }
             // The status was sent already: only a broken connection tells the client.
-            None => Some(Err(Unfinished)),
+            None => Some(Err(io::Error::other("the picture was not finished"))),
         })
     })))
 }
