@@ -164,7 +164,8 @@ impl RedisStoreState {
             {
                 return self.same(old, &seq);
             }
-            self.files_endpoint.resume();
+            // The server has just answered.
+            self.files_endpoint.health().paused_until = None;
             // At 4 MB a second.
             let limit = ANSWER_TIMEOUT + Duration::from_micros(image.len() as u64 / 4);
             let replaces = Replaces { revision, is_readable: old.is_some() };
@@ -361,14 +362,15 @@ impl Store for RedisStore {
 
     fn figures(&self) -> Figures {
         let (sessions, bytes) = self.0.sessions.size();
+        let health = self.0.endpoint.health();
         Figures {
             sessions,
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
             other_version: self.0.other_version.load(Ordering::Relaxed),
-            failures: self.0.endpoint.failures() + self.0.files_endpoint.failures(),
-            is_away: self.0.endpoint.is_away(),
-            is_unknown: !self.0.endpoint.has_answered(),
+            failures: health.failures + self.0.files_endpoint.health().failures,
+            is_away: health.is_away,
+            is_unknown: !health.has_answered,
         }
     }
 }
