@@ -85,9 +85,7 @@ impl fmt::Debug for RedisStore {
 
 impl RedisStore {
     /// A store on the server of that address, which may be down at this moment.
-    ///
-    /// # Errors
-    /// The client library rejects the address.
+    /// Errors: The client library rejects the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
         let endpoint = Endpoint::new("records", address, true).map_err(not_opened)?;
@@ -128,9 +126,7 @@ impl RedisStoreState {
     }
 
     /// Reads a stored record. `None`: it is damaged, which counts as no session.
-    ///
-    /// # Errors
-    /// Another version of the program has written it.
+    /// Errors: Another version of the program has written it.
     fn readable(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
         let why = match record::read(bytes) {
             Ok(record) if record.id == id => return Ok(Some(record)),
