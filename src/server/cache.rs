@@ -28,7 +28,6 @@ pub struct Key {
 
 impl Key {
     /// `digest` covers everything that the value depends on.
-    #[must_use]
     pub const fn new(owner: Owner, digest: Digest) -> Self {
         Self { owner, digest }
     }
@@ -166,7 +165,6 @@ impl<V> Entries<V> {
 
 impl<V> Cache<V> {
     /// A cache of `capacity` bytes.
-    #[must_use]
     pub fn new(capacity: u64) -> Self {
         let entries = Entries { values: LruCache::unbounded(), builds: HashMap::new(), stats: CacheStats::default() };
         Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries) }))
@@ -178,14 +176,12 @@ impl<V> Cache<V> {
     }
 
     /// What it has done and what it holds.
-    #[must_use]
     pub fn usage(&self) -> CacheStats {
         let entries = self.lock();
         CacheStats { values: entries.values.len() as u64, ..entries.stats }
     }
 
     /// Whether the value is cached. It counts as used, not as found.
-    #[must_use]
     pub fn touch(&self, key: Key) -> bool {
         self.lock().values.get(&key).is_some()
     }
@@ -196,7 +192,6 @@ impl<V> Cache<V> {
     }
 
     /// The value, if it is cached.
-    #[must_use]
     pub fn peek(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
         self.lock().get(key)
     }
@@ -217,7 +212,6 @@ impl<V> Cache<V> {
     }
 
     /// Whether [`Cache::evict_idle`] would find a value.
-    #[must_use]
     pub fn is_any_idle(&self) -> bool {
         self.lock().values.iter().any(|(_, value)| Arc::strong_count(value) == 1)
     }
@@ -256,9 +250,7 @@ impl<V> Cache<V> {
 
 impl<V: Send + Sync + 'static> Cache<V> {
     /// The value of `key`. `build` runs if the value is neither cached nor being built.
-    ///
-    /// # Errors
-    /// Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
+    /// Errors: Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
     pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,

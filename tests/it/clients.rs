@@ -3,6 +3,7 @@
 use futures_util::future::join_all;
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::server::png;
 use crate::support::{Server, photo};
 

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::picture::decoded;
 use crate::support::server::{header, png};
 use crate::support::{Server, eventually, photo};

@@ -15,6 +15,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::task::JoinHandle;
 
+use crate::support::counters::Counted as _;
 use crate::support::server::{form, header, png, problem};
 use crate::support::{Hand, Server, eventually, photo};
 

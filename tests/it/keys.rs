@@ -13,6 +13,7 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
+use crate::support::counters::Counted as _;
 use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, header, problem};
 use crate::support::{Scratch, Server, photo};

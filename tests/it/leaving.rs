@@ -4,6 +4,7 @@ use serde_json::json;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
+use crate::support::counters::Counted as _;
 use crate::support::{Server, eventually, photo};
 
 #[tokio::test]

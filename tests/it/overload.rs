@@ -9,6 +9,7 @@ use mlswarp_server::pool::{QueueKey, Ticket, WorkClass};
 use reqwest::Response;
 use serde_json::json;
 
+use crate::support::counters::Counted as _;
 use crate::support::server::{form, header, png, problem, this_client};
 use crate::support::{Server, eventually, photo};
 

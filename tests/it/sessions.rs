@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::server::{header, png, problem};
 use crate::support::{Server, photo};
 

@@ -7,6 +7,7 @@ use reqwest::Response;
 use serde_json::json;
 use tokio::task::JoinHandle;
 
+use crate::support::counters::Counted as _;
 use crate::support::redis::Redis;
 use crate::support::relay::Relay;
 use crate::support::server::{form, header, png, problem};

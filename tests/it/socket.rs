@@ -7,6 +7,7 @@ use reqwest::Method;
 use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_VERSION, TRANSFER_ENCODING, UPGRADE};
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::hand::Said;
 use crate::support::picture::decoded;
 use crate::support::program::Program;

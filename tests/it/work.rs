@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::healthy::Healthy;
 use crate::support::program::Program;
 use crate::support::server::{form, header, problem};

@@ -96,55 +96,57 @@ pub struct Drawn {
     pub picture: Picture,
 }
 
-/// Measures the stages of drawing: their cost on all threads together, and for a traced request when they began and ended.
-#[derive(Debug)]
-struct Clock {
+/// Measures the drawing of one image and counts it when it is dropped: abandoned unless it was finished.
+struct Meter {
+    app: App,
     render: StageTimer,
     encode: StageTimer,
     /// The origin of the stages' times.
     began: Instant,
     scope: Scope,
+    is_finished: AtomicBool,
 }
 
-/// Nanoseconds.
-#[derive(Debug)]
+/// The cost of a stage on all threads together; for a traced request also when it began and ended. Nanoseconds.
 struct StageTimer {
     spent: AtomicU64,
     first: AtomicU64,
     last: AtomicU64,
 }
 
-impl Default for StageTimer {
-    fn default() -> Self {
+impl StageTimer {
+    const fn new() -> Self {
         Self { spent: AtomicU64::new(0), first: AtomicU64::new(u64::MAX), last: AtomicU64::new(0) }
     }
 }
 
-impl Default for Clock {
-    /// A clock of the current request.
-    fn default() -> Self {
-        Self { render: StageTimer::default(), encode: StageTimer::default(), began: Instant::now(), scope: Scope::current() }
+impl Meter {
+    fn new(app: App) -> Self {
+        app.metrics().pictures_begun.inc();
+        let (render, encode) = (StageTimer::new(), StageTimer::new());
+        Self { app, render, encode, began: Instant::now(), scope: Scope::current(), is_finished: AtomicBool::new(false) }
     }
-}
 
-impl Clock {
     fn cost(&self) -> Cost {
         let spent = |timer: &StageTimer| Duration::from_nanos(timer.spent.load(Ordering::Relaxed));
         Cost { render: spent(&self.render), encode: spent(&self.encode) }
     }
 
-    /// Adds the stages to the trace, each from its beginning on the first thread to its end on the last.
-    fn trace(&self) {
+    /// Counts the image, and adds the stages to the trace: each from its beginning on the first thread to its end on the last.
+    fn finish(&self) {
+        if self.is_finished.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        self.app.metrics().drawn(self.cost());
         for (name, StageTimer { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
             let (first, last) = (first.load(Ordering::Relaxed), last.load(Ordering::Relaxed));
             if first <= last {
                 self.scope.stage(name, self.began + Duration::from_nanos(first), self.began + Duration::from_nanos(last));
             }
         }
+        self.app.metrics().pictures_finished.inc();
     }
-}
 
-impl WriteObserver for Clock {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
         let began = Instant::now();
         work();
@@ -163,64 +165,34 @@ impl WriteObserver for Clock {
     }
 }
 
-/// Observes a whole image, which is wanted as long as its request waits.
-struct WholeObserver<'a> {
-    clock: Clock,
-    answer: &'a oneshot::Sender<Result<Drawn, Problem>>,
+impl Drop for Meter {
+    fn drop(&mut self) {
+        if !*self.is_finished.get_mut() {
+            self.app.metrics().pictures_abandoned.inc();
+        }
+    }
 }
 
-impl WriteObserver for WholeObserver<'_> {
+/// Observes one thread that draws.
+struct Observer<'a> {
+    meter: &'a Meter,
+    /// The thread stops when this request no longer waits.
+    answer: Option<&'a oneshot::Sender<Result<Drawn, Problem>>>,
+    /// A helper returns when a request waits for its thread.
+    ticket: Option<&'a Ticket>,
+}
+
+impl WriteObserver for Observer<'_> {
     fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
-        self.clock.around(stage, work);
+        self.meter.around(stage, work);
     }
 
     fn is_wanted(&self) -> bool {
-        !self.answer.is_closed()
-    }
-}
-
-/// Observes a helper, which returns when a request waits for its thread.
-struct HelperObserver<'a> {
-    clock: &'a Clock,
-    ticket: &'a Ticket,
-}
-
-impl WriteObserver for HelperObserver<'_> {
-    fn around(&self, stage: Stage, work: &mut dyn FnMut()) {
-        self.clock.around(stage, work);
+        self.answer.is_none_or(|answer| !answer.is_closed())
     }
 
     fn goes_on(&self) -> bool {
-        !self.ticket.is_thread_wanted()
-    }
-}
-
-/// Counts an image when it is dropped: abandoned unless it was finished.
-struct PictureGuard {
-    app: App,
-    finished: AtomicBool,
-}
-
-impl PictureGuard {
-    fn new(app: &App) -> Self {
-        app.metrics().pictures_begun.inc();
-        Self { app: app.clone(), finished: AtomicBool::new(false) }
-    }
-
-    fn finish(&self, clock: &Clock) {
-        if !self.finished.swap(true, Ordering::Relaxed) {
-            self.app.metrics().drawn(clock.cost());
-            clock.trace();
-            self.app.metrics().pictures_finished.inc();
-        }
-    }
-}
-
-impl Drop for PictureGuard {
-    fn drop(&mut self) {
-        if !*self.finished.get_mut() {
-            self.app.metrics().pictures_abandoned.inc();
-        }
+        self.ticket.is_none_or(|ticket| !ticket.is_thread_wanted())
     }
 }
 
@@ -231,17 +203,17 @@ struct SharedDrawing {
     strips: StripScheduler<Box<Warp>, Sink>,
     /// Its memory stays reserved while strips are drawn from it.
     _image: Arc<CacheEntry<Image>>,
-    clock: Clock,
-    guard: PictureGuard,
+    meter: Meter,
     end: UnboundedSender<Piece>,
 }
 
 impl SharedDrawing {
-    fn draw(&self, observer: &dyn WriteObserver) {
-        if self.strips.work(observer) {
-            self.guard.finish(&self.clock);
+    /// Draws strips; with a ticket, as a helper.
+    fn draw(&self, ticket: Option<&Ticket>) {
+        if self.strips.work(&Observer { meter: &self.meter, answer: None, ticket }) {
+            self.meter.finish();
             // A client that leaves after the last strip has everything.
-            let _ = self.end.send(Piece::End(self.clock.cost()));
+            let _ = self.end.send(Piece::End(self.meter.cost()));
         }
     }
 }
@@ -255,7 +227,7 @@ fn help(handoff: &HelperHandoff, ticket: &Ticket) {
     while began.elapsed() < HELPER_WAIT {
         for _ in 0..POLLS {
             match handoff.get() {
-                Some(Some(drawing)) => return drawing.draw(&HelperObserver { clock: &drawing.clock, ticket }),
+                Some(Some(drawing)) => return drawing.draw(Some(ticket)),
                 Some(None) => return,
                 None => std::hint::spin_loop(),
             }
@@ -329,8 +301,8 @@ impl DrawTask {
     }
 
     fn draw_whole(self, warp: &Warp, report: Report, mut reservation: Reservation) {
-        let (picture, mut file) = (PictureGuard::new(&self.app), Vec::new());
-        let observer = WholeObserver { clock: Clock::default(), answer: &self.answer };
+        let (meter, mut file) = (Meter::new(self.app), Vec::new());
+        let observer = Observer { meter: &meter, answer: Some(&self.answer), ticket: None };
         let flow = warp.write(0, &observer, &mut |bytes| {
             if file.is_empty() {
                 file = bytes;
@@ -340,10 +312,10 @@ impl DrawTask {
             if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if flow.is_continue() {
-            picture.finish(&observer.clock);
+            meter.finish();
         }
         reservation.shrink_to(file.len() as u64);
-        let picture = Picture::Whole { bytes: reservation.attach(file), cost: observer.clock.cost() };
+        let picture = Picture::Whole { bytes: reservation.attach(file), cost: meter.cost() };
         drop(self.guard);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
@@ -368,7 +340,7 @@ impl DrawTask {
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
         let helpers = helpers.min(strips.strips() - 1);
-        let drawing = Arc::new(SharedDrawing { strips, _image: image, clock: Clock::default(), guard: PictureGuard::new(&app), end });
+        let drawing = Arc::new(SharedDrawing { strips, _image: image, meter: Meter::new(app.clone()), end });
         let _ = handoff.set(Some(Arc::clone(&drawing)));
         if began.elapsed() >= HELPER_WAIT {
             // The helpers that were woken early may have returned.
@@ -377,6 +349,6 @@ impl DrawTask {
                 app.0.pool.start(&ticket, move || help(&handoff, &helpers_ticket));
             }
         }
-        drawing.draw(&drawing.clock);
+        drawing.draw(None);
     }
 }

@@ -70,29 +70,6 @@ pub(crate) struct AppState {
     pub(crate) tracer: Option<Tracer>,
 }
 
-/// Counters since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Plans built.
-    pub plans_built: u64,
-    /// Files decoded.
-    pub images_decoded: u64,
-    /// Images whose drawing began.
-    pub pictures_begun: u64,
-    /// Images drawn completely.
-    pub pictures_finished: u64,
-    /// Images abandoned because the client had left.
-    pub pictures_abandoned: u64,
-    /// Requests answered 409 because of a newer pose.
-    pub superseded: u64,
-    /// Open drag sockets.
-    pub sockets_open: u64,
-    /// Frames sent to drag sockets.
-    pub frames_sent: u64,
-    /// Poses of drag sockets that were replaced by newer ones before their frame was sent.
-    pub poses_superseded: u64,
-}
-
 /// What a ready service can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ready {
@@ -232,22 +209,6 @@ impl App {
         ];
         caches.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
         caches.iter().any(|(_, evict)| evict())
-    }
-
-    /// Counters since the start.
-    pub fn counters(&self) -> Counters {
-        let metrics = &self.0.metrics;
-        Counters {
-            plans_built: self.0.plans.usage().built,
-            images_decoded: self.0.images.usage().built,
-            pictures_begun: metrics.pictures_begun.get(),
-            pictures_finished: metrics.pictures_finished.get(),
-            pictures_abandoned: metrics.pictures_abandoned.get(),
-            superseded: metrics.requests_superseded.get(),
-            sockets_open: self.0.sockets.taken() as u64,
-            frames_sent: metrics.frames_sent.get(),
-            poses_superseded: metrics.poses_superseded.get(),
-        }
     }
 
     /// Counters and histograms.

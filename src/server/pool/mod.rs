@@ -260,6 +260,8 @@ fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce(
                 tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
             }
         });
+        // All of the ticket is moved here, not its scope alone.
+        drop(ticket);
     })
 }
 

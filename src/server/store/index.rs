@@ -334,7 +334,6 @@ impl Index {
 }
 
 /// The bytes that a record counts for, beside its picture's file.
-#[must_use]
 pub fn record_bytes(record: &Record) -> u64 {
     let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
     512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64

@@ -16,7 +16,6 @@ pub struct MemoryStore(Mutex<Index>);
 
 impl MemoryStore {
     /// An empty store.
-    #[must_use]
     pub fn new(bounds: Bounds) -> Self {
         Self(Mutex::new(Index::new(bounds)))
     }

@@ -79,7 +79,6 @@ pub struct Record {
 
 impl Record {
     /// Whether both were made from the same file and the same handles.
-    #[must_use]
     pub fn is_made_like(&self, other: &Self) -> bool {
         let made = |record: &Self| (record.image, record.folds, record.output);
         made(self) == made(other) && self.rest == other.rest
@@ -224,9 +223,7 @@ pub trait Store: Send + Sync + fmt::Debug {
 }
 
 /// Opens a store. A server may be down at this moment.
-///
-/// # Errors
-/// The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
+/// Errors: The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
 pub fn open(url: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
     Ok(match url {
         StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),

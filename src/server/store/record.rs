@@ -166,7 +166,6 @@ struct Document<W> {
 }
 
 /// Writes a record.
-#[must_use]
 pub fn write(record: &Record) -> Vec<u8> {
     let created = record.created.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let document = Document {
@@ -190,9 +189,7 @@ pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
 }
 
 /// Reads a record.
-///
-/// # Errors
-/// They are damaged, or another version of the program wrote them.
+/// Errors: They are damaged, or another version of the program wrote them.
 pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     let (sum, json) = bytes.split_at_checked(CHECKSUM).ok_or(Unreadable::Damaged("it is too short"))?;
     if sum != format!("{:08x}\n", crc32fast::hash(json)).as_bytes() {

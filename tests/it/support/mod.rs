@@ -2,6 +2,7 @@
 
 pub(crate) mod bombs;
 pub(crate) mod collector;
+pub(crate) mod counters;
 pub(crate) mod hand;
 pub(crate) mod healthy;
 pub(crate) mod http2;

@@ -58,9 +58,7 @@ impl fmt::Debug for FileStore {
 
 impl FileStore {
     /// Opens the file, or creates it. Damaged records are logged and left out.
-    ///
-    /// # Errors
-    /// The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
+    /// Errors: The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
     pub fn open(path: &Path, bounds: Bounds) -> Result<Self, NotOpened> {
         let store = Self::on(Disk::open(path)?, bounds)?;
         let Figures { sessions, bytes, damaged, .. } = store.figures();

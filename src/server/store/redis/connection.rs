@@ -3,7 +3,7 @@
 //! only its own connection.
 
 use std::future::Future;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex as SyncMutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -23,78 +23,53 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Requests that wait to be written.
 const WRITE_QUEUE: usize = 1024;
 
-/// The server and its health, as seen by one kind of requests.
+/// The server, as seen by one kind of requests.
 pub(crate) struct Endpoint {
     /// The kind of requests, for the log.
     name: &'static str,
     /// A late answer is a failure of the server, not of one request.
     is_prompt: bool,
     client: Client,
-    paused_until: SyncMutex<Option<Instant>>,
-    failures: AtomicU64,
-    is_away: AtomicBool,
-    has_answered: AtomicBool,
+    health: SyncMutex<Health>,
+}
+
+#[derive(Default)]
+pub(crate) struct Health {
+    /// Requests that failed, or were answered that there is no room.
+    pub(crate) failures: u64,
+    /// The last request was not answered.
+    pub(crate) is_away: bool,
+    pub(crate) has_answered: bool,
+    /// Until then requests that need a new connection fail at once.
+    pub(crate) paused_until: Option<Instant>,
 }
 
 impl Endpoint {
     pub(crate) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
-        Ok(Arc::new(Self {
-            name,
-            is_prompt,
-            client: Client::open(address.info().clone())?,
-            paused_until: SyncMutex::default(),
-            failures: AtomicU64::new(0),
-            is_away: AtomicBool::new(false),
-            has_answered: AtomicBool::new(false),
-        }))
+        Ok(Arc::new(Self { name, is_prompt, client: Client::open(address.info().clone())?, health: SyncMutex::default() }))
     }
 
-    /// Requests that failed, or were answered that there is no room.
-    pub(crate) fn failures(&self) -> u64 {
-        self.failures.load(Ordering::Relaxed)
-    }
-
-    /// The last request was not answered.
-    pub(crate) fn is_away(&self) -> bool {
-        self.is_away.load(Ordering::Relaxed)
-    }
-
-    pub(crate) fn has_answered(&self) -> bool {
-        self.has_answered.load(Ordering::Relaxed)
-    }
-
-    /// Ends the pause: the server has answered other requests.
-    pub(crate) fn resume(&self) {
-        *self.paused_until() = None;
+    pub(crate) fn health(&self) -> MutexGuard<'_, Health> {
+        self.health.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn pause(&self) {
-        *self.paused_until() = Some(Instant::now() + PAUSE);
-    }
-
-    fn is_paused(&self) -> bool {
-        self.paused_until().is_some_and(|until| Instant::now() < until)
-    }
-
-    fn paused_until(&self) -> MutexGuard<'_, Option<Instant>> {
-        self.paused_until.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn count_failure(&self) {
-        self.failures.fetch_add(1, Ordering::Relaxed);
+        self.health().paused_until = Some(Instant::now() + PAUSE);
     }
 
     /// Logs an outage once, when it begins.
     fn report_away(&self, why: &str) {
-        self.count_failure();
-        if !self.is_away.swap(true, Ordering::Relaxed) {
+        let mut health = self.health();
+        health.failures += 1;
+        if !std::mem::replace(&mut health.is_away, true) {
             tracing::error!("the session store is away ({}): {why}", self.name);
         }
     }
 
     fn report_answer(&self) {
-        self.has_answered.store(true, Ordering::Relaxed);
-        if self.is_away() && self.is_away.swap(false, Ordering::Relaxed) {
+        let mut health = self.health();
+        health.has_answered = true;
+        if std::mem::replace(&mut health.is_away, false) {
             tracing::info!("the session store is back ({})", self.name);
         }
     }
@@ -193,8 +168,8 @@ impl RedisConnection {
         if let Some(open) = slot.get() {
             return Ok(open);
         }
-        if endpoint.is_paused() {
-            endpoint.count_failure();
+        if endpoint.health().paused_until.is_some_and(|until| Instant::now() < until) {
+            endpoint.health().failures += 1;
             return Err(StoreError::Away);
         }
         // Each request has a time limit of its own.
@@ -226,12 +201,12 @@ impl RedisConnection {
     async fn fail(&self, generation: u64, error: &RedisError) -> StoreError {
         let (text, endpoint) = (error.to_string(), &self.0.endpoint);
         if text.contains("OOM") {
-            endpoint.count_failure();
+            endpoint.health().failures += 1;
             tracing::warn!("the session store has no room: {text}");
             return StoreError::NoRoom;
         }
         if text.contains("WRONGTYPE") || error.kind() == ErrorKind::UnexpectedReturnType {
-            endpoint.count_failure();
+            endpoint.health().failures += 1;
             tracing::error!("the session store holds something else under a session's key: {text}");
             return StoreError::Away;
         }

@@ -85,9 +85,7 @@ impl fmt::Debug for RedisStore {
 
 impl RedisStore {
     /// A store on the server of that address, which may be down at this moment.
-    ///
-    /// # Errors
-    /// The client library rejects the address.
+    /// Errors: The client library rejects the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
         let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
         let endpoint = Endpoint::new("records", address, true).map_err(not_opened)?;
@@ -128,9 +126,7 @@ impl RedisStoreState {
     }
 
     /// Reads a stored record. `None`: it is damaged, which counts as no session.
-    ///
-    /// # Errors
-    /// Another version of the program has written it.
+    /// Errors: Another version of the program has written it.
     fn readable(&self, id: SessionId, bytes: &[u8]) -> Result<Option<Arc<Record>>, StoreError> {
         let why = match record::read(bytes) {
             Ok(record) if record.id == id => return Ok(Some(record)),
@@ -164,7 +160,8 @@ impl RedisStoreState {
             {
                 return self.same(old, &seq);
             }
-            self.files_endpoint.resume();
+            // The server has just answered.
+            self.files_endpoint.health().paused_until = None;
             // At 4 MB a second.
             let limit = ANSWER_TIMEOUT + Duration::from_micros(image.len() as u64 / 4);
             let replaces = Replaces { revision, is_readable: old.is_some() };
@@ -361,14 +358,15 @@ impl Store for RedisStore {
 
     fn figures(&self) -> Figures {
         let (sessions, bytes) = self.0.sessions.size();
+        let health = self.0.endpoint.health();
         Figures {
             sessions,
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),
             other_version: self.0.other_version.load(Ordering::Relaxed),
-            failures: self.0.endpoint.failures() + self.0.files_endpoint.failures(),
-            is_away: self.0.endpoint.is_away(),
-            is_unknown: !self.0.endpoint.has_answered(),
+            failures: health.failures + self.0.files_endpoint.health().failures,
+            is_away: health.is_away,
+            is_unknown: !health.has_answered,
         }
     }
 }
