@@ -74,8 +74,8 @@ impl Opened<'_> {
         })
         .map_err(wanted)?;
 
-        let orientation = parsed.orientation();
-        let width = parsed.stored().width() as usize;
+        let (stored, orientation) = parsed.stored();
+        let width = stored.width() as usize;
         let upright = match (samples, header.channels) {
             (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Eight),
             (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Eight),
