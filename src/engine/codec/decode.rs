@@ -61,7 +61,7 @@ impl Opened<'_> {
     /// Decodes the picture.
     ///
     /// # Errors
-    /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
+    /// [`CodecError::Bad`] for a file that is truncated, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
     /// file's end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;

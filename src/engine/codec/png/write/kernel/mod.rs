@@ -1,6 +1,6 @@
 //! Chooses the instruction set of the fast strip. Its code is portable Rust (`fast::body`), compiled again with more instructions: AVX2
-//! doubles the width of the filters, and BMI2 makes the shifts of the coding loop, whose counts are data, single instructions. AVX-512 looks
-//! residuals up in its own way. All levels give the same bytes.
+//! doubles the width of the filters, and BMI2 makes the shifts of the coding loop, whose counts are data, single instructions. AVX-512
+//! looks residuals up in its own way. All levels give the same bytes.
 
 use super::fast;
 use super::rows::Rows;
