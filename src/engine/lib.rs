@@ -1,7 +1,8 @@
 //! Image deformation using moving least squares (Schaefer, McPhail, Warren, SIGGRAPH 2006).
 //!
-//! *Handles* (points, segments, polylines) are placed on an image at rest positions `p` and moved to posed positions `q`; the image follows them
-//! smoothly. The part that depends on `p` alone is computed once (a [`deform::Plan`]); each new pose `q` then costs milliseconds.
+//! *Handles* (points, segments, polylines) are placed on an image at rest positions `p` and moved to posed positions `q`; the image
+//! follows them smoothly. The part that depends on `p` alone is computed once (a [`deform::Plan`]); each new pose `q` then costs
+//! milliseconds.
 //!
 //! One warp, from the bytes of an image file to the bytes of a PNG:
 //!
@@ -40,12 +41,13 @@
 //! # Ok::<(), WarpError>(())
 //! ```
 //!
-//! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the mathematics alone, [`geometry`] the grids and
-//! meshes that it moves, [`render`] draws a deformed mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
+//! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the mathematics alone, [`geometry`] the
+//! grids and meshes that it moves, [`render`] draws a deformed mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
 //!
 //! Modules depend on each other in one direction only: `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`.
 //!
-//! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the mathematics and the renderer, and one dependency.
+//! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the mathematics and the renderer, and one
+//! dependency.
 
 #[forbid(unsafe_code)]
 pub mod level;

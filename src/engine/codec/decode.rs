@@ -61,7 +61,7 @@ impl Opened<'_> {
     /// Decodes the picture.
     ///
     /// # Errors
-    /// [`CodecError::Bad`] for a file that is truncated anywhere, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
+    /// [`CodecError::Bad`] for a file that is truncated, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
     /// file's end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;
@@ -74,8 +74,8 @@ impl Opened<'_> {
         })
         .map_err(wanted)?;
 
-        let orientation = parsed.orientation();
-        let width = parsed.stored().width() as usize;
+        let (stored, orientation) = parsed.stored();
+        let width = stored.width() as usize;
         let upright = match (samples, header.channels) {
             (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Eight),
             (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Eight),

@@ -3,7 +3,7 @@
 
 use super::orientation::Orientation;
 use super::{CodecError, Format, StepCounter, jpeg, png, webp};
-use crate::pixmap::{Channels, Depth, Extent};
+use crate::pixmap::{Channels, Depth, Extent, sample_bytes};
 
 /// The header of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,22 +41,14 @@ impl<'a> Parsed<'a> {
         })
     }
 
-    pub(super) fn orientation(&self) -> Orientation {
-        let exif = match self {
-            Self::Png(file) => file.exif,
-            Self::Jpeg(file) => file.exif,
-            Self::WebP(file) => file.exif,
+    /// Width and height of the stored rows, and how they are turned upright.
+    pub(super) fn stored(&self) -> (Extent, Orientation) {
+        let (extent, exif) = match self {
+            Self::Png(file) => (file.extent, file.exif),
+            Self::Jpeg(file) => (file.extent, file.exif),
+            Self::WebP(file) => (file.extent, file.exif),
         };
-        exif.map_or_else(Orientation::default, Orientation::from_exif)
-    }
-
-    /// Width and height of the stored rows.
-    pub(super) fn stored(&self) -> Extent {
-        match self {
-            Self::Png(file) => file.extent,
-            Self::Jpeg(file) => file.extent,
-            Self::WebP(file) => file.extent,
-        }
+        (extent, exif.map_or_else(Orientation::default, Orientation::from_exif))
     }
 
     pub(super) fn header(&self) -> Header {
@@ -65,20 +57,15 @@ impl<'a> Parsed<'a> {
             Self::Jpeg(file) => (Format::Jpeg, Channels::Rgb, Depth::Eight, file.decoder_bytes()),
             Self::WebP(file) => (Format::WebP, file.channels(), Depth::Eight, file.decoder_bytes()),
         };
-        let stored = self.stored();
-        let picture = picture_bytes(stored, channels, depth);
-        let swaps = self.orientation().swaps_sides();
+        let (stored, orientation) = self.stored();
+        let picture = sample_bytes(stored, channels, depth);
+        let swaps = orientation.swaps_sides();
         let extent = if swaps { Extent::new(stored.height(), stored.width()).expect("both sides are non-zero") } else { stored };
         // The decoder's planes are freed before the picture is turned, so the peak is the larger of the two, not the sum; its small blocks
         // stay with the allocator.
         let beside = if swaps { decoder_bytes.max(picture.saturating_add(TURNING_SLACK)) } else { decoder_bytes };
         Header { format, extent, channels, depth, decode_bytes: picture.saturating_add(beside) }
     }
-}
-
-/// Bytes of the samples.
-pub(super) fn picture_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
-    extent.pixels().saturating_mul((channels.count() * depth.bytes()) as u64)
 }
 
 /// Reads the header: a few steps per chunk or segment of the file, whatever sizes they claim.

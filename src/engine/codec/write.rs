@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::jpeg::write::WhileWanted;
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
 use super::{Format, jpeg, webp};
-use crate::pixmap::Depth;
+use crate::pixmap::{Depth, sample_bytes};
 
 /// The encoding of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +115,7 @@ impl Writer {
         match &self.0 {
             Kind::Strips(png) => png.max_bytes(),
             Kind::Whole { shape, icc, .. } => {
-                let samples = shape.extent.pixels() * (shape.channels.count() * shape.depth.bytes()) as u64;
+                let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
                 samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
             }
         }

@@ -10,7 +10,7 @@ pub enum DeformError {
         /// Index of the handle.
         handle: usize,
     },
-    /// A coordinate is beyond what the arithmetic promises, 1e6 px.
+    /// A coordinate is beyond the supported range, 1e6 px.
     OutOfRange {
         /// Index of the handle.
         handle: usize,
@@ -23,7 +23,7 @@ pub enum DeformError {
     TooFewPlaces {
         /// Index of the handle.
         handle: usize,
-        /// How many it has.
+        /// Its number of positions.
         places: usize,
     },
     /// The posed handles differ from the rest handles in number.
@@ -68,36 +68,36 @@ pub enum DeformError {
         /// Which segment of the polyline.
         segment: usize,
     },
-    /// Two handles that meet at rest are asked to go to different places.
+    /// Two handles that coincide at rest have different targets.
     Contradictory {
         /// Index of the first handle.
         first: usize,
         /// Index of the second handle (may be the same polyline).
         second: usize,
-        /// Where they meet, px.
+        /// Position of the coincidence, px.
         x: f64,
-        /// Where they meet, px.
+        /// Position of the coincidence, px.
         y: f64,
         /// Distance of their targets there, px.
         apart: f64,
     },
-    /// The handles meet at more places than are looked at.
+    /// The handles coincide at too many positions.
     TooManyMeetings {
         /// The limit.
         limit: usize,
     },
-    /// The handles lie so close to each other that more pairs would have to be compared than are.
+    /// The handles lie too close to each other: too many pairs would have to be compared.
     TooManyNeighbours {
         /// The limit.
         limit: u64,
     },
-    /// Nobody waits for the result any more.
+    /// Cancelled.
     Cancelled,
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
     AlphaOutOfRange {
         /// The exponent.
         alpha: f64,
-        /// The set has lines.
+        /// Whether the set has lines.
         lines: bool,
     },
 }

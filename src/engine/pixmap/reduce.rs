@@ -40,7 +40,7 @@ impl Pixmap {
 /// Memory of the samples of a picture of this shape, bytes.
 #[must_use]
 pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
-    extent.pixels() * channels.count() as u64 * depth.bytes() as u64
+    extent.pixels().saturating_mul((channels.count() * depth.bytes()) as u64)
 }
 
 fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(samples: &[S], from: Extent, channels: Channels, k: u32) -> Vec<S> {

@@ -130,6 +130,7 @@ impl<'a> Chain<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lattice::LIMIT;
     use super::*;
     use proptest::prelude::*;
 
@@ -139,7 +140,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn crossing_is_the_exact_one(ax in -9000..9000_i32, ay in -9000..9000_i32, bx in -9000..9000_i32, by in -9000..9000_i32, row in -30..30_i64) {
+        fn crossing_is_the_exact_one(
+            (ax, ay, bx, by) in (-9000..9000_i32, -9000..9000_i32, -9000..9000_i32, -9000..9000_i32),
+            row in -30..30_i64,
+        ) {
             let y = row * i64::from(ONE) + i64::from(HALF);
             if let Some(edge) = Edge::new(corner(ax, ay), corner(bx, by))
                 && let Some(crossing) = edge.crossing(y)
@@ -159,8 +163,12 @@ mod tests {
         }
 
         #[test]
-        fn crossing_never_overflows(ax: bool, ay: bool, bx in -super::super::lattice::LIMIT..super::super::lattice::LIMIT, by in -super::super::lattice::LIMIT..super::super::lattice::LIMIT, row in 0..100_000_u32) {
-            let far = |negative| if negative { -super::super::lattice::LIMIT } else { super::super::lattice::LIMIT };
+        fn crossing_never_overflows(
+            (ax, ay) in (any::<bool>(), any::<bool>()),
+            (bx, by) in (-LIMIT..LIMIT, -LIMIT..LIMIT),
+            row in 0..100_000_u32,
+        ) {
+            let far = |negative| if negative { -LIMIT } else { LIMIT };
             if let Some(edge) = Edge::new(corner(far(ax), far(ay)), corner(bx, by))
                 && let Some(crossing) = edge.crossing(row_centre(row))
             {

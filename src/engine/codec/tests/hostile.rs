@@ -1,4 +1,4 @@
-//! Files that are cut, damaged, or made to cost more than they weigh.
+//! Files that are truncated, damaged, or made to cost more than their size suggests.
 
 use super::made::{Jpeg, Png, riff, vp8, vp8x, webp_lossless};
 use super::*;
@@ -35,7 +35,7 @@ fn truncated_photographs_are_refused() {
     }
 }
 
-/// Panics of a decoder are caught, and what still decodes is what its header says.
+/// Panics of a decoder are caught, and a damaged file that still decodes matches its header.
 #[test]
 fn random_byte_flips_never_panic() {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
@@ -62,7 +62,7 @@ fn random_byte_flips_never_panic() {
     assert!(read > 500, "only {read} damaged files were still read: the flips do not reach the pixels");
 }
 
-/// Without this a PNG's damage would never get past its checksums.
+/// Without corrected checksums, damage to a PNG would never get past them.
 fn mend_checksums(bytes: &mut [u8]) {
     let mut at = 8;
     while let Some(head) = bytes.get(at..at + 4) {
@@ -115,10 +115,10 @@ fn bombs_are_refused_by_their_header() {
     let side = CodecError::TooLarge { what: "image_side", limit: 16_384, actual: 60_000 };
     for bytes in [png(60_000, 60_000), jpeg(60_000, 60_000, false), jpeg(60_000, 60_000, true)] {
         assert_eq!(decode(&bytes, &Limits::default()).unwrap_err(), side);
-        // Even without limits the data is weighed before memory is taken.
+        // Even without limits the data is checked before memory is allocated.
         assert!(matches!(decode(&bytes, &NO_LIMITS), Err(CodecError::Bad { .. })));
     }
-    // A WebP frame is at most 16384 wide: a larger canvas is a lie.
+    // A WebP frame is at most 16384 wide, so a larger canvas is invalid.
     assert!(matches!(decode(&webp(60_000, 60_000), &Limits::default()), Err(CodecError::Bad { .. })));
     let solid = riff(&[(b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0])]);
     assert_eq!(
@@ -136,7 +136,7 @@ fn bombs_are_refused_by_their_header() {
     assert!(matches!(decode(&huge, &NO_LIMITS), Err(CodecError::Bad { .. })));
 }
 
-/// What is predicted is what a caller reserves: it covers the picture, the turned copy, and a progressive picture's coefficients.
+/// Callers reserve the predicted memory: it covers the picture, the turned copy, and a progressive picture's coefficients.
 #[test]
 fn decode_bytes_follow_the_picture() {
     let bytes = |file: Vec<u8>| probe(&file).unwrap().decode_bytes;

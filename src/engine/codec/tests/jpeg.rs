@@ -7,7 +7,7 @@ fn lenient(bytes: &[u8]) -> Vec<u8> {
     image::load_from_memory_with_format(bytes, image::ImageFormat::Jpeg).unwrap().to_rgb8().into_raw()
 }
 
-/// Proving completeness must not change a whole picture.
+/// The check for completeness does not change a complete picture.
 #[test]
 fn jpeg_photograph_equals_the_lenient_decoder() {
     let bytes = photograph("rocket.jpg");
@@ -49,7 +49,7 @@ fn jpeg_flat_blocks_have_exact_values() {
     assert!(eight(&decoded(&ycck.bytes())).chunks_exact(3).all(|pixel| pixel == [55; 3]));
 }
 
-/// The same picture, whatever the order in which its blocks are sent.
+/// The order in which blocks are sent does not change the picture.
 #[test]
 fn jpeg_scan_layouts_give_one_picture() {
     for factors in [[(1, 1); 3], [(2, 1), (1, 1), (1, 1)], [(2, 2), (1, 1), (1, 1)]] {
@@ -84,7 +84,7 @@ fn jpeg_orientation_is_applied_once() {
     assert_eq!(decoded(&malformed.bytes()), decoded(&Jpeg::letters().bytes()));
 }
 
-/// One component alone is never interleaved: its sampling factors mean nothing.
+/// A single component is never interleaved: its sampling factors have no effect.
 #[test]
 fn jpeg_grey_ignores_its_sampling_factors() {
     let plain = Jpeg::letters().bytes();
@@ -114,7 +114,7 @@ fn jpeg_without_area_is_bad() {
     }
 }
 
-/// Not a cut file but a cut scan: the decoder would fill the rest with grey.
+/// A truncated scan in a complete file: the decoder alone would fill the rest with grey.
 #[test]
 fn jpeg_scans_that_end_early_are_bad() {
     let photo = photograph("rocket.jpg");

@@ -1,4 +1,4 @@
-//! Files made by hand, chunk by chunk: the encoders of the crates under test would hide what they add.
+//! Files built chunk by chunk, because the encoders of the crates under test would add chunks of their own.
 
 use std::io::Write as _;
 
@@ -12,7 +12,7 @@ pub(super) fn deflate(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// Something that passes for an RGB profile.
+/// A minimal RGB profile.
 pub(super) fn profile(len: usize) -> Vec<u8> {
     let mut profile: Vec<u8> = (0..len).map(|n| ((n * n) >> 3) as u8).collect();
     profile[..4].copy_from_slice(&(len as u32).to_be_bytes());
@@ -34,7 +34,7 @@ pub(super) fn png_chunk(kind: [u8; 4], data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A PNG in parts.
+/// The parts of a PNG.
 #[derive(Clone)]
 pub(super) struct Png {
     pub(super) ihdr: [u8; 13],
@@ -55,7 +55,7 @@ impl Png {
         Self { ihdr, before: vec![], rows, after: vec![] }
     }
 
-    /// The same picture in seven passes; whole bytes a pixel only.
+    /// The same picture in seven passes; whole bytes per pixel only.
     pub(super) fn interlaced(width: u32, height: u32, bits: u8, colour: u8, packed: &[u8]) -> Self {
         let mut png = Self::new(width, height, bits, colour, packed);
         png.ihdr[12] = 1;
@@ -102,9 +102,9 @@ pub(super) struct Jpeg {
     pub(super) sof: u8,
     factors: Vec<(u8, u8)>,
     segments: Vec<u8>,
-    /// One level a component and MCU, in MCU order.
+    /// One level per component and MCU, in MCU order.
     mcus: Vec<Vec<i32>>,
-    /// One scan a component.
+    /// One scan per component.
     separate: bool,
 }
 
@@ -237,13 +237,13 @@ pub(super) fn vp8x(flags: u8, (width, height): (u32, u32)) -> [u8; 10] {
     data
 }
 
-/// A simple file put into the extended container.
+/// A simple file converted to the extended container.
 pub(super) fn webp_container(simple: &[u8], size: (u32, u32), exif: &[u8], icc: &[u8]) -> Vec<u8> {
     let length = u32::from_le_bytes(simple[16..20].try_into().unwrap()) as usize;
     riff(&[(b"VP8X", &vp8x(0x28, size)), (b"ICCP", icc), (simple[12..16].try_into().unwrap(), &simple[20..20 + length]), (b"EXIF", exif)])
 }
 
-/// A VP8 key frame. Partitions of zeros decode as "no" to every question: DC prediction, no residual, hence mid grey.
+/// A VP8 key frame. Partitions of zeros decode to DC prediction without residual, hence mid grey.
 pub(super) fn vp8(width: u16, height: u16) -> Vec<u8> {
     let first = 64 + u32::from(width) * u32::from(height) / 4;
     let mut frame = ((first << 5) | 1 << 4).to_le_bytes()[..3].to_vec();
@@ -254,7 +254,7 @@ pub(super) fn vp8(width: u16, height: u16) -> Vec<u8> {
     frame
 }
 
-/// A lossy file, with alpha stored plainly when there is any.
+/// A lossy file, with uncompressed alpha if there is any.
 pub(super) fn webp_lossy(width: u16, height: u16, alpha: Option<&[u8]>) -> Vec<u8> {
     match alpha {
         None => riff(&[(b"VP8 ", &vp8(width, height))]),

@@ -1,5 +1,5 @@
-//! Reading files: laws over all formats here, one file per format beside, hostile bytes last. Files are made by hand (`made`),
-//! so that every chunk is under the test's control; photographs come from `tests/images`.
+//! Tests of reading files: properties of all formats here, and one file per format. Files are built in `made`, so that every chunk is
+//! known; photographs come from `tests/images`.
 
 #![expect(clippy::cast_possible_truncation, reason = "patterns are cut to their low byte, and sizes are written here")]
 
@@ -46,7 +46,7 @@ fn sixteen(pixmap: &Pixmap) -> &[u16] {
     }
 }
 
-/// The law that joins the two: what the header promises is what comes. Returns whether the file was read.
+/// The decoded picture matches its header. Returns whether the file was read.
 fn header_is_kept(bytes: &[u8]) -> bool {
     let Ok(Decoded { pixmap, .. }) = decode(bytes, &Limits { max_pixels: 1 << 20, max_side: 1 << 12 }) else { return false };
     let header = probe(bytes).unwrap();
@@ -55,7 +55,7 @@ fn header_is_kept(bytes: &[u8]) -> bool {
     true
 }
 
-/// One file of every kind, with every chunk that is looked at.
+/// One file of every kind, with every chunk that is read.
 fn zoo() -> Vec<(&'static str, Vec<u8>)> {
     let letters = made::Jpeg::letters();
     let exif_block = exif(6, false);
@@ -131,7 +131,7 @@ fn unsupported_formats_are_named() {
     assert_eq!(found(b"RIFF\0\0\0\0WAVEfmt "), "an unknown format that begins with 52 49 46 46");
 }
 
-/// What stands where a profile stands and is not one.
+/// Invalid profiles.
 fn not_profiles() -> Vec<(&'static str, Vec<u8>)> {
     let changed = |at: usize, bytes: &[u8]| {
         let mut profile = made::profile(500);
@@ -158,7 +158,7 @@ fn a_file_without_a_profile_has_none_to_drop() {
     }
 }
 
-/// A colour-managed picture keeps its profile only where the profile describes the samples that are handed on.
+/// A colour-managed picture keeps its profile only if the profile describes the decoded samples.
 #[test]
 fn icc_profile_is_kept_for_rgb_only() {
     let icc = |bytes: &[u8]| {

@@ -101,7 +101,7 @@ fn png_colour_keys_become_alpha() {
     assert_eq!(sixteen(&decoded(&deep.bytes())), [0x102, 0x102, 0x102, 0, 0x103, 0x103, 0x103, u16::MAX]);
 }
 
-/// A tRNS that the decoder drops as malformed must not change what the header promised.
+/// A tRNS that the decoder drops as malformed does not change the header's channels.
 #[test]
 fn png_with_a_malformed_colour_key_is_opaque_rgba() {
     let bytes = Png::new(1, 1, 8, 2, &[1, 2, 3]).with(*b"tRNS", &[9]).bytes();
@@ -137,7 +137,7 @@ fn png_animations_are_refused_and_single_frames_read() {
     let still = Png::new(3, 2, 8, 0, b"abcdef");
     let animated = still.clone().with(*b"acTL", &control(7)).bytes();
     assert_eq!(probe(&animated).unwrap_err(), CodecError::TooLarge { what: "image_frames", limit: 1, actual: 7 });
-    // The frame claims another size than the picture.
+    // The frame has another size than the picture.
     let mut frame = [0; 26];
     (frame[7], frame[11]) = (1, 1);
     let single = still.clone().with(*b"acTL", &control(1)).with(*b"fcTL", &frame).bytes();
@@ -167,7 +167,7 @@ fn png_damage_is_an_error() {
     assert!(matches!(decode(&no_palette, &Limits::default()), Err(CodecError::Bad { .. })));
 }
 
-/// The bounds on data hold what encoders write at their worst, and little more.
+/// The bounds on data allow the worst output of encoders, and little more.
 #[test]
 fn png_data_is_bounded_by_the_picture() {
     let rows: Vec<u8> = (0..100 * 301_usize).map(|n| if n.is_multiple_of(301) { 0 } else { ((n * n) >> 3) as u8 }).collect();
@@ -201,7 +201,7 @@ fn png_data_is_bounded_by_the_picture() {
     refused(of(vec![[&plain[..], &[0; 130_000]].concat()]));
 }
 
-/// What deflate yields beyond the last row is dropped as it comes.
+/// Deflated data beyond the last row is discarded without being stored.
 #[test]
 fn png_data_beyond_the_picture_takes_no_memory() {
     let mut bomb = Png::new(3, 2, 8, 0, b"abcdef");

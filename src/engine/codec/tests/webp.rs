@@ -1,4 +1,4 @@
-//! WebP pixels: lossless ones come back equal; lossy ones are flat by construction.
+//! WebP pixels: lossless ones are equal; lossy ones are flat by construction.
 
 use super::made::{self, riff, vp8, vp8x, webp_container, webp_lossless};
 use super::*;
@@ -10,7 +10,7 @@ fn webp_lossless_comes_back_equal() {
         let bytes = webp_lossless(source.extent().width(), source.extent().height(), channels, eight(&source));
         assert!(decoded(&bytes) == source, "{name}");
     }
-    // The widest picture there is: its header stores 16383.
+    // The widest possible picture: its header stores 16383.
     let wide: Vec<u8> = (0..3 * 16_384).map(|n| (n / 64) as u8).collect();
     assert_eq!(eight(&decoded(&webp_lossless(16_384, 1, Channels::Rgb, &wide))), wide);
 }

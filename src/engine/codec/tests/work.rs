@@ -1,6 +1,6 @@
-//! Work, counted: what a file costs depends on its bytes and on the pixels that it claims within the limits, whatever else it claims. Steps are
-//! those of our own parsers and the requests of the library decoders for input; instructions of the decoders are counted by
-//! `tests/counts/run`. Every file of the corpus: the kinds, the damaged, the bombs, the seeds of the fuzz target and what it has found.
+//! The number of steps depends on a file's bytes and on the pixels that it claims within the limits, whatever else it claims. Steps are
+//! those of this crate's parsers and the library decoders' requests for input; `tests/counts/run` counts the instructions of the decoders.
+//! The corpus: every kind of file, damaged files, bombs, the seeds of the fuzz target and its findings.
 
 use std::cell::Cell;
 
@@ -25,7 +25,7 @@ fn corpus() -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// Bytes of a file's header: all but the data of its pixels. Each chunk counts by its own head and eight bytes of what it holds.
+/// Bytes of a file's header: all except the data of its pixels. Each chunk counts its own head and eight bytes of its data.
 fn header_bytes(bytes: &[u8]) -> u64 {
     let head = match bytes {
         [0x89, ..] => 8,
@@ -39,7 +39,7 @@ fn header_bytes(bytes: &[u8]) -> u64 {
             ([0x89, ..], [a, b, c, d, ..]) => u32::from_be_bytes([*a, *b, *c, *d]) as usize + 12,
             ([b'R', ..], [_, _, _, _, a, b, c, d, ..]) => (u32::from_le_bytes([*a, *b, *c, *d]) as usize).next_multiple_of(2) + 8,
             ([0xFF, ..], [0xFF, 0xDA, ..]) => break,
-            // A segment or a fill byte; what is no marker ends the header.
+            // A segment or a fill byte; anything else ends the header.
             ([0xFF, ..], _) => 1,
             _ => break,
         };
@@ -65,7 +65,7 @@ fn steps(bytes: &[u8]) -> [u64; 3] {
     ]
 }
 
-/// Pixels that a file claims, when they are within the limits.
+/// Pixels that a file claims, if they are within the limits.
 fn claimed(bytes: &[u8]) -> u64 {
     probe(bytes).map_or(0, |header| Limits::default().check(header.extent).map_or(0, |()| header.extent.pixels()))
 }
@@ -87,7 +87,7 @@ fn steps_follow_the_bytes_and_the_pixels_of_every_file() {
     println!("most steps of the header: {}\nof opening: {}\nof decoding: {}", worst[0].1, worst[1].1, worst[2].1);
 }
 
-/// Each file is decoded with an answer of "no longer wanted" at the first, second, third ... question: it ends there, and in no other way.
+/// Each file is decoded and cancelled at the first, second, third ... check: it ends there with `Cancelled`.
 #[test]
 fn decoding_ends_at_the_first_question_that_is_answered_with_no() {
     let mut asked = 0;
@@ -105,7 +105,7 @@ fn decoding_ends_at_the_first_question_that_is_answered_with_no() {
                 break;
             }
             assert!(matches!(result, Err(CodecError::Cancelled)), "{name}, stopped at question {stop}: {result:?}");
-            // A decoder may ask a few times more on its way out, say for the rest of a file that it skips.
+            // A decoder may check a few times more, for example to skip the rest of a file.
             assert!(questions.get() <= stop + 8, "{name}: {} questions after the answer", questions.get() - stop);
             stop += 1 + stop * 2;
         }

@@ -98,7 +98,8 @@ mod tests {
         }
     }
 
-    /// The same for rows: points and segments, every kind of power, vertices on handles, next to them and far away, sixteen at once and single.
+    /// The same for rows: points and segments, every kind of power, vertices on handles, next to them and far away, sixteen at once and
+    /// one by one.
     #[test]
     fn levels_weigh_to_the_same_bits() {
         let segment = |a: Point, b: Point, column| {

@@ -159,8 +159,8 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
                 let (nu, ndu, nv, ndv) = (_mm256_set1_ps(nu[c]), _mm256_set1_ps(ndu[c]), _mm256_set1_ps(nv[c]), _mm256_set1_ps(ndv[c]));
                 let mut k = lanes;
                 loop {
-                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width` after
-                    // the first group, and there is room for a group behind the row.
+                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width`
+                    // after the first group, and there is room for a group behind the row.
                     unsafe {
                         _mm256_storeu_ps(u.add(at), _mm256_add_ps(nu, _mm256_mul_ps(k, ndu)));
                         _mm256_storeu_ps(v.add(at), _mm256_add_ps(nv, _mm256_mul_ps(k, ndv)));
@@ -303,7 +303,8 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     // A left and right texel for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the upper and the lower row.
     let texels = packed.texels.as_ptr();
     let pair = |row: *const u32, a: usize, b: usize| {
-        // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so a pixel's pair begins before the last column and row, which are padding.
+        // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so a pixel's pair begins before the last column and row, which are
+        // padding.
         unsafe {
             let low = _mm_loadl_epi64(row.add(index[a] as usize).cast());
             _mm_castpd_si128(_mm_loadh_pd(_mm_castsi128_pd(low), row.add(index[b] as usize).cast()))

@@ -37,7 +37,7 @@ pub(in crate::render) struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    /// Updates `bare` and `open` after painting. O(1) per pixel over all calls together, and per row and call.
+    /// Updates `uncovered` and `open` after painting. O(1) per pixel over all calls together, and per row and call.
     #[inline]
     pub(in crate::render) fn shrink(&mut self) {
         if self.over {

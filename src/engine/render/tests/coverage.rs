@@ -1,4 +1,4 @@
-//! Which pixels a mesh paints, and with which places of the source.
+//! The pixels that a mesh paints, and their source positions.
 
 use super::super::cell;
 use super::super::drawing::Drawing;
@@ -6,7 +6,7 @@ use super::super::kernel::{Canvas, Kernel, LANES, UNCOVERED};
 use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
 use super::*;
 
-/// Draws each cell by itself, in painter's order, in strips of a few rows, and shows the coordinates that it paints.
+/// Draws each cell by itself, in drawing order, in strips of a few rows, and returns the coordinates.
 fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: impl FnMut(usize, usize, Point)) {
     const STRIP: u32 = 7;
     let (width, kernel) = (target.width() as usize, Kernel::new(level));
@@ -51,7 +51,7 @@ fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
     counts
 }
 
-/// How often the snapped border winds around a place, in exact integers; `None` on the border itself.
+/// The winding number of the snapped border around a position, in exact integers; `None` on the border itself.
 fn winding(lattice: &Lattice, x: i64, y: i64) -> Option<i64> {
     let (c, r) = (lattice.columns - 1, lattice.rows - 1);
     let loop_ =
@@ -166,7 +166,7 @@ fn coordinates_are_those_of_the_bilinear_patch() {
     assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
 }
 
-/// Compares all rows with painting one cell after the other; returns how many pixels are painted.
+/// Compares all rows with painting the cells one after the other; returns the number of painted pixels.
 fn as_painted_in_order(drawing: &Drawing, target: Extent, what: &str) -> usize {
     let (width, mut painted) = (target.width() as usize, 0);
     let mut places = vec![None; width * target.height() as usize];
@@ -202,7 +202,7 @@ fn folded_rows_are_those_of_painting_in_order() {
     assert!(painted > 100_000 && folded > 1000, "{painted} {folded}");
 }
 
-/// Few folds in smooth surroundings, which reach under and over what is drawn by crossings.
+/// A few folds in a smooth mesh, which reach under and over the rows drawn by crossings.
 #[test]
 fn divided_rows_are_those_of_painting_in_order() {
     let (mut painted, mut divided) = (0, 0);
@@ -244,7 +244,7 @@ fn folds_leave_no_holes() {
         let jittered = posed(grid, |p| {
             let inner = p.x > 0.0 && p.y > 0.0 && p.x < 60.0 && p.y < 60.0;
             let jitter = if inner { 9.0 } else { 0.0 };
-            // The generator is moved on by place, so that the closure stays pure.
+            // The generator advances by position, so that the closure stays pure.
             let mut local = Noise(seed * 7919 + (p.x * 61.0 + p.y) as u64);
             local.next();
             p + Vec2::new(jitter * local.signed(), jitter * local.signed())
@@ -271,8 +271,8 @@ fn cells_without_area_paint_nothing() {
     assert_eq!(ONE, 256, "lattice steps in the places above");
 }
 
-/// Steep lines of the grid, and columns that bend at some of them: a chord from column to column runs through several cells, of which one alone
-/// may be out of shape.
+/// Steep grid lines, and columns that bend at some of them: a chord between columns crosses several cells, of which only one may be out of
+/// shape.
 #[test]
 fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
     let (mut worst, mut mended) = (0.0_f64, 0);
@@ -283,7 +283,7 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
         let grid = Grid::with_cell(200.0, 200.0, 3.0 + 12.0 * random());
         let steep = (0.2 + 1.2 * random()) * if seed % 2 == 0 { 1.0 } else { -1.0 };
         let (bends, heights, falls) = (1.5 * random(), random(), random());
-        // How far lines lie below one another and are pushed along, and how far columns fall.
+        // How far apart lines are and how far they are shifted along, and how steep columns are.
         let walk = |count: u32, mut step: Box<dyn FnMut(u32) -> f64 + '_>| {
             (1..count).fold(vec![0.0], |mut places, k| {
                 places.push(places[k as usize - 1] + step(k));
@@ -318,17 +318,17 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
     assert!(mended > 1000, "{mended} rows");
 }
 
-/// Single cells like wedges: along a row t is far from linear, however the row is divided.
+/// Single wedge-shaped cells: along a row t is far from linear, however the row is split.
 #[test]
 fn cells_with_long_sides_are_drawn_as_their_patches() {
     let (mut worst, mut compared) = (0.0_f64, 0);
     let target = extent(230, 90);
     for seed in 0..60 {
         let mut noise = Noise(seed);
-        // On the lattice: a thin end would magnify what snapping moves.
+        // On the lattice, because a thin end would magnify snapping errors.
         let mut off = || (3072.0 * noise.signed()).round() / 256.0;
         let mut near = |x: f64, y: f64| Point::new(x + off(), y + off());
-        // One end is high, the other low, and both lie off the middle.
+        // One end is high, the other low, and both are off the middle.
         let corners = [near(8.0, 42.0), near(222.0, 20.0), near(222.0, 70.0 + 0.25 * seed as f64), near(8.0, 56.0)];
         let mesh = posed(Grid::with_counts(230.0, 90.0, 2, 2), |p| {
             let corner = match (p.x > 0.0, p.y > 0.0) {

@@ -1,4 +1,4 @@
-//! The rendering laws: what must hold for every mesh, then small pictures, then a photograph against a slow reference.
+//! Tests of the renderer: properties of every mesh, small pictures, and a photograph against a slow reference.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "small numbers of the tests themselves")]
 
@@ -40,7 +40,7 @@ impl Noise {
     }
 }
 
-/// A picture of noise, alpha included; every seventh pixel is clear and every fifth opaque.
+/// A picture of noise with alpha; every seventh pixel is transparent and every fifth opaque.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Pixmap {
     let mut noise = Noise(17);
     let mut samples: Vec<u16> = (0..extent.pixels() * channels.count() as u64).map(|_| (noise.next() >> 16) as u16).collect();
@@ -70,7 +70,7 @@ fn bytes(pixmap: &Pixmap) -> Vec<u8> {
     }
 }
 
-/// The mesh that poses every vertex by a function of its place at rest.
+/// The mesh that poses every vertex by a function of its rest position.
 fn posed(grid: Grid, f: impl Fn(Point) -> Point) -> Mesh {
     let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)));
     let displacement = vertices.map(|p| f(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
@@ -96,7 +96,7 @@ fn waves(grid: Grid, seed: u64, strength: f64) -> Mesh {
     })
 }
 
-/// Turns by `angle` at the centre, less with the distance.
+/// Rotates by `angle` at the centre, less with the distance.
 fn swirl(grid: Grid, angle: f64) -> Mesh {
     let centre = Point::new(grid.width() / 2.0, grid.height() / 2.0);
     let radius = grid.width().min(grid.height()) / 2.2;
@@ -118,7 +118,7 @@ fn draw_on(level: Level, source: &Arc<Source>, mesh: &Mesh, options: RenderOptio
     (renderer, out)
 }
 
-/// Draws in bands of so many rows.
+/// Draws in bands of this number of rows.
 fn banded(renderer: &Renderer, rows: u32) -> Vec<u8> {
     let target = renderer.target();
     let row = target.width() as usize * renderer.channels().count() * renderer.depth().bytes();
@@ -137,7 +137,7 @@ fn astronaut() -> Pixmap {
     Pixmap::new(extent(rgb.width(), rgb.height()), Channels::Rgb, Samples::Eight(rgb.into_raw()))
 }
 
-/// The same picture with an alpha that is opaque in a disc, softly edged, and clear outside.
+/// The same picture with an alpha that is opaque in a disc, soft at its edge, and transparent outside.
 fn cut_out(picture: &Pixmap) -> Pixmap {
     let Samples::Eight(samples) = picture.samples() else { panic!("8 bit") };
     let (width, height) = (picture.extent().width() as usize, picture.extent().height() as usize);

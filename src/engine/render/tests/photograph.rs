@@ -8,7 +8,7 @@ fn deviating(source: &Source, mesh: &Mesh, target: Extent, k: u32, channels: usi
     let mut deviating = 0;
     for (place, drawn) in reference::places(mesh, target).into_iter().zip(out.chunks_exact(channels)) {
         let expected = place.map_or([0.0; 4], |place| reference::sample(&picture, place, f64::from(k).exp2()));
-        // Colours of a pixel that is all but clear are not seen.
+        // Colours of a nearly transparent pixel are invisible.
         let seen = expected[3] > 8.0;
         deviating += (0..channels).filter(|&c| (c == 3 || seen) && (expected[c] - f64::from(drawn[c])).abs() > 1.5).count();
     }
@@ -21,7 +21,7 @@ fn check(picture: Pixmap, mesh: &Mesh, target: Extent, k: u32) {
     let (renderer, out) = draw(&source, mesh, options(target));
     let share = deviating(&source, mesh, target, k, renderer.channels().count(), &out);
     assert!(share <= 0.001, "{:.4} % of the samples deviate", 100.0 * share);
-    // The check can fail: a place half a pixel beside would be seen.
+    // The test can fail: an offset of half a pixel is detected.
     let shifted = posed(*mesh.grid(), |p| mesh.map(p).unwrap() + Vec2::new(0.5, 0.5));
     let (_, other) = draw(&source, &shifted, options(target));
     if other.len() == out.len() {

@@ -1,4 +1,4 @@
-//! Small pictures: identity, translations, half turns, channels, halos, what lies outside.
+//! Small pictures: identity, translations, half turns, channels, halos, outside.
 
 use super::*;
 
@@ -32,7 +32,7 @@ fn identity_returns_the_pixels() {
     }
 }
 
-/// Not the copied identity: displacements that are too small to matter, so that every pixel is sampled.
+/// Not the copied identity: displacements too small to matter, so that every pixel is sampled.
 #[test]
 fn identity_by_samples_returns_the_pixels() {
     for (size, (channels, depth)) in SIZES.into_iter().flat_map(|size| kinds().map(move |kind| (size, kind))) {
@@ -171,7 +171,7 @@ fn later_cell_wins_where_the_picture_folds() {
     }
 }
 
-/// A wide source: places beyond 512 px take more than 16 bits of fixed point.
+/// A wide source: positions beyond 512 px take more than 16 bits of fixed point.
 #[test]
 fn levels_give_the_same_bytes_across_wide_sources() {
     for (channels, depth) in kinds() {
@@ -233,7 +233,7 @@ fn any_banding_gives_the_same_bytes() {
     }
 }
 
-/// Alpha 127 and 255 differ in the sign of what is stored, and in nothing else.
+/// Alpha 127 and 255 differ only in the sign of the stored value.
 #[test]
 fn half_transparent_texels_beside_opaque_ones_are_weighed_on_every_level() {
     let mut random = Noise(5);

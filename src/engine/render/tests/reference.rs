@@ -1,9 +1,9 @@
-//! The slow reference: for each pixel centre the cell whose bilinear patch holds it (Newton's method, later cells win), and float samples, premultiplied.
-//! It shares nothing with the rasteriser but the mesh and the box reduction.
+//! The slow reference: for each pixel centre the cell whose bilinear patch contains it (Newton's method, later cells win), and float
+//! samples, premultiplied. It shares only the mesh and the box reduction with the rasteriser.
 
 use super::*;
 
-/// Places of the source, px, that the target's pixel centres show; `[height][width]`.
+/// Source positions, px, of the target's pixel centres; `[height][width]`.
 pub(super) fn places(mesh: &Mesh, target: Extent) -> Vec<Option<Point>> {
     let grid = mesh.grid();
     let (width, height) = (target.width() as usize, target.height() as usize);
@@ -32,7 +32,7 @@ pub(super) fn places(mesh: &Mesh, target: Extent) -> Vec<Option<Point>> {
     places
 }
 
-/// Parameters of a place in a bilinear patch, by Newton's method.
+/// Parameters of a position in a bilinear patch, by Newton's method.
 fn invert(p00: Point, p10: Point, p01: Point, p11: Point, place: Point) -> Option<(f64, f64)> {
     let (e, f) = (p10 - p00, p01 - p00);
     let d = (p11 - p10) - f;
@@ -48,7 +48,7 @@ fn invert(p00: Point, p10: Point, p01: Point, p11: Point, place: Point) -> Optio
     (inside(s) && inside(t)).then_some((s, t))
 }
 
-/// A float sample of a picture that is `1 / scale` of the source: straight RGBA, 0 to 255 whatever the depth.
+/// A float sample of a picture reduced by `scale`: straight RGBA, 0 to 255 at any depth.
 pub(super) fn sample(picture: &Pixmap, place: Point, scale: f64) -> [f64; 4] {
     let (width, height) = (picture.extent().width() as usize, picture.extent().height() as usize);
     let channels = picture.channels().count();

@@ -1,8 +1,8 @@
-//! The rows of one strip and the PNG filters over them (PNG 3rd edition, section 9). Shapes: samples `[rows][row_bytes]`, bytes in PNG order;
-//! `bpp` bytes a pixel. A filter writes `x - prediction` modulo 256 for a stretch of a row, so that callers may work in pieces that stay in the
-//! first-level cache. The encoder knows every neighbour, so all loops are free of carried dependencies and become vector code.
-//! The first row of a strip has no row above it here (strips are independent), although the decoder has one: it may only be filtered by
-//! `None` or `Sub`.
+//! The rows of one strip and the PNG filters over them (PNG 3rd edition, section 9). Shapes: samples `[rows][row_bytes]`, bytes in PNG
+//! order; `bpp` bytes per pixel. A filter writes `x - prediction` modulo 256 for a part of a row, so that callers can work in pieces that
+//! stay in the first-level cache. The encoder knows every neighbour, so the loops have no carried dependencies and are vectorised. Strips
+//! are independent, so the first row of a strip has no row above it here, although the decoder has one: it may only be filtered by `None`
+//! or `Sub`.
 
 /// Samples of one strip.
 #[derive(Clone, Copy, Debug)]

@@ -205,7 +205,7 @@ fn runs_of_every_length_survive() {
 
 #[test]
 fn rows_unlike_the_sampled_ones_can_be_written() {
-    // One row in thirteen is noise and the others are flat: most bytes were never sampled, some rows always were.
+    // One row in thirteen is noise and the others are flat: most bytes are never sampled, some rows always are.
     for period in [2, 7, 13, 100] {
         let shape = shape(400, 300, KINDS[0]);
         let mut samples = picture(shape, Content::Noise);

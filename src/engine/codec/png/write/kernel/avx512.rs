@@ -1,5 +1,5 @@
-//! The fast strip for AVX-512 with VBMI: 64 residuals are looked up at once in registers (`vpermi2b`), and their codes are joined in lanes that grow from
-//! 16 to 64 bits, so that eight codes go to a store as a rule. The same bits as the portable coder's.
+//! The fast strip for AVX-512 with VBMI: looks up 64 residuals at once in registers (`vpermi2b`), and joins their codes in lanes that grow
+//! from 16 to 64 bits, so that usually eight codes go to one store. The same bits as the portable coder.
 
 use std::arch::x86_64::*;
 
@@ -19,7 +19,7 @@ fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Op
     fast::body::<Registers>(rows, last, most, out)
 }
 
-/// Looked up in registers.
+/// Looks codes up in registers.
 struct Registers;
 
 impl fast::Kernel for Registers {
@@ -34,12 +34,12 @@ impl fast::Kernel for Registers {
     }
 }
 
-/// Bits of a code in a 16-bit lane; its length stands above.
+/// Bits of a code in a 16-bit lane; its length is above.
 const CODE_BITS: u32 = 12;
-/// Most bits of eight codes that go to a store at once.
+/// Most bits of eight codes that go to one store.
 const MOST: i64 = 56;
 
-/// The codes of all bytes, `length << 12 | code`, their low and their high halves apart. Made by `fast_avx512` only.
+/// The codes of all bytes, `length << 12 | code`, split into low and high halves. Made by `fast_avx512` only.
 struct Wide<'a> {
     single: &'a Single,
     low: [u8; 256],
@@ -73,7 +73,7 @@ impl Lookup for Wide<'_> {
     }
 }
 
-/// Codes eights, 64 bytes a time, up to the first that is all zero or the end; how many bytes that were.
+/// Codes groups of eight bytes, 64 bytes at a time, up to the first that is all zero or the end; returns the number of bytes.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
 fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
     let load = |bytes: &[u8; 64]| {
@@ -85,10 +85,10 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
         [load(&quarters[0]), load(&quarters[1]), load(&quarters[2]), load(&quarters[3])]
     };
     let (low, high) = (quarters(&tables.low), quarters(&tables.high));
-    // In registers: behind the reference each code would wait for the last one's way through memory.
+    // In registers: through the reference each code would wait for the previous one's store.
     let (mut own, mut done) = (bits.lend(), 0);
     let (blocks, rest) = bytes.as_chunks::<64>();
-    // What is left over is one more block, with zeros behind it.
+    // The rest is one more block, padded with zeros.
     let whole = (1 << (rest.len() & !7)) - 1;
     // SAFETY: only bytes that are there are loaded.
     let last = unsafe { _mm512_maskz_loadu_epi8(whole, rest.as_ptr().cast()) };
@@ -99,10 +99,10 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
             _mm512_mask_blend_epi8(upper, _mm512_permutex2var_epi8(a, block, b), _mm512_permutex2var_epi8(c, block, d))
         };
         let (low, high) = (look_up(low), look_up(high));
-        // Of every 16 bytes the first eight and the last eight, each four to a lane.
+        // The first and the last eight of every 16 bytes, four codes per lane.
         let ((first, first_length), (second, second_length)) =
             (fours(_mm512_unpacklo_epi8(low, high)), fours(_mm512_unpackhi_epi8(low, high)));
-        // First fours, then second fours of each eight, the eights in order.
+        // First fours, then second fours of each eight, in order.
         let (fore, rear) = (_mm512_unpacklo_epi64(first, second), _mm512_unpackhi_epi64(first, second));
         let fore_length = _mm512_unpacklo_epi64(first_length, second_length);
         let rear_length = _mm512_unpackhi_epi64(first_length, second_length);
