@@ -15,7 +15,7 @@ use crate::support::{Server, eventually, photo};
 
 /// A turn of the gate's only worker, held by the client that also sends the test's requests: it gets no other.
 async fn busy(server: &Server, work: WorkClass) -> Ticket {
-    eventually("nothing runs", || server.app.pool().running() == 0).await;
+    eventually("nothing runs", || server.app.pool().load(work).running == 0).await;
     server.app.pool().admit(work, QueueKey::client(this_client())).await.unwrap()
 }
 

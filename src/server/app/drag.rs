@@ -11,9 +11,9 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, Image, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
-use super::draw::{DrawJob, Drawn};
+use super::draw::{DrawJob, Drawn, Planned};
 use super::sequence::SequencePosition;
-use super::warp::{ATTEMPTS, Planned, Source, json_unless};
+use super::warp::{ATTEMPTS, Source, json_unless};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;

@@ -11,12 +11,13 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Folds, Image, Limits, OutputSpec, Posed, Report, Stage, StripScheduler, Warp, WarpError, WriteObserver};
+use mlswarp::warp::{
+    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Warp, WarpError, WriteObserver,
+};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::warp::Planned;
 use crate::cache::CacheEntry;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
@@ -54,6 +55,16 @@ pub enum Piece {
     Bytes(Bytes),
     /// The file is complete.
     End(Cost),
+}
+
+/// A plan, and its cost so far.
+#[derive(Debug)]
+pub(crate) struct Planned {
+    pub(crate) setup: Arc<Setup>,
+    pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) timing: Timing,
+    /// Whether the plan was built for this request.
+    pub(crate) is_built: bool,
 }
 
 /// Everything that an image is drawn from.

@@ -8,11 +8,11 @@ use std::time::{Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Plan, Setup, WarpError};
+use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Setup, WarpError};
 use serde::Serialize;
 
 use super::App;
-use super::draw::{DrawJob, Drawn};
+use super::draw::{DrawJob, Drawn, Planned};
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
@@ -58,16 +58,6 @@ impl PreparedWarp {
         };
         (Arc::new(record), file, setup)
     }
-}
-
-/// A plan, and its cost so far.
-#[derive(Debug)]
-pub(crate) struct Planned {
-    pub(crate) setup: Arc<Setup>,
-    pub(crate) plan: Arc<CacheEntry<Plan>>,
-    pub(crate) timing: Timing,
-    /// Whether the plan was built for this request.
-    pub(crate) is_built: bool,
 }
 
 /// The source of a session: the decoded image, or the file where the cache has evicted the image.
