@@ -1,9 +1,9 @@
-//! The number of sessions of each client, and the bytes of their files and records. What a store holds for a session cannot be reclaimed before the
-//! session ends, so each client has limits below those of the store.
+//! The number of sessions of each client, and the bytes of their files and records. What a store holds for a session cannot be reclaimed
+//! before the session ends, so each client has limits below those of the store.
 //!
-//! Only sessions that were stored through this process since its start are counted, for the client that stored them last; nothing of this is stored.
-//! Sessions of other replicas, and those from before a restart, are limited by the store's own limits. A session ends here when it is deleted or found
-//! to be gone, or when this process has not used it for one idle period.
+//! Only sessions that were stored through this process since its start are counted, for the client that stored them last; nothing of this
+//! is stored. Sessions of other replicas, and those from before a restart, are limited by the store's own limits. A session ends here when
+//! it is deleted or found to be gone, or when this process has not used it for one idle period.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

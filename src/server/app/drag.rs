@@ -1,5 +1,5 @@
-//! `POST /sessions/{id}/warp` and `/mesh`: new positions of the handles, drawn or returned as a posed grid. A request whose image, setup and plan are
-//! cached is of the class drag, others of the class upload.
+//! `POST /sessions/{id}/warp` and `/mesh`: new positions of the handles, drawn or returned as a posed grid. A request whose image, setup
+//! and plan are cached is of the class drag, others of the class upload.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -110,7 +110,8 @@ impl App {
         self.pose_mesh(plan, drag.q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// The image and plan of a session. If the session was replaced while this waited, its old file is gone: then those of the current session.
+    /// The image and plan of a session. If the session was replaced while this waited, its old file is gone: then those of the current
+    /// session.
     pub(crate) async fn admit_newest(
         &self,
         client: Client,

@@ -1,6 +1,7 @@
-//! Drawing one image: a [`DrawJob`] is posed and drawn on one compute thread and on its helpers, which are woken at the same time. A small image is
-//! drawn as a whole. A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a reader; its memory
-//! is reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is dropped.
+//! Drawing one image: a [`DrawJob`] is posed and drawn on one compute thread and on its helpers, which are woken at the same time. A small
+//! image is drawn as a whole. A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a
+//! reader; its memory is reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is
+//! dropped.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -158,9 +158,8 @@ impl App {
         self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
-    /// As [`App::reserve`], for memory that counts in the quota of a client.
-    /// Errors: As [`App::reserve`]; [`Code::Overloaded`] for a client with too many unread responses, [`Code::RateLimited`] for one whose requests use
-    /// too much.
+    /// As [`App::reserve`], for memory that counts in the quota of a client. Errors: As [`App::reserve`]; [`Code::Overloaded`] for a client
+    /// with too many unread responses, [`Code::RateLimited`] for one whose requests use too much.
     pub fn reserve_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take_for(purpose, quota, bytes))
     }
@@ -228,9 +227,9 @@ impl App {
         self.0.setups.clear();
     }
 
-    /// Whether a new client would be served, and with what; answers within about a second. A service that loses its store stays ready: a store is
-    /// unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue without it.
-    /// Errors: [`Code::Overloaded`], with the reason.
+    /// Whether a new client would be served, and with what; answers within about a second. A service that loses its store stays ready: a
+    /// store is unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue
+    /// without it. Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.require_serving()?;
         if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|class| self.0.pool.is_full(class)) {

@@ -127,8 +127,8 @@ impl App {
     /// Evicts what was cached for a record that no session has any more.
     fn evict_session(&self, record: &Record) {
         let setup = self.0.setups.remove(setup_key(record));
-        // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same extent and
-        // handles builds the plan again.
+        // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same
+        // extent and handles builds the plan again.
         let owner = record.id.owner();
         if !self.0.store.names(owner, record.image) {
             self.0.images.remove(image_key(record));

@@ -1,5 +1,5 @@
-//! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All computation
-//! runs on the pool with one ticket per request.
+//! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
+//! computation runs on the pool with one ticket per request.
 
 use std::io;
 use std::sync::Arc;
@@ -104,8 +104,8 @@ impl App {
         Ok(Arc::clone(&setup.value))
     }
 
-    /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan. `formats`: the formats that the client accepts, if an
-    /// image is drawn, for which `q` is required.
+    /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan. `formats`: the formats that the client
+    /// accepts, if an image is drawn, for which `q` is required.
     pub(crate) async fn prepare(
         &self,
         owner: Owner,

@@ -1,9 +1,10 @@
-//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is sent. Times are arguments and frames are of any type.
+//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is sent. Times are arguments and frames are
+//! of any type.
 //!
 //! - Of the waiting poses, only the newest is kept.
 //! - At most one frame is unacknowledged. At most one more is in progress or ready.
-//! - The next frame is started so that it is ready when the acknowledgement is expected: earlier, its pose would be old; later, the connection would be
-//!   idle. If the client takes longer than expected and a newer pose waits, an outdated frame is drawn again, once.
+//! - The next frame is started so that it is ready when the acknowledgement is expected: earlier, its pose would be old; later, the
+//!   connection would be idle. If the client takes longer than expected and a newer pose waits, an outdated frame is drawn again, once.
 //! - A frame is always completed, except the full-quality frame of a resting pointer, which is cancelled when the pointer moves.
 
 use std::sync::Arc;

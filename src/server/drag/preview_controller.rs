@@ -1,9 +1,10 @@
-//! The width of previews: as wide as about sixty frames per second allow. The controller measures the drawing time of a frame and the time until its
-//! acknowledgement; the longer of the two is the period, because the next frame is drawn while one is being sent. Times are arguments. O(1) per frame.
+//! The width of previews: as wide as about sixty frames per second allow. The controller measures the drawing time of a frame and the time
+//! until its acknowledgement; the longer of the two is the period, because the next frame is drawn while one is being sent. Times are
+//! arguments. O(1) per frame.
 //!
-//! A model predicts the period of another width: it is proportional to the pixels. That is wrong where the latency of the connection or a slow screen
-//! dominates, so each step is a trial: a narrower width that is hardly faster is taken back, a wider one that is hardly slower is kept, and a failed
-//! trial is not repeated soon.
+//! A model predicts the period of another width: it is proportional to the pixels. That is wrong where the latency of the connection or a
+//! slow screen dominates, so each step is a trial: a narrower width that is hardly faster is taken back, a wider one that is hardly slower
+//! is kept, and a failed trial is not repeated soon.
 
 use std::time::{Duration, Instant};
 

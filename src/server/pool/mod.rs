@@ -1,7 +1,7 @@
 //! Admission and compute threads: `README.md` describes both, with a diagram.
 //!
-//! Async tasks never compute, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for it holds
-//! a clone, so that the ticket is returned when the last closure has ended, even if the request's future was dropped before.
+//! Async tasks never compute, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for
+//! it holds a clone, so that the ticket is returned when the last closure has ended, even if the request's future was dropped before.
 
 mod admission;
 mod queue;
@@ -51,8 +51,8 @@ pub enum PoolError {
 /// Niceness of upload threads: next to a drag on the same processor they get a third of its time, otherwise all of it.
 const UPLOAD_NICENESS: i32 = 5;
 
-/// Simultaneous transfers of files from and to the store, one extra for another client apart. Not more than the Redis connections for files, so that
-/// no transfer waits for a connection.
+/// Simultaneous transfers of files from and to the store, one extra for another client apart. Not more than the Redis connections for
+/// files, so that no transfer waits for a connection.
 const TRANSFERS: usize = 6;
 
 /// The classes of work, each with a queue of its own.
@@ -233,8 +233,8 @@ impl Pool {
         ticket.queue.threads.submit(std::iter::once(job(ticket, work)).chain(help));
     }
 
-    /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits for its
-    /// part of one computation would otherwise execute all of another). A panic is propagated.
+    /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits
+    /// for its part of one computation would otherwise execute all of another). A panic is propagated.
     pub fn run_parallel<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match self.parallel.try_lock() {
             Ok(threads) => threads.install(work),

@@ -435,7 +435,8 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    /// Clients that always have requests waiting, each of a given number of ms, at `permits` permits; the worker time that each gets in a minute.
+    /// Clients that always have requests waiting, each of a given number of ms, at `permits` permits; the worker time that each gets in a
+    /// minute.
     fn minute(permits: usize, costs: &[(u8, u32)]) -> BTreeMap<u8, u32> {
         let (mut queue, start) = (FairQueue::new(permits, 1000), Instant::now());
         let mut running: Vec<(u32, u8, u32)> = Vec::new();

@@ -1,5 +1,5 @@
-//! The recent number of simultaneous drawings. The threads are shared among that number: a lone drawing gets all of them; simultaneous drawings get
-//! one each, which makes all of them together a fifth faster than splitting each (measured; see README.md).
+//! The recent number of simultaneous drawings. The threads are shared among that number: a lone drawing gets all of them; simultaneous
+//! drawings get one each, which makes all of them together a fifth faster than splitting each (measured; see README.md).
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};

@@ -1,5 +1,6 @@
-//! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it takes the next one, so that no request waits for
-//! a part of another's. An idle thread polls for a short time before it sleeps: waking a sleeping thread takes a tenth of a millisecond.
+//! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it takes the next one, so that no request
+//! waits for a part of another's. An idle thread polls for a short time before it sleeps: waking a sleeping thread takes a tenth of a
+//! millisecond.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose within half of this. At sixty poses a second it
-/// costs each thread about 1 % of a processor.
+/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose within half of this. At sixty poses a
+/// second it costs each thread about 1 % of a processor.
 const POLL_TIME: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;

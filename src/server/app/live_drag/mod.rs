@@ -1,6 +1,6 @@
-//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_message`]; [`Drag::next_outgoing`] returns what is to be sent. The order and
-//! width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest pose, at most one frame in progress or ready, and what the
-//! socket has not sent yet.
+//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_message`]; [`Drag::next_outgoing`] returns what is to be sent.
+//! The order and width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest pose, at most one frame in
+//! progress or ready, and what the socket has not sent yet.
 
 mod frame;
 
@@ -56,8 +56,8 @@ pub enum Outgoing {
     Frame(u64, Vec<Bytes>),
 }
 
-/// Memory of a socket besides its frames, bytes: buffers of both directions, and per column of its session a pose that is being received (twice), one
-/// that waits and one that is being drawn.
+/// Memory of a socket besides its frames, bytes: buffers of both directions, and per column of its session a pose that is being received
+/// (twice), one that waits and one that is being drawn.
 const SOCKET_BYTES: (u64, u64) = (512 << 10, 256);
 
 type Drawing = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;

@@ -35,8 +35,8 @@ pub(super) trait Kernel: Sized {
         adler
     }
 
-    /// Calls `code_piece` as a function of its own. Inlined into the loop over rows, some variables of its inner loop are kept in memory (56
-    /// to 58 instructions for eight bytes, not 54), depending on how the crate is divided for compilation.
+    /// Calls `code_piece` as a function of its own. Inlined into the loop over rows, some variables of its inner loop are kept in memory
+    /// (56 to 58 instructions for eight bytes, not 54), depending on how the crate is divided for compilation.
     #[inline(never)]
     fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
         code_piece(piece, tables, stage, bits, out);
