@@ -103,7 +103,8 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
         assert!(!bytes.windows(secret.len()).any(|window| window == secret.as_bytes()), "{secret}");
     }
     let stats = server.app.tracer().unwrap().stats();
-    assert_eq!((stats.exported(), stats.dropped()), (collector.spans().len() as u64, 0));
+    // The exporter counts them when the collector has answered.
+    eventually("all spans are counted", || (stats.exported(), stats.dropped()) == (collector.spans().len() as u64, 0)).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
