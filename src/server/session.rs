@@ -1,4 +1,4 @@
-//! The id of a session, and its revision.
+//! The id and the revision of a session.
 
 use std::fmt;
 
@@ -6,8 +6,7 @@ use uuid::{Uuid, Variant};
 
 use crate::client::Owner;
 
-/// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
-/// among those of its owner. Written, it is the UUID alone.
+/// The id of a session: its owner and a UUID of version 4 (122 random bits, so that it cannot be guessed). Its text is the UUID.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SessionId {
     owner: Owner,
@@ -15,25 +14,25 @@ pub struct SessionId {
 }
 
 impl SessionId {
-    /// A new name.
+    /// A new id.
     pub fn random(owner: Owner) -> Self {
         Self { owner, uuid: Uuid::new_v4() }
     }
 
-    /// Reads a name, in the hyphenated form alone: one session has one name.
-    /// Errors: It is no UUID of version 4.
+    /// Parses the hyphenated form.
+    /// Errors: Not a UUID of version 4.
     pub fn parse(owner: Owner, text: &str) -> Result<Self, NotASessionId> {
         let uuid = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
         let version_4 = uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122;
         if text.len() == 36 && version_4 { Ok(Self { owner, uuid }) } else { Err(NotASessionId) }
     }
 
-    /// Whose session it is.
+    /// The owner.
     pub const fn owner(&self) -> Owner {
         self.owner
     }
 
-    /// Owner and name, for stores.
+    /// Owner and UUID.
     pub fn to_bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];
         bytes[..16].copy_from_slice(&self.owner.to_bytes());
@@ -41,7 +40,7 @@ impl SessionId {
         bytes
     }
 
-    /// What [`SessionId::to_bytes`] gave.
+    /// The inverse of [`SessionId::to_bytes`].
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         let (owner, uuid) = bytes.split_at(16);
         let half = |half: &[u8]| half.try_into().expect("half of 32 bytes");
@@ -49,28 +48,28 @@ impl SessionId {
     }
 }
 
-/// One state of a session: it changes whenever the session's handles or picture do, and never comes back.
+/// Identifies one state of a session: it changes with the handles and the picture, and is never used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Revision(Uuid);
 
 impl Revision {
-    /// A new one.
+    /// A new revision.
     pub fn random() -> Self {
         Self(Uuid::new_v4())
     }
 
-    /// What [`Revision::as_bytes`] gave.
+    /// The inverse of [`Revision::as_bytes`].
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(Uuid::from_bytes(bytes))
     }
 
-    /// Its 16 bytes.
+    /// Its bytes.
     pub const fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
     }
 }
 
-/// Not a UUID of version 4 in its usual form.
+/// The text is not a hyphenated UUID of version 4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not a UUID of version 4")]
 pub struct NotASessionId;
@@ -81,7 +80,7 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// Shortened: whoever reads a log must not be able to use the session.
+/// Shortened, so that readers of a log cannot use the session.
 impl fmt::Debug for SessionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:.8}..", self.uuid.to_string())

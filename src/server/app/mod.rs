@@ -244,7 +244,7 @@ impl App {
             pictures_finished: metrics.pictures_finished.get(),
             pictures_abandoned: metrics.pictures_abandoned.get(),
             superseded: metrics.requests_superseded.get(),
-            sockets_open: self.0.sockets.taken() as u64,
+            sockets_open: self.0.sockets.open() as u64,
             frames_sent: metrics.frames_sent.get(),
             poses_superseded: metrics.poses_superseded.get(),
         }

@@ -1,4 +1,4 @@
-//! Networks of IP addresses (`10.0.0.0/8`, `::1`), and the address that a request counts for.
+//! Networks of IP addresses (`10.0.0.0/8`, `::1`), and the address of a client behind proxies.
 
 use std::net::{IpAddr, Ipv6Addr};
 
@@ -25,8 +25,8 @@ impl Network {
     }
 }
 
-/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no
-/// trusted proxy. Addresses further to the left are written by the client and are ignored.
+/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is not a
+/// trusted proxy. The client may have written those before it, so they are ignored.
 pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
     let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.contains(address));
     let mut at = peer.to_canonical();
