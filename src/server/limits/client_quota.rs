@@ -1,5 +1,4 @@
-//! Memory that one client may use: unread responses, however slowly it reads, and requests, however slowly it sends. This memory cannot be reclaimed, so
-//! every client has a quota of each.
+//! Quotas of memory per client, for responses that it reads slowly and for requests that it sends slowly: this memory cannot be reclaimed.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,11 +11,21 @@ const MANY: usize = 1024;
 
 /// The kind of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum QuotaKind {
+pub(crate) enum QuotaKind {
     /// Responses, until they are sent.
     Responses,
     /// Requests while they are received and parsed, and the files that sessions in memory keep of them.
     Requests,
+}
+
+impl QuotaKind {
+    /// The end of a sentence about memory that is taken.
+    pub(crate) const fn used_by(self) -> &'static str {
+        match self {
+            Self::Responses => " by answers that this client has not read",
+            Self::Requests => " by requests of this client, and by files that its sessions keep in memory",
+        }
+    }
 }
 
 /// The quotas of all clients.

@@ -1,5 +1,5 @@
-//! Limits the number of connections, in total and per address. Further connections are closed immediately, because in the backlog they would wait for an
-//! unknown time.
+//! Limits the number of connections, in total and per address. Further connections are closed immediately: in the backlog they would wait
+//! without limit.
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,14 +16,8 @@ pub struct ConnectionLimiter(Arc<LimiterState>);
 struct LimiterState {
     max: usize,
     max_per_address: usize,
-    open: Mutex<Open>,
+    open: Mutex<Counts<Tenant>>,
     refused: AtomicU64,
-}
-
-#[derive(Debug, Default)]
-struct Open {
-    all: usize,
-    by_address: Counts<Tenant>,
 }
 
 /// The permit of one connection, returned when dropped.
@@ -43,18 +37,17 @@ impl ConnectionLimiter {
     pub fn acquire(&self, peer: IpAddr, is_proxy: bool) -> Option<ConnectionPermit> {
         let address = Tenant::of_address(peer);
         let mut open = self.lock();
-        if open.all >= self.0.max || (!is_proxy && open.by_address.get(&address) >= self.0.max_per_address) {
+        if open.total >= self.0.max || (!is_proxy && open.get(&address) >= self.0.max_per_address) {
             self.0.refused.fetch_add(1, Ordering::Relaxed);
             return None;
         }
-        open.all += 1;
-        open.by_address.add(address);
+        open.add(address);
         Some(ConnectionPermit { limiter: self.clone(), address })
     }
 
     /// Open connections.
     pub fn open(&self) -> usize {
-        self.lock().all
+        self.lock().total
     }
 
     /// Connections that were refused since the start.
@@ -62,16 +55,14 @@ impl ConnectionLimiter {
         self.0.refused.load(Ordering::Relaxed)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Open> {
+    fn lock(&self) -> MutexGuard<'_, Counts<Tenant>> {
         self.0.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Drop for ConnectionPermit {
     fn drop(&mut self) {
-        let mut open = self.limiter.lock();
-        open.all -= 1;
-        open.by_address.remove(&self.address);
+        self.limiter.lock().remove(&self.address);
     }
 }
 
@@ -95,6 +86,6 @@ mod tests {
         assert_eq!((places.open(), places.refused()), (4, 2));
         drop((first, second, proxy, v6));
         assert_eq!(places.open(), 0);
-        assert!(places.lock().by_address.0.is_empty(), "an address that has left is forgotten");
+        assert!(places.lock().by_key.is_empty(), "an address that has left is forgotten");
     }
 }

@@ -1,10 +1,9 @@
-//! The memory budget. Memory whose size depends on clients is reserved by its predicted size before it is allocated, and released when it is dropped:
-//! uploads, the files of sessions, decoded pictures, plans, responses, sockets. Not counted are the program (some 15 MiB), stacks, and buffers of a few KiB
-//! per request.
+//! The memory budget. Memory whose size depends on clients is reserved by its predicted size before it is allocated, and released when it
+//! is dropped: uploads, the files of sessions, decoded pictures, plans, responses, sockets. Not counted are the program (some 15 MiB),
+//! stacks, and buffers of a few KiB per request.
 //!
 //! Frames may use all of the budget, other purposes only a part, so that drags continue when uploads or the store have used theirs.
 
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -57,55 +56,33 @@ impl Purpose {
     }
 }
 
-/// The limit that is reached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exhausted {
-    /// The part of the budget that the purpose may use.
-    Memory,
-    /// The quota of a client.
-    Quota(QuotaKind),
-}
-
-impl Exhausted {
-    const fn by(self) -> &'static str {
-        match self {
-            Self::Memory => "",
-            Self::Quota(QuotaKind::Responses) => " by answers that this client has not read",
-            Self::Quota(QuotaKind::Requests) => " by requests of this client, and by files that its sessions keep in memory",
-        }
-    }
-}
-
 /// A reservation exceeds a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .short.by())]
+#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
 pub struct BudgetExceeded {
-    /// Which limit.
-    pub short: Exhausted,
-    /// The purpose of the reservation.
-    pub purpose: Purpose,
+    /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose may use.
+    pub(crate) quota: Option<QuotaKind>,
+    pub(crate) purpose: Purpose,
     /// Bytes of the whole reservation.
-    pub asked: u64,
-    /// The limit, bytes.
-    pub limit: u64,
-    /// Bytes in use.
-    pub taken: u64,
+    pub(crate) asked: u64,
+    pub(crate) limit: u64,
+    pub(crate) taken: u64,
 }
 
 impl BudgetExceeded {
     /// The reservation would not fit even if nothing else were in use. A response that is its client's only one may exceed the quota.
-    pub fn is_forever(&self) -> bool {
-        self.short != Exhausted::Quota(QuotaKind::Responses) && self.asked > self.limit
+    pub(crate) fn is_forever(&self) -> bool {
+        self.quota != Some(QuotaKind::Responses) && self.asked > self.limit
     }
 }
 
 impl From<BudgetExceeded> for Problem {
     fn from(error: BudgetExceeded) -> Self {
-        let BudgetExceeded { short, purpose, asked, limit, taken } = error;
-        let (code, what, actual) = match short {
-            Exhausted::Memory => (Code::Overloaded, "memory_bytes", asked),
-            Exhausted::Quota(QuotaKind::Responses) => (Code::Overloaded, "unread_bytes", taken.saturating_add(asked)),
-            Exhausted::Quota(QuotaKind::Requests) => (Code::RateLimited, "client_upload_bytes", taken.saturating_add(asked)),
+        let BudgetExceeded { quota, purpose, asked, limit, taken } = error;
+        let (code, what, actual) = match quota {
+            None => (Code::Overloaded, "memory_bytes", asked),
+            Some(QuotaKind::Responses) => (Code::Overloaded, "unread_bytes", taken.saturating_add(asked)),
+            Some(QuotaKind::Requests) => (Code::RateLimited, "client_upload_bytes", taken.saturating_add(asked)),
         };
         let problem = if error.is_forever() {
             Self::new(Code::TooLarge, format!("{} would need {asked} bytes; at most {limit}", purpose.name()))
@@ -117,20 +94,15 @@ impl From<BudgetExceeded> for Problem {
 }
 
 /// The memory budget. Clones share it.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct Budget(Arc<BudgetState>);
 
+#[derive(Debug)]
 struct BudgetState {
     total: u64,
     taken: AtomicU64,
     by_purpose: [AtomicU64; Purpose::ALL.len()],
     refused: AtomicU64,
-}
-
-impl fmt::Debug for Budget {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Budget({} of {} bytes)", self.taken(), self.total())
-    }
 }
 
 /// Reserved memory, released when dropped.
@@ -178,13 +150,11 @@ impl Budget {
     }
 
     /// Reserves memory.
-    /// Errors: [`BudgetExceeded`].
     pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         self.reserve(purpose, None, bytes)
     }
 
     /// Reserves memory that counts in the quota of a client until it is released.
-    /// Errors: [`BudgetExceeded`].
     pub fn take_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         self.reserve(purpose, Some(quota.clone()), bytes)
     }
@@ -203,12 +173,11 @@ impl Reservation {
     }
 
     /// Reserves `more` bytes, or none.
-    /// Errors: [`BudgetExceeded`].
     pub fn grow(&mut self, more: u64) -> Result<(), BudgetExceeded> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
-        let exceeded = |short, limit, taken| BudgetExceeded { short, purpose, asked, limit, taken };
+        let exceeded = |quota, limit, taken| BudgetExceeded { quota, purpose, asked, limit, taken };
         if let Some(quota) = &self.quota {
-            quota.reserve(self.bytes, more).map_err(|used| exceeded(Exhausted::Quota(quota.kind()), quota.limit(), used))?;
+            quota.reserve(self.bytes, more).map_err(|used| exceeded(Some(quota.kind()), quota.limit(), used))?;
         }
         let state = &self.budget.0;
         let limit = purpose.share(state.total);
@@ -218,7 +187,7 @@ impl Reservation {
             if let Some(quota) = &self.quota {
                 quota.release(more);
             }
-            return Err(exceeded(Exhausted::Memory, limit, taken));
+            return Err(exceeded(None, limit, taken));
         }
         state.by_purpose[purpose as usize].fetch_add(more, Ordering::Relaxed);
         self.bytes = asked;
@@ -290,7 +259,7 @@ mod tests {
         let budget = Budget::new(800);
         let upload = budget.take(Purpose::Upload, 600).unwrap();
         let refused = budget.take(Purpose::Upload, 1).unwrap_err();
-        assert_eq!(refused, BudgetExceeded { short: Exhausted::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert_eq!(refused, BudgetExceeded { quota: None, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
         assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
         let image = budget.take(Purpose::Image, 100).unwrap();
         assert!(budget.take(Purpose::Plan, 1).is_err());
@@ -323,14 +292,14 @@ mod tests {
         let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
         assert_eq!(
             refused,
-            BudgetExceeded { short: Exhausted::Quota(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
+            BudgetExceeded { quota: Some(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
         );
         assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
         let strip = answer.split(120).attach(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
         // What the account refuses is nobody's.
-        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Exhausted::Memory);
+        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().quota, None);
         assert_eq!((other.held(), budget.taken()), (0, 120));
         let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
         drop((strip, whole));

@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | memory | `--memory-bytes` | 503 `overloaded`; 413 `too_large` if it can never fit | [`memory`] |
 //! | unread responses of a client | a quarter of `--memory-bytes` | 503 `overloaded` | [`client_quota`] |
-//! | requests of a client in memory | `--max-client-share` of the memory for uploads | 429 `rate_limited`; 413 `too_large` | [`client_quota`] |
+//! | requests of a client | `--max-client-share` of the memory for uploads | 429 `rate_limited`; 413 `too_large` | [`client_quota`] |
 //! | requests per second | `--rate-per-key`, `--rate-per-address` | 429 `rate_limited` | [`rate_limit`] |
 //! | connections | `--max-connections`, `--max-connections-per-address` | the connection is closed | [`connections`] |
 //! | drag sockets | `--max-sockets` | 503 `overloaded` | [`sockets`] |

@@ -1,5 +1,5 @@
-//! Request rates: a token bucket per key in a table of fixed size. A full row replaces its fullest bucket, that of the least active key, by a new full one:
-//! a crowd is not limited, a flood is.
+//! Request rates: a token bucket per key in a table of fixed size. In a full row, a new key replaces the key with the fullest bucket, the
+//! least active one: many clients with few requests are not limited, one with many requests is.
 
 use std::hash::{BuildHasher as _, Hash, RandomState};
 use std::sync::{Mutex, PoisonError};
@@ -43,11 +43,8 @@ impl<K: Copy + Eq + Hash> RateLimit<K> {
             let tokens = |index: usize| row[index].map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now));
             (0..ROW).max_by(|a, b| tokens(*a).total_cmp(&tokens(*b))).unwrap_or(0)
         });
-        let new = || (key, Bucket::new(self.per_second, BURST * self.per_second, now));
-        if known.is_none() {
-            row[index] = None;
-        }
-        let (_, bucket) = row[index].get_or_insert_with(new);
+        let place = row[index].take().filter(|_| known.is_some());
+        let (_, bucket) = row[index].insert(place.unwrap_or_else(|| (key, Bucket::new(self.per_second, BURST * self.per_second, now))));
         if bucket.take(now) { Ok(()) } else { Err(bucket.seconds_to_one()) }
     }
 }

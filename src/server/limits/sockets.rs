@@ -44,7 +44,7 @@ pub(crate) struct SocketSlot {
 }
 
 impl SocketSlots {
-    /// At most `max_frames` frames of one client are in the pool or its queue at a time, which leaves the rest of the queue to its requests.
+    /// At most `max_frames` frames of one client are in the pool or its queue at a time; the rest of the queue is for its requests.
     pub(crate) fn new(max: usize, max_per_client: u64, max_frames: usize) -> Self {
         Self(Arc::new(SlotState {
             max,
@@ -122,7 +122,7 @@ mod tests {
         drop(held);
         seats.closed().await;
         let counts = seats.0.counts.lock().unwrap();
-        assert!(counts.sessions.0.is_empty() && counts.clients.0.is_empty());
+        assert!(counts.sessions.by_key.is_empty() && counts.clients.by_key.is_empty());
     }
 
     #[test]

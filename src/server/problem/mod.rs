@@ -1,7 +1,7 @@
 //! Problem documents (RFC 9457): the errors that clients see.
 //!
-//! A [`Problem`] contains no HTTP except the status of its [`Code`]. `from.rs` converts every error of the engine. JSON pointers (RFC 6901) point into
-//! the JSON of the request: the body, or the part `warp` of a multipart body.
+//! A [`Problem`] contains no HTTP except the status of its [`Code`]. `from.rs` converts every error of the engine. JSON pointers (RFC 6901)
+//! point into the JSON of the request: the body, or the part `warp` of a multipart body.
 
 mod code;
 mod from;

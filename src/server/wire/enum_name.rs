@@ -1,5 +1,5 @@
-//! The names of enum values: those of this version, and those that only the contract has. One table serves reading, writing and the enums of the
-//! OpenAPI document (tested).
+//! The names of enum values: those of this version, and those that only the contract has. One table serves reading, writing and the OpenAPI
+//! document (tested).
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Method;

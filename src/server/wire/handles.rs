@@ -1,5 +1,5 @@
-//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline. Numbers are finite; the engine judges everything else
-//! (range, length, pairing). Memory: one list, and one per polyline; at most ten times the text, usually two or three times.
+//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline. Numbers are finite; the engine checks everything
+//! else (range, length, pairing). The memory used is at most ten times the text, usually two or three times.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;

@@ -1,8 +1,8 @@
 //! JSON text as nodes with an address.
 //!
 //! [`root`] lets `serde_json` check the syntax of the whole text first (400). A [`Node`] is a part of that text, so only its meaning can be
-//! wrong (422). No tree is built, and nothing is allocated except for problems: every level of the document is one more scan of its text, and the
-//! messages have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of range, not a syntax error.
+//! wrong (422). No tree is built, and memory is allocated for problems only: every level of the document is one more scan of its text, and
+//! the messages have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of range, not a syntax error.
 
 use std::borrow::Cow;
 use std::fmt;

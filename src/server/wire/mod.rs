@@ -1,7 +1,8 @@
 //! JSON bodies to checked values, and back: the only validation of what a client writes.
 //!
-//! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what a set of handles means. Text that is not a JSON
-//! object and fields given twice are 400 `malformed_request`; everything else is 422 with a JSON pointer. Unknown fields are refused, never ignored.
+//! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what a set of handles means. Text that is
+//! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
+//! pointer.
 
 mod enum_name;
 pub mod formats;
@@ -51,7 +52,6 @@ pub struct WarpObject {
 
 impl WarpObject {
     /// Reads the object.
-    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
@@ -80,7 +80,6 @@ pub struct DragObject {
 
 impl DragObject {
     /// Reads the object. `session`: the field is required; otherwise it is unknown.
-    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8], session: bool) -> Result<Self, Problem> {
         const SESSION: &str = "the id of a session";
         let root = json::root(json)?;
@@ -127,7 +126,6 @@ pub struct PointsObject {
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`.
-    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&rest::FIELDS_WITH_POINTS)?;
@@ -139,7 +137,6 @@ impl PointsObject {
     }
 
     /// Reads the object of `/sessions/{id}/points`.
-    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, points @ ..] = root.fields(&["q", "points", "polygons", "boxes", "inverse", "refine"])?;

@@ -6,7 +6,7 @@ use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::OutputSpec;
 
 use super::enum_name::{Canvas, enum_name, unknown_name};
-use super::json::{Kind, Node, optional, quote};
+use super::json::{Node, optional, quote};
 use super::number::count;
 use crate::problem::Problem;
 
@@ -61,10 +61,7 @@ fn quality(node: &Node<'_, '_>) -> Result<u8, Problem> {
 }
 
 fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
-    if node.kind() != Kind::String {
-        return Err(node.wrong_kind(&format!("one of {OUTSIDE}")));
-    }
-    let text = node.string(OUTSIDE)?;
+    let text = node.string(&format!("one of {OUTSIDE}"))?;
     match text.as_str() {
         "transparent" => Ok(Outside::Transparent),
         "edge" => Ok(Outside::Edge),

@@ -63,8 +63,7 @@ impl WarpPatch {
         })
     }
 
-    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. An absent `alpha` or `point_mass`
-    /// leaves that of `base`, which may be the default.
+    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
         WarpObject {

@@ -1,5 +1,5 @@
-//! Values to JSON in the form in which they are read. f64 is written with the fewest digits that read back to the same bits. Defaults are written out,
-//! so that a client sees them; an option without a default is left out.
+//! Values to JSON in the form in which they are read. f64 is written with the fewest digits that read back to the same bits. Defaults are
+//! written, so that a client sees them; an option without a default is left out.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -13,16 +13,10 @@ use super::enum_name::{Canvas, EnumName};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AsJson<T>(pub T);
 
-impl Serialize for AsJson<&Point> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        [self.0.x, self.0.y].serialize(s)
-    }
-}
-
 impl Serialize for AsJson<&Handle> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
-            Handle::Point(place) => AsJson(place).serialize(s),
+            Handle::Point(place) => [place.x, place.y].serialize(s),
             Handle::Polyline(places) => AsJson(places.as_slice()).serialize(s),
         }
     }
@@ -30,7 +24,7 @@ impl Serialize for AsJson<&Handle> {
 
 impl Serialize for AsJson<&[Point]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        s.collect_seq(self.0.iter().map(AsJson))
+        s.collect_seq(self.0.iter().map(|place| [place.x, place.y]))
     }
 }
 
