@@ -33,9 +33,12 @@ pub(crate) use rest::WarpPatch;
 pub(crate) use session::{SessionGrid, SessionImage, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
-pub use write::AsJson;
 
 const HANDLES: &str = "an array of handles";
+
+/// Serializes a value of the engine as a client would write it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AsJson<T>(pub T);
 
 /// The warp object of api.md section 3.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -7,11 +7,8 @@ use mlswarp::render::Outside;
 use mlswarp::warp::{GridSpec, OutputSpec};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
+use super::AsJson;
 use super::enum_name::{Canvas, EnumName};
-
-/// Serializes a value of the engine as a client would write it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AsJson<T>(pub T);
 
 impl Serialize for AsJson<&Handle> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
