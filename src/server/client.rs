@@ -1,24 +1,24 @@
-//! Who asks: whose sessions are meant, where the request comes from, and as which client it is counted.
+//! The identity of a client: the owner of its sessions, its address, and the tenant that limits and queues count.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use data_encoding::HEXLOWER;
 
-/// Whose sessions are meant. Sessions of one owner do not exist for another, not even their names.
+/// The owner of sessions. Sessions of one owner do not exist for another, not even their names.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Owner([u8; 16]);
 
 impl Owner {
-    /// Everybody who needs no key.
+    /// Every client without a key.
     pub const ANYBODY: Self = Self([0; 16]);
 
-    /// An owner by what names it.
+    /// The owner with this id.
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(bytes)
     }
 
-    /// What names it.
+    /// The id.
     pub const fn to_bytes(self) -> [u8; 16] {
         self.0
     }
@@ -26,36 +26,33 @@ impl Owner {
 
 impl fmt::Debug for Owner {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if *self == Self::ANYBODY {
-            return f.write_str("anybody");
-        }
-        f.write_str(&HEXLOWER.encode(&self.0[..4]))
+        if *self == Self::ANYBODY { f.write_str("anybody") } else { f.write_str(&HEXLOWER.encode(&self.0[..4])) }
     }
 }
 
-/// Who sent a request.
+/// The sender of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Client {
-    /// Whose sessions it may use.
+    /// The owner of its sessions.
     pub owner: Owner,
-    /// Where it comes from.
+    /// Its address.
     pub address: IpAddr,
 }
 
-/// Low bits of an IPv6 address that do not count: a customer is given at least a /64, within which addresses cost nothing.
+/// Low bits of an IPv6 address that are ignored: every customer of a provider gets at least a /64.
 const V6_HOST_BITS: u32 = 64;
 
-/// The unit among which the service is shared. Every limit and every queue that treats clients equally counts by it.
+/// The unit that limits and fair queues count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Tenant {
-    /// The name of a key, from whatever address.
+    /// The name of a key, from any address.
     Key(Owner),
-    /// Where no keys are configured: an IPv4 address, or the /64 of an IPv6 address.
+    /// Without keys: an IPv4 address, or the /64 of an IPv6 address.
     Address(IpAddr),
 }
 
 impl Tenant {
-    /// The client at an address, while no key is known or needed.
+    /// The tenant of a client without a key.
     pub fn of_address(address: IpAddr) -> Self {
         Self::Address(match address.to_canonical() {
             IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> V6_HOST_BITS << V6_HOST_BITS)),
@@ -65,7 +62,7 @@ impl Tenant {
 }
 
 impl Client {
-    /// As which client it is counted.
+    /// The tenant that it counts as.
     pub fn tenant(self) -> Tenant {
         if self.owner == Owner::ANYBODY { Tenant::of_address(self.address) } else { Tenant::Key(self.owner) }
     }

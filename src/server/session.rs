@@ -1,4 +1,4 @@
-//! The id of a session, and its revision.
+//! The id and the revision of a session.
 
 use std::fmt;
 
@@ -6,8 +6,7 @@ use uuid::{Uuid, Variant};
 
 use crate::client::Owner;
 
-/// The name of a session: a UUID of version 4 (122 bits of the operating system's randomness, so that nobody guesses another's session)
-/// among those of its owner. Written, it is the UUID alone.
+/// The id of a session: its owner and a UUID of version 4 (122 random bits, so that it cannot be guessed). Its text is the UUID.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SessionId {
     owner: Owner,
@@ -15,25 +14,23 @@ pub struct SessionId {
 }
 
 impl SessionId {
-    /// A new name.
+    /// A new id.
     pub fn random(owner: Owner) -> Self {
         Self { owner, uuid: Uuid::new_v4() }
     }
 
-    /// Reads a name, in the hyphenated form alone: one session has one name.
-    /// Errors: It is no UUID of version 4.
-    pub fn parse(owner: Owner, text: &str) -> Result<Self, NotASessionId> {
-        let uuid = Uuid::try_parse(text).map_err(|_| NotASessionId)?;
-        let version_4 = uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122;
-        if text.len() == 36 && version_4 { Ok(Self { owner, uuid }) } else { Err(NotASessionId) }
+    /// Parses the hyphenated form of a UUID of version 4.
+    pub fn parse(owner: Owner, text: &str) -> Option<Self> {
+        let uuid = Uuid::try_parse(text).ok().filter(|_| text.len() == 36)?;
+        (uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122).then_some(Self { owner, uuid })
     }
 
-    /// Whose session it is.
+    /// The owner.
     pub const fn owner(&self) -> Owner {
         self.owner
     }
 
-    /// Owner and name, for stores.
+    /// Owner and UUID.
     pub fn to_bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];
         bytes[..16].copy_from_slice(&self.owner.to_bytes());
@@ -41,7 +38,7 @@ impl SessionId {
         bytes
     }
 
-    /// What [`SessionId::to_bytes`] gave.
+    /// The inverse of [`SessionId::to_bytes`].
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         let (owner, uuid) = bytes.split_at(16);
         let half = |half: &[u8]| half.try_into().expect("half of 32 bytes");
@@ -49,31 +46,26 @@ impl SessionId {
     }
 }
 
-/// One state of a session: it changes whenever the session's handles or picture do, and never comes back.
+/// Identifies one state of a session: it changes with the handles and the picture, and is never used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Revision(Uuid);
 
 impl Revision {
-    /// A new one.
+    /// A new revision.
     pub fn random() -> Self {
         Self(Uuid::new_v4())
     }
 
-    /// What [`Revision::as_bytes`] gave.
+    /// The inverse of [`Revision::as_bytes`].
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(Uuid::from_bytes(bytes))
     }
 
-    /// Its 16 bytes.
+    /// Its bytes.
     pub const fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
     }
 }
-
-/// Not a UUID of version 4 in its usual form.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("not a UUID of version 4")]
-pub struct NotASessionId;
 
 impl fmt::Display for SessionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -81,7 +73,7 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// Shortened: whoever reads a log must not be able to use the session.
+/// Shortened, so that readers of a log cannot use the session.
 impl fmt::Debug for SessionId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:.8}..", self.uuid.to_string())
@@ -96,19 +88,19 @@ mod tests {
     fn names_are_hyphenated_uuids_of_version_4() {
         let parse = |text: &str| SessionId::parse(Owner::ANYBODY, text);
         let id = SessionId::random(Owner::ANYBODY);
-        assert_eq!(parse(&id.to_string()), Ok(id));
+        assert_eq!(parse(&id.to_string()), Some(id));
         for text in ["", "x", "00000000-0000-0000-0000-000000000000", "6ba7b810-9dad-11d1-80b4-00c04fd430c8"] {
-            assert_eq!(parse(text), Err(NotASessionId), "{text}");
+            assert_eq!(parse(text), None, "{text}");
         }
-        assert!(parse(&id.to_string().replace('-', "")).is_err());
+        assert!(parse(&id.to_string().replace('-', "")).is_none());
     }
 
     #[test]
     fn one_name_of_two_owners_is_two_sessions() {
         let other = Owner::from_bytes([7; 16]);
         let id = SessionId::random(other);
-        assert_ne!(SessionId::parse(Owner::ANYBODY, &id.to_string()), Ok(id));
-        assert_eq!(SessionId::parse(other, &id.to_string()), Ok(id));
+        assert_ne!(SessionId::parse(Owner::ANYBODY, &id.to_string()), Some(id));
+        assert_eq!(SessionId::parse(other, &id.to_string()), Some(id));
         assert_eq!(SessionId::from_bytes(&id.to_bytes()), id);
     }
 

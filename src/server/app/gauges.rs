@@ -80,7 +80,7 @@ impl Collector for App {
         let connections = self.0.access.connections();
         writer.gauge("connections", "Connections that are open", &one(connections.open() as u64))?;
         writer.counter("connections_refused", "Connections closed at once because of a limit", &one(connections.refused()))?;
-        writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.taken() as u64))?;
+        writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.open() as u64))?;
         let (exported, dropped) = self.tracer().map(Tracer::stats).map_or((0, 0), |stats| (stats.exported(), stats.dropped()));
         writer.counter("spans_exported", "Spans that the collector has accepted", &one(exported))?;
         writer.counter("spans_dropped", "Spans that were lost because the collector did not accept them", &one(dropped))

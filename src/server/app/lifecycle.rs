@@ -72,7 +72,7 @@ impl App {
 
     /// Waits until no drag socket is open.
     pub async fn sockets_closed(&self) {
-        self.0.sockets.empty().await;
+        self.0.sockets.closed().await;
     }
 
     /// Fails once the service is leaving.

@@ -25,7 +25,7 @@ use crate::client::Client;
 use crate::config::{Config, WorkConfig};
 use crate::limits::client_quota::{ClientQuota, ClientQuotas, QuotaKind};
 use crate::limits::connections::ConnectionLimiter;
-use crate::limits::memory::{Budget, BudgetExceeded, Exhausted, Purpose, Reservation};
+use crate::limits::memory::{Budget, BudgetExceeded, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
 use crate::observe::tracer::Tracer;
@@ -184,7 +184,7 @@ impl App {
         loop {
             match take() {
                 Ok(taken) => return Ok(taken),
-                Err(error) if !error.is_forever() && error.short == Exhausted::Memory && self.evict_idle() => {}
+                Err(error) if !error.is_forever() && error.quota.is_none() && self.evict_idle() => {}
                 Err(error) => {
                     self.0.budget.count_refusal();
                     return Err(error.into());

@@ -1,42 +1,42 @@
-//! A token bucket: how many messages a peer may send in a second, and how many at once. No clock inside: times are handed in.
+//! A token bucket: limits the rate and the burst of messages. The caller passes the time.
 
 use std::time::Instant;
 
-/// Tokens that come back with time. One message takes one.
+/// One message takes one token; tokens are refilled with time.
 #[derive(Clone, Copy, Debug)]
 pub struct Bucket {
     tokens: f64,
-    most: f64,
-    a_second: f64,
-    seen: Instant,
+    capacity: f64,
+    per_second: f64,
+    updated: Instant,
 }
 
 impl Bucket {
     /// A full bucket.
-    pub const fn new(a_second: f64, most: f64, now: Instant) -> Self {
-        Self { tokens: most, most, a_second, seen: now }
+    pub const fn new(per_second: f64, capacity: f64, now: Instant) -> Self {
+        Self { tokens: capacity, capacity, per_second, updated: now }
     }
 
-    /// Takes one; false when there is none.
+    /// Takes a token; false if there is none.
     pub fn take(&mut self, now: Instant) -> bool {
         self.tokens = self.tokens(now);
-        self.seen = self.seen.max(now);
-        let enough = self.tokens >= 1.0;
-        if enough {
+        self.updated = self.updated.max(now);
+        let is_available = self.tokens >= 1.0;
+        if is_available {
             self.tokens -= 1.0;
         }
-        enough
+        is_available
     }
 
-    /// What there is.
+    /// The tokens at this time.
     pub fn tokens(&self, now: Instant) -> f64 {
-        let passed = now.saturating_duration_since(self.seen).as_secs_f64();
-        (self.tokens + passed * self.a_second).min(self.most)
+        let passed = now.saturating_duration_since(self.updated).as_secs_f64();
+        (self.tokens + passed * self.per_second).min(self.capacity)
     }
 
-    /// Whole seconds from the last look until there is one, at least one.
+    /// Whole seconds from the last [`Bucket::take`] until there is a token, at least 1.
     pub fn seconds_to_one(&self) -> u32 {
-        let seconds = ((1.0 - self.tokens) / self.a_second).ceil().clamp(1.0, 3600.0);
+        let seconds = ((1.0 - self.tokens) / self.per_second).ceil().clamp(1.0, 3600.0);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 3600")]
         let seconds = seconds as u32;
         seconds

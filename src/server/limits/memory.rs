@@ -1,11 +1,9 @@
-//! The account of memory: whatever grows with what clients send is reserved here by its predicted size before it is allocated, and given back when it
-//! is dropped. Files that are being uploaded and those that sessions keep, decoded pictures, tables of coefficients, answers that are on their way,
-//! sockets. What is not in the account is the program itself (some 15 MiB), stacks, and buffers of a few KiB a request.
+//! The memory budget. Memory whose size depends on clients is reserved by its predicted size before it is allocated, and released when it
+//! is dropped: uploads, the files of sessions, decoded pictures, plans, responses, sockets. Not counted are the program (some 15 MiB),
+//! stacks, and buffers of a few KiB per request.
 //!
-//! What must not wait for newcomers may use all of it; newcomers leave a part free, so that drags go on when a store or a crowd of uploads has
-//! taken what there was to take.
+//! Frames may use all of the budget, other purposes only a part, so that drags continue when uploads or the store have used theirs.
 
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -16,9 +14,9 @@ use super::client_quota::{ClientQuota, QuotaKind};
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry.
-const RETRY_MEMORY: u32 = 2;
+const RETRY: u32 = 2;
 
-/// What memory is taken for.
+/// What memory is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Purpose {
     /// Files and JSON of requests, and the files that sessions in memory keep.
@@ -27,17 +25,17 @@ pub enum Purpose {
     Image,
     /// Tables of coefficients.
     Plan,
-    /// Answers, from before they are drawn until they have left.
+    /// Responses, from before they are drawn until they are sent.
     Frame,
     /// Drag sockets.
     Socket,
 }
 
 impl Purpose {
-    /// All of them.
+    /// Every purpose.
     pub const ALL: [Self; 5] = [Self::Upload, Self::Image, Self::Plan, Self::Frame, Self::Socket];
 
-    /// As metrics and messages name it.
+    /// The name in metrics and messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Upload => "uploads",
@@ -48,7 +46,7 @@ impl Purpose {
         }
     }
 
-    /// How much of `total` may be taken when this takes a part of it.
+    /// The part of `total` up to which this purpose may fill the budget.
     pub const fn share(self, total: u64) -> u64 {
         match self {
             Self::Frame => total,
@@ -58,201 +56,163 @@ impl Purpose {
     }
 }
 
-/// What there is not enough of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exhausted {
-    /// All of the memory that the purpose may use.
-    Memory,
-    /// What one client may hold.
-    Quota(QuotaKind),
-}
-
-impl Exhausted {
-    const fn by(self) -> &'static str {
-        match self {
-            Self::Memory => "",
-            Self::Quota(QuotaKind::Responses) => " by answers that this client has not read",
-            Self::Quota(QuotaKind::Requests) => " by requests of this client, and by files that its sessions keep in memory",
-        }
-    }
-}
-
-/// There is not so much left.
+/// A reservation exceeds a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .short.by())]
+#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
 pub struct BudgetExceeded {
-    /// Of what.
-    pub short: Exhausted,
-    /// For what.
-    pub purpose: Purpose,
-    /// How many bytes.
-    pub asked: u64,
-    /// Of how many that this purpose may use.
-    pub limit: u64,
-    /// How many are taken, by whatever.
-    pub taken: u64,
+    /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose may use.
+    pub(crate) quota: Option<QuotaKind>,
+    pub(crate) purpose: Purpose,
+    /// Bytes of the whole reservation.
+    pub(crate) asked: u64,
+    pub(crate) limit: u64,
+    pub(crate) taken: u64,
 }
 
 impl BudgetExceeded {
-    /// It would not fit if nothing else were there. An answer may be larger than its client's share when it is the only one.
-    pub fn is_forever(&self) -> bool {
-        self.short != Exhausted::Quota(QuotaKind::Responses) && self.asked > self.limit
+    /// The reservation would not fit even if nothing else were in use. A response that is its client's only one may exceed the quota.
+    pub(crate) fn is_forever(&self) -> bool {
+        self.quota != Some(QuotaKind::Responses) && self.asked > self.limit
     }
 }
 
 impl From<BudgetExceeded> for Problem {
     fn from(error: BudgetExceeded) -> Self {
-        let problem = if error.is_forever() {
-            Self::new(Code::TooLarge, format!("{} would need {} bytes; at most {}", error.purpose.name(), error.asked, error.limit))
-        } else {
-            let code = if error.short == Exhausted::Quota(QuotaKind::Requests) { Code::RateLimited } else { Code::Overloaded };
-            Self::new(code, error.to_string()).retry_after(RETRY_MEMORY)
+        let BudgetExceeded { quota, purpose, asked, limit, taken } = error;
+        let (code, what, actual) = match quota {
+            None => (Code::Overloaded, "memory_bytes", asked),
+            Some(QuotaKind::Responses) => (Code::Overloaded, "unread_bytes", taken.saturating_add(asked)),
+            Some(QuotaKind::Requests) => (Code::RateLimited, "client_upload_bytes", taken.saturating_add(asked)),
         };
-        match error.short {
-            Exhausted::Memory => problem.limit("memory_bytes", error.limit, error.asked),
-            Exhausted::Quota(QuotaKind::Responses) => problem.limit("unread_bytes", error.limit, error.taken.saturating_add(error.asked)),
-            Exhausted::Quota(QuotaKind::Requests) => {
-                problem.limit("client_upload_bytes", error.limit, error.taken.saturating_add(error.asked))
-            }
-        }
+        let problem = if error.is_forever() {
+            Self::new(Code::TooLarge, format!("{} would need {asked} bytes; at most {limit}", purpose.name()))
+        } else {
+            Self::new(code, error.to_string()).retry_after(RETRY)
+        };
+        problem.limit(what, limit, actual)
     }
 }
 
-/// The account. Cloning shares it.
-#[derive(Clone)]
-pub struct Budget(Arc<Account>);
+/// The memory budget. Clones share it.
+#[derive(Clone, Debug)]
+pub struct Budget(Arc<BudgetState>);
 
-struct Account {
+#[derive(Debug)]
+struct BudgetState {
     total: u64,
     taken: AtomicU64,
     by_purpose: [AtomicU64; Purpose::ALL.len()],
     refused: AtomicU64,
 }
 
-impl fmt::Debug for Budget {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Budget({} of {} bytes)", self.taken(), self.total())
-    }
-}
-
-/// Memory that is taken; given back when this is dropped.
+/// Reserved memory, released when dropped.
 #[derive(Debug)]
 pub struct Reservation {
     budget: Budget,
     purpose: Purpose,
     bytes: u64,
-    share: Option<ClientQuota>,
+    quota: Option<ClientQuota>,
 }
 
 impl Budget {
-    /// An account of so many bytes.
+    /// A budget of `total` bytes.
     pub fn new(total: u64) -> Self {
-        let account =
-            Account { total, taken: AtomicU64::new(0), by_purpose: std::array::from_fn(|_| AtomicU64::new(0)), refused: AtomicU64::new(0) };
-        Self(Arc::new(account))
+        let by_purpose = std::array::from_fn(|_| AtomicU64::new(0));
+        Self(Arc::new(BudgetState { total, taken: AtomicU64::new(0), by_purpose, refused: AtomicU64::new(0) }))
     }
 
-    /// All there is.
+    /// All bytes.
     pub fn total(&self) -> u64 {
         self.0.total
     }
 
-    /// What is taken.
+    /// Reserved bytes.
     pub fn taken(&self) -> u64 {
         self.0.taken.load(Ordering::Relaxed)
     }
 
-    /// What is taken for this.
+    /// Bytes reserved for a purpose.
     pub fn taken_for(&self, purpose: Purpose) -> u64 {
         self.0.by_purpose[purpose as usize].load(Ordering::Relaxed)
     }
 
-    /// How many times there was not enough.
-    pub fn refused(&self) -> u64 {
+    pub(crate) fn refused(&self) -> u64 {
         self.0.refused.load(Ordering::Relaxed)
     }
 
-    /// Counts a request that was refused.
-    pub fn count_refusal(&self) {
+    pub(crate) fn count_refusal(&self) {
         self.0.refused.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// So much could be taken now.
-    pub fn has(&self, purpose: Purpose, bytes: u64) -> bool {
+    /// Whether a reservation would succeed now.
+    pub(crate) fn has(&self, purpose: Purpose, bytes: u64) -> bool {
         self.taken().saturating_add(bytes) <= purpose.share(self.total())
     }
 
-    /// Takes memory, at once or not at all.
-    /// Errors: [`BudgetExceeded`].
+    /// Reserves memory.
     pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, BudgetExceeded> {
-        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: None };
-        reservation.grow(bytes)?;
-        Ok(reservation)
+        self.reserve(purpose, None, bytes)
     }
 
-    /// Takes memory that counts for a client until it is given back.
-    /// Errors: [`BudgetExceeded`].
-    pub fn take_for(&self, purpose: Purpose, share: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
-        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, share: Some(share.clone()) };
+    /// Reserves memory that counts in the quota of a client until it is released.
+    pub fn take_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
+        self.reserve(purpose, Some(quota.clone()), bytes)
+    }
+
+    fn reserve(&self, purpose: Purpose, quota: Option<ClientQuota>, bytes: u64) -> Result<Reservation, BudgetExceeded> {
+        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, quota };
         reservation.grow(bytes)?;
         Ok(reservation)
     }
 }
 
 impl Reservation {
-    /// How much is taken.
+    /// Reserved bytes.
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Takes so much more, at once or not at all.
-    /// Errors: [`BudgetExceeded`].
+    /// Reserves `more` bytes, or none.
     pub fn grow(&mut self, more: u64) -> Result<(), BudgetExceeded> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
-        if let Some(share) = &self.share {
-            share.take(self.bytes, more).map_err(|taken| BudgetExceeded {
-                short: Exhausted::Quota(share.quota()),
-                purpose,
-                asked,
-                limit: share.limit(),
-                taken,
-            })?;
+        let exceeded = |quota, limit, taken| BudgetExceeded { quota, purpose, asked, limit, taken };
+        if let Some(quota) = &self.quota {
+            quota.reserve(self.bytes, more).map_err(|used| exceeded(Some(quota.kind()), quota.limit(), used))?;
         }
-        let account = &self.budget.0;
-        let limit = self.purpose.share(account.total);
+        let state = &self.budget.0;
+        let limit = purpose.share(state.total);
         let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
-        // The sum alone decides; the parts are told, and follow.
-        let taken = account.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
-        if let Err(taken) = taken {
-            if let Some(share) = &self.share {
-                share.give(more);
+        // The total decides; `by_purpose` follows.
+        if let Err(taken) = state.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits) {
+            if let Some(quota) = &self.quota {
+                quota.release(more);
             }
-            return Err(BudgetExceeded { short: Exhausted::Memory, purpose, asked, limit, taken });
+            return Err(exceeded(None, limit, taken));
         }
-        account.by_purpose[self.purpose as usize].fetch_add(more, Ordering::Relaxed);
-        self.bytes += more;
+        state.by_purpose[purpose as usize].fetch_add(more, Ordering::Relaxed);
+        self.bytes = asked;
         Ok(())
     }
 
-    /// Gives back what is more than so much.
+    /// Releases all but `bytes`.
     pub fn shrink_to(&mut self, bytes: u64) {
         let less = self.bytes.saturating_sub(bytes);
         self.budget.0.taken.fetch_sub(less, Ordering::Relaxed);
         self.budget.0.by_purpose[self.purpose as usize].fetch_sub(less, Ordering::Relaxed);
-        if let Some(share) = &self.share {
-            share.give(less);
+        if let Some(quota) = &self.quota {
+            quota.release(less);
         }
         self.bytes -= less;
     }
 
-    /// A part of it, to be given back by itself; all of it when there is less.
+    /// Splits off at most `bytes`, which are released separately.
     pub fn split(&mut self, bytes: u64) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
-        Self { budget: self.budget.clone(), purpose: self.purpose, bytes, share: self.share.clone() }
+        Self { budget: self.budget.clone(), purpose: self.purpose, bytes, quota: self.quota.clone() }
     }
 
-    /// Bytes that hold the reservation for as long as anyone holds them.
+    /// Bytes that hold the reservation until the last reference is dropped.
     pub fn attach(self, bytes: Vec<u8>) -> Bytes {
         struct HeldBytes {
             bytes: Vec<u8>,
@@ -299,7 +259,7 @@ mod tests {
         let budget = Budget::new(800);
         let upload = budget.take(Purpose::Upload, 600).unwrap();
         let refused = budget.take(Purpose::Upload, 1).unwrap_err();
-        assert_eq!(refused, BudgetExceeded { short: Exhausted::Memory, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert_eq!(refused, BudgetExceeded { quota: None, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
         assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
         let image = budget.take(Purpose::Image, 100).unwrap();
         assert!(budget.take(Purpose::Plan, 1).is_err());
@@ -332,14 +292,14 @@ mod tests {
         let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
         assert_eq!(
             refused,
-            BudgetExceeded { short: Exhausted::Quota(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
+            BudgetExceeded { quota: Some(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
         );
         assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
         let strip = answer.split(120).attach(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
         // What the account refuses is nobody's.
-        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().short, Exhausted::Memory);
+        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().quota, None);
         assert_eq!((other.held(), budget.taken()), (0, 120));
         let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
         drop((strip, whole));

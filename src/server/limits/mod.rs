@@ -1,8 +1,21 @@
-//! Every limit that a client can reach: memory, unread answers, request rates, connections and sockets.
+//! The limits that clients can reach.
+//!
+//! | limit | option | excess | in |
+//! |---|---|---|---|
+//! | memory | `--memory-bytes` | 503 `overloaded`; 413 `too_large` if it can never fit | [`memory`] |
+//! | unread responses of a client | a quarter of `--memory-bytes` | 503 `overloaded` | [`client_quota`] |
+//! | requests of a client | `--max-client-share` of the memory for uploads | 429 `rate_limited`; 413 `too_large` | [`client_quota`] |
+//! | requests per second | `--rate-per-key`, `--rate-per-address` | 429 `rate_limited` | [`rate_limit`] |
+//! | connections | `--max-connections`, `--max-connections-per-address` | the connection is closed | [`connections`] |
+//! | drag sockets | `--max-sockets` | 503 `overloaded` | [`sockets`] |
+//! | drag sockets of a session | 32 | 503 `overloaded` | [`sockets`] |
+//! | drag sockets of a client | `--max-client-share` of `--max-sockets` | 429 `rate_limited` | [`sockets`] |
+//! | messages per second on a drag socket | 1000, 2000 at once | WebSocket close code 1008 | [`bucket`] |
 
 pub mod bucket;
 pub mod client_quota;
 pub mod connections;
+mod counts;
 pub mod memory;
 pub mod networks;
 pub mod rate_limit;

@@ -1,6 +1,6 @@
-//! Networks of IP addresses (`10.0.0.0/8`, `::1`), and the address that a request counts for.
+//! Networks of IP addresses (`10.0.0.0/8`, `::1`), and the address of a client behind proxies.
 
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
 use ipnet::IpNet;
 
@@ -26,7 +26,7 @@ impl Network {
 }
 
 /// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no
-/// trusted proxy. Addresses further to the left are written by the client and are ignored.
+/// trusted proxy. The client may have written those before it, so they are ignored.
 pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'a str>, trusted: &[Network]) -> IpAddr {
     let is_trusted = |address: IpAddr| trusted.iter().any(|network| network.contains(address));
     let mut at = peer.to_canonical();
@@ -43,13 +43,9 @@ pub fn client_ip<'a>(peer: IpAddr, forwarded: impl DoubleEndedIterator<Item = &'
 
 /// Reads `192.0.2.1`, `192.0.2.1:1234`, `2001:db8::1`, `[2001:db8::1]`, `[2001:db8::1]:1234`.
 fn hop_address(text: &str) -> Option<IpAddr> {
-    if let Ok(address) = text.parse::<IpAddr>() {
-        return Some(address);
-    }
-    if let Ok(address) = text.parse::<std::net::SocketAddr>() {
-        return Some(address.ip());
-    }
-    text.strip_prefix('[')?.strip_suffix(']')?.parse::<Ipv6Addr>().ok().map(IpAddr::V6)
+    let bracketed = || text.strip_prefix('[')?.strip_suffix(']')?.parse::<Ipv6Addr>().ok();
+    let address = text.parse::<IpAddr>().or_else(|_| text.parse::<SocketAddr>().map(|address| address.ip()));
+    address.ok().or_else(|| bracketed().map(IpAddr::V6))
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! How often one may ask: a token bucket for each of many, in a table that never grows. Where more ask than it has places, the one who has asked
-//! least of late is forgotten and begins anew with a full bucket: a crowd is forgiven, one who floods is remembered.
+//! Request rates: a token bucket per key in a table of fixed size. In a full row, a new key replaces the key with the fullest bucket, the
+//! least active one: many clients with few requests are not limited, one with many requests is.
 
 use std::hash::{BuildHasher as _, Hash, RandomState};
 use std::sync::{Mutex, PoisonError};
@@ -7,56 +7,46 @@ use std::time::Instant;
 
 use super::bucket::Bucket;
 
-/// Places of the table: about 6 MB when rates are on, nothing when they are off.
+/// Buckets in the table, about 6 MB.
 const PLACES: usize = 1 << 16;
-/// Places that one may lie in.
-const NEIGHBOURS: usize = 8;
-/// What may come at once, in seconds of the rate.
+/// Buckets in a row. The hash of a key chooses the row.
+const ROW: usize = 8;
+/// Burst, in seconds of the rate.
 const BURST: f64 = 2.0;
 
-/// Places that those lie in who share them.
-type Row<K> = [Option<(K, Bucket)>; NEIGHBOURS];
+type Row<K> = [Option<(K, Bucket)>; ROW];
 
-/// Buckets by who asks.
+/// Token buckets by key.
+#[derive(Debug)]
 pub struct RateLimit<K> {
-    a_second: f64,
-    // Keyed by the operating system's randomness: nobody can choose whom to meet in a place.
+    per_second: f64,
+    // Randomly keyed, so that clients cannot choose their row.
     hasher: RandomState,
-    places: Vec<Mutex<Row<K>>>,
-}
-
-impl<K> std::fmt::Debug for RateLimit<K> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Rates").field("a_second", &self.a_second).finish_non_exhaustive()
-    }
+    rows: Vec<Mutex<Row<K>>>,
 }
 
 impl<K: Copy + Eq + Hash> RateLimit<K> {
-    /// So many requests a second, and twice as many at once.
-    pub fn new(a_second: u32) -> Self {
-        let rows = (0..PLACES / NEIGHBOURS).map(|_| Mutex::new([None; NEIGHBOURS]));
-        Self { a_second: f64::from(a_second), hasher: RandomState::new(), places: rows.collect() }
+    /// At most `per_second` requests per second, and twice as many at once.
+    pub fn new(per_second: u32) -> Self {
+        let rows = (0..PLACES / ROW).map(|_| Mutex::new([None; ROW])).collect();
+        Self { per_second: f64::from(per_second), hasher: RandomState::new(), rows }
     }
 
-    /// Takes one of whoever asks.
-    /// Errors: There is none; the seconds after which there is one.
-    pub fn take(&self, who: K, now: Instant) -> Result<(), u32> {
-        let hash = usize::try_from(self.hasher.hash_one(who) % self.places.len() as u64).unwrap_or(0);
-        let mut row = self.places[hash].lock().unwrap_or_else(PoisonError::into_inner);
-        let known = row.iter().position(|place| place.is_some_and(|(name, _)| name == who));
+    /// Takes a token of the key.
+    /// Errors: The seconds until there is one.
+    pub fn take(&self, key: K, now: Instant) -> Result<(), u32> {
+        let hash = usize::try_from(self.hasher.hash_one(key) % self.rows.len() as u64).unwrap_or(0);
+        let mut row = self.rows[hash].lock().unwrap_or_else(PoisonError::into_inner);
+        let known = row.iter().position(|place| place.is_some_and(|(other, _)| other == key));
         let index = known.unwrap_or_else(|| {
-            let free = (0..NEIGHBOURS).max_by(|a, b| tokens(row[*a], now).total_cmp(&tokens(row[*b], now))).unwrap_or(0);
-            row[free] = Some((who, Bucket::new(self.a_second, BURST * self.a_second, now)));
-            free
+            // An empty place is better than a full bucket.
+            let tokens = |index: usize| row[index].map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now));
+            (0..ROW).max_by(|a, b| tokens(*a).total_cmp(&tokens(*b))).unwrap_or(0)
         });
-        let Some((_, bucket)) = &mut row[index] else { return Ok(()) };
+        let place = row[index].take().filter(|_| known.is_some());
+        let (_, bucket) = row[index].insert(place.unwrap_or_else(|| (key, Bucket::new(self.per_second, BURST * self.per_second, now))));
         if bucket.take(now) { Ok(()) } else { Err(bucket.seconds_to_one()) }
     }
-}
-
-/// Nobody is as good as anybody with a full bucket.
-fn tokens<K>(place: Option<(K, Bucket)>, now: Instant) -> f64 {
-    place.map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now))
 }
 
 #[cfg(test)]
@@ -85,7 +75,7 @@ mod tests {
             let _ = rates.take(other, now);
             taken += usize::from(rates.take(u64::MAX, now).is_ok());
         }
-        assert_eq!(rates.places.len() * NEIGHBOURS, PLACES);
+        assert_eq!(rates.rows.len() * ROW, PLACES);
         assert_eq!(taken, 2);
     }
 }

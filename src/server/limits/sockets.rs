@@ -1,119 +1,98 @@
-//! Who sits at the drag: how many sockets there are, of each session, of each client and in all, and whose frame may go to the pool next.
+//! Limits the number of drag sockets, in total, per session and per client, and the number of frames that one client submits at a time.
 
-use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{Semaphore, watch};
 
+use super::counts::Counts;
 use crate::client::Tenant;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 
-/// Sockets of one session: a hand, and those who watch it from other windows.
-pub const OF_A_SESSION: usize = 32;
-/// Seconds after which a client that found no seat may come again.
+/// Maximum number of sockets of one session: the editor, and windows that watch it.
+const MAX_PER_SESSION: usize = 32;
+/// Seconds after which a refused client may retry.
 const RETRY: u32 = 5;
 
-/// All seats. Cloning shares them.
+/// Admits drag sockets. Clones share the counts.
 #[derive(Clone, Debug)]
-pub struct SocketSlots(Arc<SlotState>);
+pub(crate) struct SocketSlots(Arc<SlotState>);
 
 #[derive(Debug)]
 struct SlotState {
-    most: usize,
-    of_client: usize,
-    frames: usize,
-    taken: Mutex<Taken>,
+    max: usize,
+    max_per_client: usize,
+    max_frames: usize,
+    counts: Mutex<SocketCounts>,
     open: watch::Sender<usize>,
 }
 
 #[derive(Debug, Default)]
-struct Taken {
-    sessions: HashMap<SessionId, usize>,
-    clients: HashMap<Tenant, (usize, Arc<Semaphore>)>,
+struct SocketCounts {
+    sessions: Counts<SessionId>,
+    clients: Counts<Tenant, Option<Arc<Semaphore>>>,
 }
 
-/// A socket's seat, free again when it is dropped.
+/// The slot of one socket, returned when dropped.
 #[derive(Debug)]
-pub struct SocketSlot {
+pub(crate) struct SocketSlot {
     slots: Arc<SlotState>,
     id: SessionId,
     tenant: Tenant,
-    frames: Arc<Semaphore>,
+    /// The frames of the client wait here before they enter the pool.
+    pub(crate) frames: Arc<Semaphore>,
 }
 
 impl SocketSlots {
-    /// `most` sockets in all, `of_client` of one client. At most `frames` frames of one client stand before the pool at one time: its others
-    /// wait here, in order of arrival, and leave the pool's other places to its requests. Between clients the pool decides.
-    pub fn new(most: usize, of_client: u64, frames: usize) -> Self {
+    /// At most `max_frames` frames of one client are in the pool or its queue at a time; the rest of the queue is for its requests.
+    pub(crate) fn new(max: usize, max_per_client: u64, max_frames: usize) -> Self {
         Self(Arc::new(SlotState {
-            most,
-            of_client: usize::try_from(of_client).unwrap_or(usize::MAX),
-            frames: frames.clamp(1, Semaphore::MAX_PERMITS),
-            taken: Mutex::default(),
+            max,
+            max_per_client: usize::try_from(max_per_client).unwrap_or(usize::MAX),
+            max_frames: max_frames.clamp(1, Semaphore::MAX_PERMITS),
+            counts: Mutex::default(),
             open: watch::Sender::new(0),
         }))
     }
 
-    /// Takes a seat, at once or not at all.
-    /// Errors: [`Code::Overloaded`]; [`Code::RateLimited`] for a client that has as many as it may.
-    pub fn take(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
+    /// Takes a slot.
+    /// Errors: [`Code::Overloaded`]; [`Code::RateLimited`] for a client with too many sockets.
+    pub(crate) fn acquire(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
         let slots = &self.0;
-        let mut taken = slots.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        let (all, of_session) = (*slots.open.borrow(), taken.sessions.get(&id).copied().unwrap_or_default());
-        let of_client = taken.clients.get(&tenant).map_or(0, |(sockets, _)| *sockets);
-        for (what, whose, code, open, most) in [
-            ("sockets", "this server", Code::Overloaded, all, slots.most),
-            ("session_sockets", "this session", Code::Overloaded, of_session, OF_A_SESSION),
-            ("client_sockets", "this client", Code::RateLimited, of_client, slots.of_client),
+        let mut counts = slots.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        for (what, whose, code, open, max) in [
+            ("sockets", "this server", Code::Overloaded, self.open(), slots.max),
+            ("session_sockets", "this session", Code::Overloaded, counts.sessions.get(&id), MAX_PER_SESSION),
+            ("client_sockets", "this client", Code::RateLimited, counts.clients.get(&tenant), slots.max_per_client),
         ] {
-            if open >= most {
-                let detail = format!("{whose} has {open} open drag sockets; at most {most}");
-                return Err(Problem::new(code, detail).limit(what, most, open + 1).retry_after(RETRY));
+            if open >= max {
+                let detail = format!("{whose} has {open} open drag sockets; at most {max}");
+                return Err(Problem::new(code, detail).limit(what, max, open + 1).retry_after(RETRY));
             }
         }
-        *taken.sessions.entry(id).or_default() += 1;
-        let (sockets, frames) = taken.clients.entry(tenant).or_insert_with(|| (0, Arc::new(Semaphore::new(slots.frames))));
-        *sockets += 1;
-        let frames = Arc::clone(frames);
+        counts.sessions.add(id);
+        let frames = Arc::clone(counts.clients.add(tenant).get_or_insert_with(|| Arc::new(Semaphore::new(slots.max_frames))));
         slots.open.send_modify(|open| *open += 1);
         Ok(SocketSlot { slots: Arc::clone(slots), id, tenant, frames })
     }
 
-    /// Seats that are taken now.
-    pub fn taken(&self) -> usize {
+    /// Open sockets.
+    pub(crate) fn open(&self) -> usize {
         *self.0.open.borrow()
     }
 
-    /// Waits until every seat is free.
-    pub async fn empty(&self) {
-        // The sender lives as long as `self`, so waiting cannot fail.
+    /// Waits until no socket is open.
+    pub(crate) async fn closed(&self) {
+        // The wait cannot fail: `self` owns the sender.
         let _ = self.0.open.subscribe().wait_for(|open| *open == 0).await;
-    }
-}
-
-impl SocketSlot {
-    /// Where the client's frames wait for their turn.
-    pub fn frames(&self) -> Arc<Semaphore> {
-        Arc::clone(&self.frames)
     }
 }
 
 impl Drop for SocketSlot {
     fn drop(&mut self) {
-        let mut taken = self.slots.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(of_session) = taken.sessions.get_mut(&self.id) {
-            *of_session -= 1;
-            if *of_session == 0 {
-                taken.sessions.remove(&self.id);
-            }
-        }
-        if let Some((of_client, _)) = taken.clients.get_mut(&self.tenant) {
-            *of_client -= 1;
-            if *of_client == 0 {
-                taken.clients.remove(&self.tenant);
-            }
-        }
+        let mut counts = self.slots.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.sessions.remove(&self.id);
+        counts.clients.remove(&self.tenant);
         self.slots.open.send_modify(|open| *open -= 1);
     }
 }
@@ -127,31 +106,31 @@ mod tests {
     async fn seats_are_bounded_in_all_for_a_client_and_for_a_session_and_given_back() {
         let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
         let session = || SessionId::random(Owner::ANYBODY);
-        let seats = SocketSlots::new(OF_A_SESSION + 3, OF_A_SESSION as u64 + 1, 4);
+        let seats = SocketSlots::new(MAX_PER_SESSION + 3, MAX_PER_SESSION as u64 + 1, 4);
         let one = session();
-        let mut held: Vec<SocketSlot> = (0..OF_A_SESSION).map(|_| seats.take(tenant(1), one).unwrap()).collect();
-        let refused = seats.take(tenant(1), one).unwrap_err();
+        let mut held: Vec<SocketSlot> = (0..MAX_PER_SESSION).map(|_| seats.acquire(tenant(1), one).unwrap()).collect();
+        let refused = seats.acquire(tenant(1), one).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::Overloaded, Some("session_sockets"), Some(RETRY)));
-        held.push(seats.take(tenant(1), session()).unwrap());
-        let refused = seats.take(tenant(1), session()).unwrap_err();
+        held.push(seats.acquire(tenant(1), session()).unwrap());
+        let refused = seats.acquire(tenant(1), session()).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::RateLimited, Some("client_sockets"), Some(RETRY)));
-        held.extend([2, 3].map(|n| seats.take(tenant(n), session()).unwrap()));
-        assert_eq!(seats.take(tenant(4), session()).unwrap_err().what, Some("sockets"));
+        held.extend([2, 3].map(|n| seats.acquire(tenant(n), session()).unwrap()));
+        assert_eq!(seats.acquire(tenant(4), session()).unwrap_err().what, Some("sockets"));
         held.remove(0);
-        held.push(seats.take(tenant(1), one).unwrap());
-        assert_eq!(seats.taken(), OF_A_SESSION + 3);
+        held.push(seats.acquire(tenant(1), one).unwrap());
+        assert_eq!(seats.open(), MAX_PER_SESSION + 3);
         drop(held);
-        seats.empty().await;
-        let taken = seats.0.taken.lock().unwrap();
-        assert!(taken.sessions.is_empty() && taken.clients.is_empty());
+        seats.closed().await;
+        let counts = seats.0.counts.lock().unwrap();
+        assert!(counts.sessions.by_key.is_empty() && counts.clients.by_key.is_empty());
     }
 
     #[test]
     fn frames_of_one_client_wait_for_its_own_alone() {
         let tenant = |n: u8| Client { address: [192, 0, 2, n].into(), ..Client::default() }.tenant();
         let seats = SocketSlots::new(9, 9, 2);
-        let [a, b, other] = [1, 1, 2].map(|n| seats.take(tenant(n), SessionId::random(Owner::ANYBODY)).unwrap());
-        let _turns = [a.frames().try_acquire_owned().unwrap(), b.frames().try_acquire_owned().unwrap()];
-        assert!(a.frames().try_acquire_owned().is_err() && other.frames().try_acquire_owned().is_ok());
+        let [a, b, other] = [1, 1, 2].map(|n| seats.acquire(tenant(n), SessionId::random(Owner::ANYBODY)).unwrap());
+        let _turns = [a.frames.clone().try_acquire_owned().unwrap(), b.frames.clone().try_acquire_owned().unwrap()];
+        assert!(a.frames.clone().try_acquire_owned().is_err() && other.frames.clone().try_acquire_owned().is_ok());
     }
 }

@@ -1,15 +1,15 @@
-//! The stable error codes of the contract in one table: name, status, title. `api/problems.md` has one heading for each (tested).
+//! The stable error codes of the contract: name, status, title. `api/problems.md` describes each code in a section of its own (tested).
 
 macro_rules! codes {
-    ($($(#[$doc:meta])* $variant:ident = $status:literal, $name:literal, $title:literal;)*) => {
-        /// A stable error code; its status and title stand in one table.
+    ($($variant:ident = $status:literal, $name:literal, $title:literal;)*) => {
+        /// A stable error code.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Code {
-            $($(#[$doc])* $variant,)*
+            $(#[doc = concat!("`", $name, "` of `api/problems.md`.")] $variant,)*
         }
 
         impl Code {
-            /// Every code, in the order of their statuses.
+            /// Every code, by status.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// The HTTP status.
@@ -17,7 +17,7 @@ macro_rules! codes {
                 match self { $(Self::$variant => $status,)* }
             }
 
-            /// The code as it is written: `snake_case`.
+            /// The name in the document: `snake_case`.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }
             }
@@ -36,63 +36,34 @@ macro_rules! codes {
 }
 
 codes! {
-    /// The request cannot be read: not JSON, not multipart, a part missing.
     MalformedRequest = 400, "malformed_request", "Malformed request";
-    /// A key is configured and the request has none.
     Unauthorized = 401, "unauthorized", "Key missing";
-    /// A key is configured and the request has another; a page of another site opens a socket.
     Forbidden = 403, "forbidden", "Forbidden";
-    /// No route has this path.
     NotFound = 404, "not_found", "No such route";
-    /// No session has this id.
     NoSuchSession = 404, "no_such_session", "No such session";
-    /// The route does not know the method.
     MethodNotAllowed = 405, "method_not_allowed", "Method not allowed";
-    /// `Accept` names nothing that is written here.
     NotAcceptable = 406, "not_acceptable", "Not acceptable";
-    /// The client took too long to send its request.
     Timeout = 408, "timeout", "Timeout";
-    /// A newer pose of the session has been seen.
     Superseded = 409, "superseded", "Superseded";
-    /// The session ended not long ago.
     SessionExpired = 410, "session_expired", "Session expired";
-    /// Over a limit; decided before memory is taken.
     TooLarge = 413, "too_large", "Too large";
-    /// The `Content-Type` of the request is not one that the route takes.
     UnsupportedMediaType = 415, "unsupported_media_type", "Unsupported media type";
-    /// The file is not an image that is read here.
     UnsupportedFormat = 415, "unsupported_format", "Unsupported image format";
-    /// The request names a host that the listener does not serve.
     Misdirected = 421, "misdirected", "Misdirected request";
-    /// The file is truncated or contradicts itself.
     BadImage = 422, "bad_image", "Bad image";
-    /// A value of the contract that this build does not have.
     NotSupported = 422, "not_supported", "Not supported";
-    /// A field that is not known.
     UnknownField = 422, "unknown_field", "Unknown field";
-    /// A value of the wrong type or out of range.
     BadValue = 422, "bad_value", "Bad value";
-    /// A number beyond the range of f64.
     NotFinite = 422, "not_finite", "Not a finite number";
-    /// p, q and weights do not pair up.
     ShapeMismatch = 422, "shape_mismatch", "Shapes differ";
-    /// Handles that meet at rest are sent to different places.
     ContradictoryHandles = 422, "contradictory_handles", "Contradictory handles";
-    /// A segment at rest without length.
     DegenerateLine = 422, "degenerate_line", "Degenerate line";
-    /// alpha outside of its range.
     AlphaOutOfRange = 422, "alpha_out_of_range", "Alpha out of range";
-    /// `folds: reject` and the result folds.
     Folded = 422, "folded", "The warp folds";
-    /// The route is a WebSocket.
     UpgradeRequired = 426, "upgrade_required", "Upgrade required";
-    /// One client asks too often.
     RateLimited = 429, "rate_limited", "Rate limited";
-    /// A bug; the log has more.
     Internal = 500, "internal", "Internal error";
-    /// The service has no room for the work now, or did not finish it in time.
     Overloaded = 503, "overloaded", "Overloaded";
-    /// Another version of the program has stored the session, and this one cannot read it.
     StoredByAnotherVersion = 503, "stored_by_another_version", "Stored by another version";
 }
 

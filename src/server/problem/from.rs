@@ -1,4 +1,4 @@
-//! Every error of the warp, with the code and the pointer that the contract gives it. No `_` arm: a new error is a compile error here.
+//! The errors of the engine as problems. The matches have no `_` arm, so a new error does not compile until it has a code here.
 
 use mlswarp::codec::CodecError;
 use mlswarp::deform::DeformError;
@@ -7,20 +7,20 @@ use serde_json::Value;
 
 use super::{Code, Problem};
 
-/// Seconds after which work that was given up may be asked for again.
-const RETRY_GIVEN_UP: u32 = 1;
+/// Seconds after which cancelled work may be requested again.
+const RETRY_CANCELLED: u32 = 1;
 
 impl From<WarpError> for Problem {
     fn from(error: WarpError) -> Self {
         let detail = error.to_string();
         match error {
             WarpError::Codec(error) => Self::from(error),
-            WarpError::Rest(error) => of_handles("p", &error),
-            WarpError::Posed(error) => of_handles("q", &error),
+            WarpError::Rest(error) => handle_problem("p", &error),
+            WarpError::Posed(error) => handle_problem("q", &error),
             WarpError::BadPlace { index, value, limit } => {
                 Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
             }
-            WarpError::Cancelled => Self::new(Code::Overloaded, detail).retry_after(RETRY_GIVEN_UP),
+            WarpError::Cancelled => Self::new(Code::Overloaded, detail).retry_after(RETRY_CANCELLED),
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
@@ -48,15 +48,16 @@ impl From<CodecError> for Problem {
     }
 }
 
-/// `side`: the field that holds the handles, `p` or `q`.
-fn of_handles(side: &str, error: &DeformError) -> Problem {
+/// `field`: `p` or `q`.
+fn handle_problem(field: &str, error: &DeformError) -> Problem {
     let new = |code| Problem::new(code, error.to_string());
-    let at_handle = |code, handle: usize| new(code).pointer(format!("/{side}/{handle}")).handle(handle);
+    let at_handle = |code, handle: usize| new(code).pointer(format!("/{field}/{handle}")).handle(handle);
+    let too_large = || new(Code::TooLarge).pointer(format!("/{field}"));
     match *error {
         DeformError::NotFinite { handle } => at_handle(Code::NotFinite, handle),
         DeformError::OutOfRange { handle, value, limit } => at_handle(Code::BadValue, handle).limit("coordinate", limit, number(value)),
         DeformError::TooFewPlaces { handle, places } => at_handle(Code::BadValue, handle).actual(places),
-        DeformError::CountMismatch { .. } => new(Code::ShapeMismatch).pointer(format!("/{side}")),
+        DeformError::CountMismatch { .. } => new(Code::ShapeMismatch).pointer(format!("/{field}")),
         DeformError::ShapeMismatch { handle, .. } => at_handle(Code::ShapeMismatch, handle),
         DeformError::WeightCount { .. } => new(Code::ShapeMismatch).pointer("/weights"),
         DeformError::BadWeight { handle, value } => {
@@ -65,18 +66,14 @@ fn of_handles(side: &str, error: &DeformError) -> Problem {
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
         DeformError::Contradictory { first, .. } => at_handle(Code::ContradictoryHandles, first),
-        DeformError::TooManyMeetings { limit } => {
-            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_meetings", limit, limit + 1)
-        }
-        DeformError::TooManyNeighbours { limit } => {
-            new(Code::TooLarge).pointer(format!("/{side}")).limit("handle_comparisons", limit, limit + 1)
-        }
+        DeformError::TooManyMeetings { limit } => too_large().limit("handle_meetings", limit, limit + 1),
+        DeformError::TooManyNeighbours { limit } => too_large().limit("handle_comparisons", limit, limit + 1),
         DeformError::Cancelled => new(Code::Timeout),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
     }
 }
 
-/// A number as JSON has it; in words where JSON has none.
+/// JSON has no infinities and no NaN; they become strings.
 fn number(value: f64) -> Value {
     if value.is_finite() { value.into() } else { value.to_string().into() }
 }

@@ -1,34 +1,35 @@
-//! Problem documents (RFC 9457): what a client is told when something is wrong. A [`Problem`] knows no HTTP but the status of its
-//! [`Code`]; every error of the layers below becomes one in a single exhaustive conversion (`from.rs`).
-//! JSON pointers (RFC 6901) point into the JSON of the request: the body, or the part `warp` of a multipart body.
+//! Problem documents (RFC 9457): the errors that clients see.
+//!
+//! A [`Problem`] contains no HTTP except the status of its [`Code`]. `from.rs` converts every error of the engine. JSON pointers (RFC 6901)
+//! point into the JSON of the request: the body, or the part `warp` of a multipart body.
 
 mod code;
 mod from;
 
 use std::fmt;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 pub use code::Code;
 
-/// What went wrong, for the client: HTTP-agnostic but for the status that its code has.
+/// An error for the client.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Problem {
     /// The code.
     pub code: Code,
-    /// One sentence for people: what was wrong and where; a value after a colon.
+    /// One sentence for people: what is wrong and where; a value after a colon.
     pub detail: String,
     /// JSON pointer into the request.
     pub pointer: Option<String>,
     /// Index of the handle.
     pub handle: Option<usize>,
-    /// Which limit.
+    /// Name of the limit.
     pub what: Option<&'static str>,
-    /// The limit.
+    /// Value of the limit.
     pub limit: Option<Value>,
-    /// What was asked for.
+    /// The value that was requested or found.
     pub actual: Option<Value>,
-    /// Seconds after which a retry makes sense.
+    /// Seconds after which the request may be repeated.
     pub retry_after: Option<u32>,
 }
 
@@ -36,67 +37,50 @@ impl Problem {
     /// The media type of a problem document.
     pub const MEDIA_TYPE: &'static str = "application/problem+json";
 
-    /// A problem without a place.
-    #[must_use]
+    /// A problem with a code and a sentence.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         Self { code, detail: detail.into(), pointer: None, handle: None, what: None, limit: None, actual: None, retry_after: None }
     }
 
-    /// Where in the request's JSON.
-    #[must_use]
-    pub fn pointer(mut self, pointer: impl Into<String>) -> Self {
+    pub(crate) fn pointer(mut self, pointer: impl Into<String>) -> Self {
         self.pointer = Some(pointer.into());
         self
     }
 
-    /// Which handle.
-    #[must_use]
-    pub const fn handle(mut self, index: usize) -> Self {
+    pub(crate) const fn handle(mut self, index: usize) -> Self {
         self.handle = Some(index);
         self
     }
 
-    /// Which limit, its value, and what was asked for.
-    #[must_use]
-    pub fn limit(mut self, what: &'static str, limit: impl Into<Value>, actual: impl Into<Value>) -> Self {
+    pub(crate) fn limit(mut self, what: &'static str, limit: impl Into<Value>, actual: impl Into<Value>) -> Self {
         self.what = Some(what);
         self.limit = Some(limit.into());
         self.actual(actual)
     }
 
-    /// What was asked for, or found.
-    #[must_use]
-    pub fn actual(mut self, actual: impl Into<Value>) -> Self {
+    pub(crate) fn actual(mut self, actual: impl Into<Value>) -> Self {
         self.actual = Some(actual.into());
         self
     }
 
-    /// Seconds after which a retry makes sense.
-    #[must_use]
-    pub const fn retry_after(mut self, seconds: u32) -> Self {
+    pub(crate) const fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);
         self
     }
 
     /// The HTTP status.
-    #[must_use]
     pub const fn status(&self) -> u16 {
         self.code.status()
     }
 
-    /// The document, with the request's id where there is one.
-    #[must_use]
+    /// The document; with the id of the request if there is one.
     pub fn to_json(&self, request_id: Option<&str>) -> Value {
-        let mut document = Map::new();
-        let mut put = |name: &str, value: Value| {
-            document.insert(name.to_owned(), value);
-        };
-        put("type", self.code.type_uri().into());
-        put("title", self.code.title().into());
-        put("status", self.status().into());
-        put("detail", self.detail.as_str().into());
-        put("code", self.code.as_str().into());
         let fields = [
+            ("type", Some(self.code.type_uri().into())),
+            ("title", Some(self.code.title().into())),
+            ("status", Some(self.status().into())),
+            ("detail", Some(self.detail.as_str().into())),
+            ("code", Some(self.code.as_str().into())),
             ("pointer", self.pointer.as_deref().map(Value::from)),
             ("handle", self.handle.map(Value::from)),
             ("limit_name", self.what.map(Value::from)),
@@ -105,12 +89,7 @@ impl Problem {
             ("retry_after", self.retry_after.map(Value::from)),
             ("request_id", request_id.map(Value::from)),
         ];
-        for (name, value) in fields {
-            if let Some(value) = value {
-                put(name, value);
-            }
-        }
-        Value::Object(document)
+        fields.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
     }
 }
 

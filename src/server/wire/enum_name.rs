@@ -1,76 +1,84 @@
-//! Values that are words of the contract: which this build has, which the contract has and this build has not, and how each is spelled.
-//! One table for reading, for writing, and for the enums of the OpenAPI document (tested).
+//! The names of enum values: those of this version, and those that only the contract has. One table serves reading, writing and the OpenAPI
+//! document (tested).
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Method;
 use mlswarp::render::Filter;
 use mlswarp::warp::{Folds, Units};
+use serde::{Serialize, Serializer};
 
+use super::AsJson;
 use super::json::{Kind, Node, list, quote};
 use crate::problem::{Code, Problem};
 
-/// An enum whose values are words.
 pub(crate) trait EnumName: Copy + 'static {
-    /// What this build has; the default first.
+    /// The values of this version; the default first.
     const ALL: &'static [Self];
-    /// What the contract has and this build has not.
-    const LATER: &'static [&'static str];
-    /// The word.
-    fn word(self) -> &'static str;
+    /// Names of the contract that this version does not support.
+    const UNSUPPORTED: &'static [&'static str];
+
+    fn as_str(self) -> &'static str;
 }
 
-/// Reads a word; one that is in the contract but not in this build is `not_supported`.
-pub(crate) fn word<T: EnumName>(node: &Node<'_, '_>) -> Result<T, Problem> {
-    let names = || list(&T::ALL.iter().map(|v| v.word()).collect::<Vec<_>>());
+/// Reads a name.
+pub(crate) fn enum_name<T: EnumName>(node: &Node<'_, '_>) -> Result<T, Problem> {
+    let names = || list(&T::ALL.iter().map(|v| v.as_str()).collect::<Vec<_>>());
     if node.kind() != Kind::String {
         return Err(node.wrong_kind(&format!("one of {}", names())));
     }
-    let text = node.string("a word")?;
-    match T::ALL.iter().find(|v| v.word() == text) {
-        Some(value) => Ok(*value),
-        None => Err(refuse(node, &text, T::LATER, &names())),
-    }
+    let text = node.string("a name")?;
+    let value = T::ALL.iter().find(|v| v.as_str() == text);
+    value.copied().ok_or_else(|| unknown_name(node, &text, T::UNSUPPORTED, &names()))
 }
 
-/// The problem of a word that is none of the `supported` ones.
-pub(crate) fn refuse(node: &Node<'_, '_>, text: &str, later: &[&str], supported: &str) -> Problem {
-    if later.contains(&text) {
+/// The problem of a name that is not `supported`.
+pub(crate) fn unknown_name(node: &Node<'_, '_>, text: &str, unsupported: &[&str], supported: &str) -> Problem {
+    if unsupported.contains(&text) {
         node.problem(Code::NotSupported, format!("not supported by this version: `{text}`; supported: {supported}"))
     } else {
-        node.problem(Code::BadValue, format!("expected one of {supported}; found {}", quote(text)))
+        node.unexpected(&format!("one of {supported}"), quote(text))
     }
 }
 
-macro_rules! words {
-    ($type:ty, later $later:expr, $($value:path = $word:literal),+) => {
+macro_rules! enum_names {
+    ($type:ty, unsupported $unsupported:expr, $($value:path = $name:literal),+) => {
         impl EnumName for $type {
             const ALL: &'static [Self] = &[$($value),+];
-            const LATER: &'static [&'static str] = &$later;
+            const UNSUPPORTED: &'static [&'static str] = &$unsupported;
 
-            fn word(self) -> &'static str {
-                match self { $($value => $word),+ }
+            fn as_str(self) -> &'static str {
+                match self { $($value => $name),+ }
+            }
+        }
+
+        impl Serialize for AsJson<$type> {
+            fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+                s.serialize_str(self.0.as_str())
             }
         }
     };
 }
 
-/// Distances between places: along straight lines.
+/// How distances between places are measured.
 #[derive(Clone, Copy)]
 pub(crate) enum Metric {
     Euclidean,
 }
 
-/// The rectangle that the answer shows: the source's.
+/// The rectangle that the answer shows.
 #[derive(Clone, Copy)]
 pub(crate) enum Canvas {
     Same,
 }
 
-words!(Method, later ["tps", "beier_neely", "arap"], Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine");
-words!(Units, later [], Units::Px = "px", Units::Normalized = "normalized");
-words!(Folds, later["remove"], Folds::Report = "report", Folds::Reject = "reject");
-words!(Compression, later [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
-words!(Filter, later["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
-words!(Metric, later["geodesic"], Metric::Euclidean = "euclidean");
-words!(Format, later [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
-words!(Canvas, later["fit"], Canvas::Same = "same");
+enum_names!(
+    Method, unsupported ["tps", "beier_neely", "arap"],
+    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine"
+);
+enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
+enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
+enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
+enum_names!(Filter, unsupported["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
+enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
+enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
+enum_names!(Canvas, unsupported["fit"], Canvas::Same = "same");

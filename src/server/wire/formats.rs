@@ -1,36 +1,36 @@
-//! Which picture formats a client takes. The request's own `output.format` decides where it is given; `Accept` where it is not.
+//! The picture formats that a client accepts. `output.format` decides if it is given, otherwise `Accept`.
 
 use mlswarp::codec::Format;
 
 use crate::problem::{Code, Problem};
 
-/// How much a client wants each of [`Format::ALL`]; 0 is not at all.
+/// The weight of each of [`Format::ALL`] in `Accept`; 0 is not accepted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Formats([f32; Format::ALL.len()]);
 
 impl Formats {
-    /// Every format alike: the client has not said.
+    /// Without `Accept`.
     pub const ANY: Self = Self([1.0; Format::ALL.len()]);
 
-    /// By how much each is wanted.
-    /// Errors: 406 when none is.
-    pub fn new(wanted: [f32; Format::ALL.len()]) -> Result<Self, Problem> {
-        if wanted.iter().any(|q| *q > 0.0) { Ok(Self(wanted)) } else { Err(refused(&Format::ALL)) }
+    /// Formats with these weights.
+    /// Errors: 406 if none is accepted.
+    pub fn new(weight: [f32; Format::ALL.len()]) -> Result<Self, Problem> {
+        if weight.iter().any(|q| *q > 0.0) { Ok(Self(weight)) } else { Err(not_acceptable(&Format::ALL)) }
     }
 
-    /// The format to write: `asked` where the request names one, otherwise what the client wants most, the `usual` one among equals.
-    /// Errors: 406 when the request names a format that its `Accept` refuses.
-    pub fn choose(&self, asked: Option<Format>, usual: Format) -> Result<Format, Problem> {
-        let wanted = |format: Format| Format::ALL.iter().zip(self.0).find(|(f, _)| **f == format).map_or(0.0, |(_, q)| q);
-        match asked {
-            Some(format) if wanted(format) > 0.0 => Ok(format),
-            Some(format) => Err(refused(&[format])),
-            None => Ok(Format::ALL.into_iter().fold(usual, |best, format| if wanted(format) > wanted(best) { format } else { best })),
+    /// The format to write: the `requested` one, otherwise that with the largest weight, among equals `default`.
+    /// Errors: 406 if `Accept` excludes the `requested` format.
+    pub fn choose(&self, requested: Option<Format>, default: Format) -> Result<Format, Problem> {
+        let weight = |format: Format| Format::ALL.iter().zip(self.0).find(|(f, _)| **f == format).map_or(0.0, |(_, q)| q);
+        match requested {
+            Some(format) if weight(format) > 0.0 => Ok(format),
+            Some(format) => Err(not_acceptable(&[format])),
+            None => Ok(Format::ALL.into_iter().fold(default, |best, format| if weight(format) > weight(best) { format } else { best })),
         }
     }
 }
 
-fn refused(formats: &[Format]) -> Problem {
+fn not_acceptable(formats: &[Format]) -> Problem {
     let names: Vec<&str> = formats.iter().map(|f| f.media_type()).collect();
     Problem::new(Code::NotAcceptable, format!("the picture is written as {}, and Accept takes none of that", names.join(", ")))
 }

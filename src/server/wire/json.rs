@@ -1,20 +1,21 @@
-//! JSON text to nodes with an address. Syntax is `serde_json`'s alone and comes first: [`root`] checks the whole text (400), after which a
-//! [`Node`] is well-formed text, cut out but not copied, and only its meaning can be wrong (422). Objects are taken apart by `serde_json`,
-//! arrays by looking for commas, which well-formed text allows. No tree is built and nothing is allocated but for a problem: a level of
-//! the document is one more scan of its text, and the forms read here are at most four levels deep. Numbers stay as they were written until `number.rs` reads them, so `1e999` is a number out of range, not a syntax error.
+//! JSON text as nodes with an address.
+//!
+//! [`root`] lets `serde_json` check the syntax of the whole text first (400). A [`Node`] is a part of that text, so only its meaning can be
+//! wrong (422). No tree is built, and memory is allocated for problems only: every level of the document is one more scan of its text, and
+//! the messages have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of range, not a syntax error.
 
+use std::borrow::Cow;
 use std::fmt;
 
-use serde::Deserializer as _;
-use serde::de::{DeserializeSeed, IgnoredAny, MapAccess, Visitor};
+use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use crate::problem::{Code, Problem};
 
-/// Longest name or value of the client's that is repeated in a problem, characters.
+/// Longest name or value of the client that a problem quotes, characters.
 const LONGEST_QUOTE: usize = 60;
 
-/// Where a node stands: a list that lives on the stack and becomes a JSON pointer only when something is wrong.
+/// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
 #[derive(Clone, Copy)]
 pub(crate) enum At<'p> {
     Root,
@@ -26,7 +27,7 @@ impl fmt::Display for At<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Root => Ok(()),
-            // Known names hold neither `~` nor `/`: nothing to escape.
+            // Known names contain neither `~` nor `/`: nothing to escape.
             Self::Field(parent, name) => write!(f, "{parent}/{name}"),
             Self::Item(parent, index) => write!(f, "{parent}/{index}"),
         }
@@ -56,40 +57,41 @@ impl Kind {
     }
 }
 
-/// One value of the document. `'j`: the request's text; `'p`: the path to here.
+/// One value of the document. `'j`: the text of the request; `'p`: the path to the value.
 #[derive(Clone, Copy)]
 pub(crate) struct Node<'j, 'p> {
-    json: &'j str,
+    /// The value as the client wrote it.
+    pub(crate) text: &'j str,
     pub(crate) at: At<'p>,
 }
+
+/// A field name; allocated only if it contains escapes.
+#[derive(Deserialize)]
+struct Name<'j>(#[serde(borrow)] Cow<'j, str>);
 
 /// Checks that the text is one JSON object and nothing else.
 pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail);
     let text = std::str::from_utf8(body).map_err(|e| malformed(format!("not JSON: not UTF-8 after byte {}", e.valid_up_to())))?;
     let raw: &RawValue = serde_json::from_str(text).map_err(|e| malformed(format!("not JSON: {e}")))?;
-    let node = Node { json: raw.get(), at: At::Root };
+    let node = Node { text: raw.get(), at: At::Root };
     match node.kind() {
         Kind::Object => Ok(node),
         other => Err(malformed(format!("the request must be a JSON object; found {}", other.name()))),
     }
 }
 
-/// A node that was cut out before and kept.
-pub(crate) const fn kept<'j, 'p>(json: &'j str, at: At<'p>) -> Node<'j, 'p> {
-    Node { json, at }
-}
-
-impl Node<'_, 'static> {
-    /// An empty document, to say what it lacks.
-    pub(crate) const fn nowhere() -> Self {
-        Self { json: "{}", at: At::Root }
-    }
+/// Reads a field if it was given.
+pub(crate) fn optional<'j, 'p, T>(
+    field: Option<Node<'j, 'p>>,
+    read: impl FnOnce(&Node<'j, 'p>) -> Result<T, Problem>,
+) -> Result<Option<T>, Problem> {
+    field.map(|node| read(&node)).transpose()
 }
 
 impl<'j> Node<'j, '_> {
     pub(crate) fn kind(&self) -> Kind {
-        match self.json.as_bytes().first() {
+        match self.text.as_bytes().first() {
             Some(b'[') => Kind::Array,
             Some(b'{') => Kind::Object,
             Some(b'"') => Kind::String,
@@ -97,11 +99,6 @@ impl<'j> Node<'j, '_> {
             Some(b'n') => Kind::Null,
             _ => Kind::Number,
         }
-    }
-
-    /// The value as the client wrote it.
-    pub(crate) const fn text(&self) -> &'j str {
-        self.json
     }
 
     pub(crate) fn problem(&self, code: Code, detail: impl Into<String>) -> Problem {
@@ -112,65 +109,62 @@ impl<'j> Node<'j, '_> {
         }
     }
 
-    /// `bad_value`: what is expected, and what kind of value stands there.
-    pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
-        self.problem(Code::BadValue, format!("expected {expected}; found {}", self.kind().name()))
+    pub(crate) fn unexpected(&self, expected: &str, found: impl fmt::Display) -> Problem {
+        self.problem(Code::BadValue, format!("expected {expected}; found {found}"))
     }
 
-    /// `bad_value` for a field that must be given.
+    pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
+        self.unexpected(expected, self.kind().name())
+    }
+
     pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
         Problem::new(Code::BadValue, format!("`{name}` is missing: expected {expected}")).pointer(format!("{}/{name}", self.at))
     }
 
-    pub(crate) fn unknown(&self, name: &str, known: &[&str]) -> Problem {
+    fn unknown(&self, name: &str, known: &[&str]) -> Problem {
         let detail = format!("unknown field: {}; known: {}", quote(name), list(known));
-        let short = name.chars().nth(LONGEST_QUOTE).is_none();
-        if short {
-            Problem::new(Code::UnknownField, detail).pointer(format!("{}/{}", self.at, escape(name)))
-        } else {
-            self.problem(Code::UnknownField, detail)
+        if name.chars().nth(LONGEST_QUOTE).is_some() {
+            return self.problem(Code::UnknownField, detail);
         }
+        // One step of a JSON pointer (RFC 6901, section 3).
+        let step = name.replace('~', "~0").replace('/', "~1");
+        Problem::new(Code::UnknownField, detail).pointer(format!("{}/{step}", self.at))
     }
 
     pub(crate) fn bool(&self) -> Result<bool, Problem> {
-        match self.kind() {
-            Kind::Bool => Ok(self.json == "true"),
-            _ => Err(self.wrong_kind("`true` or `false`")),
-        }
+        if self.kind() == Kind::Bool { Ok(self.text == "true") } else { Err(self.wrong_kind("`true` or `false`")) }
     }
 
     pub(crate) fn string(&self, expected: &str) -> Result<String, Problem> {
         if self.kind() != Kind::String {
             return Err(self.wrong_kind(expected));
         }
-        serde_json::from_str(self.json).map_err(|e| self.not_json(&e))
+        serde_json::from_str(self.text).map_err(|e| self.not_json(&e))
     }
 
-    /// The values of the `known` fields, in that order; any other field is refused.
-    pub(crate) fn fields<'q, const N: usize>(
-        &'q self,
-        expected: &str,
-        known: &[&'static str; N],
-    ) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
+    /// The values of the `known` fields, in that order; other fields are refused.
+    pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         if self.kind() != Kind::Object {
-            return Err(self.wrong_kind(expected));
+            return Err(self.wrong_kind("an object"));
         }
-        let mut found = Found { values: [None; N], twice: None, unknown: None };
-        serde_json::Deserializer::from_str(self.json)
-            .deserialize_map(Fields { known, found: &mut found })
-            .map_err(|e| self.not_json(&e))?;
-        if let Some(name) = found.twice {
+        let (mut values, mut repeated, mut unknown) = ([None; N], None, None);
+        let mut rest = &self.text[1..];
+        while let Some(name) = next(&mut rest) {
+            let Name(name) = serde_json::from_str(name).map_err(|e| self.not_json(&e))?;
+            let text = next(&mut rest).unwrap_or_default();
+            let Some(index) = known.iter().position(|known| *known == name) else {
+                unknown.get_or_insert(name);
+                continue;
+            };
+            if values[index].replace(Node { text, at: At::Field(&self.at, known[index]) }).is_some() {
+                repeated.get_or_insert(known[index]);
+            }
+        }
+        if let Some(name) = repeated {
             let pointer = format!("{}/{name}", self.at);
             return Err(Problem::new(Code::MalformedRequest, format!("field given twice: `{name}`")).pointer(pointer));
         }
-        if let Some(name) = found.unknown {
-            return Err(self.unknown(&name, known));
-        }
-        let mut names = known.iter();
-        Ok(found.values.map(|value| {
-            let name = names.next().copied().unwrap_or_default();
-            value.map(|json| Node { json, at: At::Field(&self.at, name) })
-        }))
+        unknown.map_or(Ok(values), |name| Err(self.unknown(&name, known)))
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.
@@ -178,29 +172,36 @@ impl<'j> Node<'j, '_> {
         if self.kind() != Kind::Array {
             return Err(self.wrong_kind(expected));
         }
-        let text = self.json;
-        let bytes = text.as_bytes();
-        let (mut index, mut start) = (0, 1);
-        loop {
-            start += spaces(&bytes[start..]);
-            if matches!(bytes.get(start), None | Some(b']')) {
-                return Ok(());
-            }
-            let end = start + length(&bytes[start..]);
-            each(index, Node { json: text.get(start..end).unwrap_or_default(), at: At::Item(&self.at, index) })?;
+        let (mut index, mut rest) = (0, &self.text[1..]);
+        while let Some(text) = next(&mut rest) {
+            each(index, Node { text, at: At::Item(&self.at, index) })?;
             index += 1;
-            // Past the comma; the bracket that ends the array may be stepped over as well, and then nothing is left.
-            start = (end + spaces(&bytes[end..]) + 1).min(bytes.len());
         }
+        Ok(())
     }
 
-    /// What [`root`] lets pass and decoding does not: half of a surrogate pair in a string.
+    /// Reads every value of an array. `text_length`: bytes of an ordinary value; the capacity of the list is estimated from it.
+    pub(crate) fn list<T>(
+        &self,
+        expected: &str,
+        text_length: usize,
+        mut read: impl FnMut(usize, Node<'j, '_>) -> Result<T, Problem>,
+    ) -> Result<Vec<T>, Problem> {
+        let mut list = Vec::with_capacity(1 + self.text.len() / text_length);
+        self.items(expected, |index, item| {
+            list.push(read(index, item)?);
+            Ok(())
+        })?;
+        Ok(list)
+    }
+
+    /// An error that decoding finds and [`root`] does not: half of a surrogate pair in a string.
     fn not_json(&self, error: &serde_json::Error) -> Problem {
         self.problem(Code::MalformedRequest, format!("not JSON: {error}"))
     }
 }
 
-/// A name or value of the client's, cut to what a sentence can bear.
+/// A name or value of the client, shortened for a sentence.
 pub(crate) fn quote(text: &str) -> String {
     match text.char_indices().nth(LONGEST_QUOTE) {
         Some((end, _)) => format!("`{}...`", &text[..end]),
@@ -208,86 +209,23 @@ pub(crate) fn quote(text: &str) -> String {
     }
 }
 
-/// Names of the contract, in backticks, with commas.
+/// Names in backticks, with commas.
 pub(crate) fn list(names: &[&str]) -> String {
     names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 
-/// One step of a JSON pointer (RFC 6901, section 3).
-fn escape(name: &str) -> String {
-    name.replace('~', "~0").replace('/', "~1")
-}
-
-struct Found<'j, const N: usize> {
-    values: [Option<&'j str>; N],
-    twice: Option<&'static str>,
-    unknown: Option<String>,
-}
-
-struct Fields<'a, 'j, const N: usize> {
-    known: &'a [&'static str; N],
-    found: &'a mut Found<'j, N>,
-}
-
-impl<'j, const N: usize> Visitor<'j> for Fields<'_, 'j, N> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an object")
+/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end.
+fn next<'j>(rest: &mut &'j str) -> Option<&'j str> {
+    let text = rest.trim_start_matches([' ', '\t', '\n', '\r', ',', ':']);
+    if text.starts_with([']', '}']) {
+        return None;
     }
-
-    fn visit_map<A: MapAccess<'j>>(self, mut map: A) -> Result<(), A::Error> {
-        let Self { known, found } = self;
-        while let Some(index) = map.next_key_seed(Name { known, unknown: &mut found.unknown })? {
-            let Some(index) = index else {
-                map.next_value::<IgnoredAny>()?;
-                continue;
-            };
-            let value: &'j RawValue = map.next_value()?;
-            if found.values[index].replace(value.get()).is_some() {
-                found.twice = found.twice.or(Some(known[index]));
-            }
-        }
-        Ok(())
-    }
+    let (value, after) = text.split_at_checked(length(text.as_bytes()))?;
+    *rest = after;
+    (!value.is_empty()).then_some(value)
 }
 
-/// Which of the known names a key is; the first that is none of them is kept.
-struct Name<'a> {
-    known: &'a [&'static str],
-    unknown: &'a mut Option<String>,
-}
-
-impl<'de> DeserializeSeed<'de> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn deserialize<D: serde::Deserializer<'de>>(self, key: D) -> Result<Option<usize>, D::Error> {
-        key.deserialize_str(self)
-    }
-}
-
-impl Visitor<'_> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a field name")
-    }
-
-    fn visit_str<E>(self, name: &str) -> Result<Option<usize>, E> {
-        let index = self.known.iter().position(|k| *k == name);
-        if index.is_none() && self.unknown.is_none() {
-            *self.unknown = Some(name.to_owned());
-        }
-        Ok(index)
-    }
-}
-
-/// How many bytes of white space `text` begins with.
-fn spaces(text: &[u8]) -> usize {
-    text.iter().take_while(|b| matches!(b, b' ' | b'\t' | b'\n' | b'\r')).count()
-}
-
-/// How many bytes the value takes that `text` begins with; `text` is well-formed, so that only its end has to be found.
+/// The length of the value at the start of a well-formed text.
 fn length(text: &[u8]) -> usize {
     let (mut depth, mut at) = (0_usize, 0);
     while let Some(byte) = text.get(at) {
@@ -299,7 +237,7 @@ fn length(text: &[u8]) -> usize {
                 }
             }
             b'[' | b'{' => depth += 1,
-            // The end of the array that the value stands in: the value was a scalar and is over.
+            // The end of a number, `true`, `false` or `null`.
             b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if depth == 0 => return at,
             b']' | b'}' => depth -= 1,
             _ => {}
@@ -322,12 +260,12 @@ mod tests {
     fn texts(array: &str) -> Vec<String> {
         let body = format!("{{\"a\": {array}}}");
         let root = root(body.as_bytes()).unwrap();
-        let [a] = root.fields("an object", &["a"]).unwrap();
+        let [a] = root.fields(&["a"]).unwrap();
         let mut texts = Vec::new();
         a.unwrap()
             .items("an array", |index, item| {
                 assert_eq!(item.at.to_string(), format!("/a/{index}"));
-                texts.push(item.text().to_owned());
+                texts.push(item.text.to_owned());
                 Ok(())
             })
             .unwrap();

@@ -1,7 +1,8 @@
-//! JSON bodies to checked values, and back: the only validation of what a client may write. What is checked here is form (names, types,
-//! shapes of arrays, finite numbers); what a set of handles means is the mathematics' to judge. Not JSON, no object, or a field
-//! given twice is 400 `malformed_request`; everything else is 422 with a JSON pointer. A field that is not known is refused, never
-//! ignored. Cost: a few scans of the text and the values themselves; a drag of twelve points takes about two microseconds.
+//! JSON bodies to checked values, and back: the only validation of what a client writes.
+//!
+//! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what a set of handles means. Text that is
+//! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
+//! pointer.
 
 mod enum_name;
 pub mod formats;
@@ -20,48 +21,51 @@ pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
 use handles::{handles, places};
-use json::Node;
-pub use mesh::{MeshObject, MeshShape};
+use json::{At, Node, optional};
+pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, OutputSpec, RestSpec};
 use number::{count, whole};
-pub use output::OutputPatch;
-pub use rest::WarpPatch;
-pub use session::{SessionGrid, SessionImage, SessionObject};
-pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming, UnreadHandles};
-pub use write::AsJson;
+pub(crate) use output::OutputPatch;
+pub(crate) use rest::WarpPatch;
+pub(crate) use session::{SessionGrid, SessionImage, SessionObject};
+pub use socket::UnreadHandles;
+pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 
 const HANDLES: &str = "an array of handles";
+
+/// Serializes a value of the engine as a client would write it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AsJson<T>(pub T);
 
 /// The warp object of api.md section 3.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WarpObject {
     /// Everything that stays while q moves.
     pub rest: RestSpec,
-    /// Posed handles, when sent.
+    /// Posed handles, if given.
     pub q: Option<Vec<Handle>>,
-    /// What to do about folds.
+    /// The treatment of folds.
     pub folds: Folds,
     /// How the picture is made.
     pub output: OutputSpec,
 }
 
 impl WarpObject {
-    /// Reads the object; a field that is not known is refused.
-    /// Errors: A problem with the code and a JSON pointer.
+    /// Reads the object.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
 
-    /// The posed handles where they are needed: `q`, or none when there are none at rest.
-    /// Errors: `bad_value` at `/q` when there are handles at rest and `q` was not sent.
+    /// The posed handles; none if there are none at rest.
+    /// Errors: `bad_value` at `/q` if there are handles at rest and no `q`.
     pub fn posed(&self) -> Result<&[Handle], Problem> {
         match &self.q {
             Some(q) => Ok(q),
             None if self.rest.p.is_empty() => Ok(&[]),
-            None => Err(Node::nowhere().missing("q", HANDLES)),
+            None => Err(Node { text: "{}", at: At::Root }.missing("q", HANDLES)),
         }
     }
 }
@@ -69,40 +73,36 @@ impl WarpObject {
 /// One step of a drag: `{"session"?, "q", "seq"?, "output"?}`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DragObject {
-    /// The session (`POST /warp` with JSON; absent on `/sessions/{id}/warp`).
-    pub session: Option<String>,
-    /// Posed handles.
-    pub q: Vec<Handle>,
-    /// Sequence number.
-    pub seq: Option<u64>,
-    /// Fields given here replace those of the session's output.
-    pub output: OutputPatch,
+    /// Given with `POST /warp`, absent on `/sessions/{id}/warp`.
+    pub(crate) session: Option<String>,
+    pub(crate) q: Vec<Handle>,
+    pub(crate) seq: Option<u64>,
+    /// Replaces fields of the session's output.
+    pub(crate) output: OutputPatch,
 }
 
 impl DragObject {
-    /// Reads the object. `session`: whether the field is required (else it is unknown).
-    /// Errors: A problem with the code and a JSON pointer.
+    /// Reads the object. `session`: the field is required; otherwise it is unknown.
     pub fn parse(json: &[u8], session: bool) -> Result<Self, Problem> {
+        const SESSION: &str = "the id of a session";
         let root = json::root(json)?;
-        if session {
-            let [session, q, seq, output] = root.fields("an object", &["session", "q", "seq", "output"]).map_err(|mut problem| {
-                if problem.code == Code::UnknownField {
-                    problem.detail.push_str("; a picture and its handles `p` are sent as multipart/form-data");
-                }
-                problem
-            })?;
-            let session = session.ok_or_else(|| root.missing("session", "the id of a session"))?.string("the id of a session")?;
-            Self::read(&root, Some(session), [q, seq, output])
-        } else {
-            Self::read(&root, None, root.fields("an object", &["q", "seq", "output"])?)
+        if !session {
+            return Self::read(&root, None, root.fields(&["q", "seq", "output"])?);
         }
+        let [session, q, seq, output] = root.fields(&["session", "q", "seq", "output"]).map_err(|mut problem| {
+            if problem.code == Code::UnknownField {
+                problem.detail.push_str("; a picture and its handles `p` are sent as multipart/form-data");
+            }
+            problem
+        })?;
+        let session = session.ok_or_else(|| root.missing("session", SESSION))?.string(SESSION)?;
+        Self::read(&root, Some(session), [q, seq, output])
     }
 
-    /// Reads the object of a request for the mesh: `q` and `seq` alone.
-    /// Errors: A problem with the code and a JSON pointer.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    /// Reads the object of a request for the mesh: `q` and `seq`.
+    pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, seq] = root.fields("an object", &["q", "seq"])?;
+        let [q, seq] = root.fields(&["q", "seq"])?;
         Self::read(&root, None, [q, seq, None])
     }
 
@@ -110,8 +110,8 @@ impl DragObject {
         Ok(Self {
             session,
             q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
-            seq: seq.map(|n| whole(&n, "a whole number, at least 0")).transpose()?,
-            output: output.map(|n| OutputPatch::read(&n)).transpose()?.unwrap_or_default(),
+            seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
+            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
         })
     }
 }
@@ -128,62 +128,48 @@ pub struct PointsObject {
 }
 
 impl PointsObject {
-    /// Reads the object of `/points`. `q` may be absent where there is no `p`.
-    /// Errors: A problem with the code and a JSON pointer.
+    /// Reads the object of `/points`. `q` may be absent if there is no `p`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields("an object", &rest::FIELDS_WITH_POINTS)?;
-        let warp = WarpPatch::read(warp)?;
-        let warp = warp.merge_onto(WarpObject::default());
+        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&rest::FIELDS_WITH_POINTS)?;
+        let warp = WarpPatch::read(warp)?.merge_onto(WarpObject::default());
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
-        let points = asked([points, polygons, boxes, inverse, refine])?;
+        let points = read_points([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();
         Ok(Self { warp: Some((warp.rest, extent)), q, points })
     }
 
     /// Reads the object of `/sessions/{id}/points`.
-    /// Errors: A problem with the code and a JSON pointer.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, points, polygons, boxes, inverse, refine] =
-            root.fields("an object", &["q", "points", "polygons", "boxes", "inverse", "refine"])?;
-        let points = asked([points, polygons, boxes, inverse, refine])?;
+        let [q, points @ ..] = root.fields(&["q", "points", "polygons", "boxes", "inverse", "refine"])?;
+        let points = read_points(points)?;
         Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, points })
     }
 }
 
-/// What is to be mapped. The contract has polygons, boxes and the inverse; this version has points.
-fn asked([points, polygons, boxes, inverse, refine]: [Option<Node<'_, '_>>; 5]) -> Result<Vec<Point>, Problem> {
-    const SUPPORTED: &str = "supported: `points`, mapped forwards";
-    for (node, name) in [(polygons, "polygons"), (boxes, "boxes"), (refine, "refine")] {
+/// The contract has polygons, boxes and the inverse; this version maps points only.
+fn read_points([points, polygons, boxes, inverse, refine]: [Option<Node<'_, '_>>; 5]) -> Result<Vec<Point>, Problem> {
+    let unsupported = |node: Node<'_, '_>, what: &str| {
+        node.problem(Code::NotSupported, format!("not supported by this version: {what}; supported: `points`, mapped forwards"))
+    };
+    for (node, name) in [(polygons, "`polygons`"), (boxes, "`boxes`"), (refine, "`refine`")] {
         if let Some(node) = node {
-            return Err(node.problem(Code::NotSupported, format!("not supported by this version: `{name}`; {SUPPORTED}")));
+            return Err(unsupported(node, name));
         }
     }
-    if let Some(node) = inverse
-        && node.bool()?
-    {
-        return Err(node.problem(Code::NotSupported, format!("not supported by this version: the inverse; {SUPPORTED}")));
+    match inverse {
+        Some(node) if node.bool()? => Err(unsupported(node, "the inverse")),
+        _ => Ok(optional(points, places)?.unwrap_or_default()),
     }
-    Ok(points.map(|n| places(&n)).transpose()?.unwrap_or_default())
 }
 
 const SIZE: &str = "a size: [width, height] in pixels";
-const SIDE: &str = "a whole number of pixels, at least 1";
+/// Bytes of text of an ordinary side.
+const SIDE_TEXT: usize = 5;
 
 fn size(node: &Node<'_, '_>) -> Result<Extent, Problem> {
-    let mut sides = [0; 2];
-    let mut found = 0_usize;
-    node.items(SIZE, |index, item| {
-        if let Some(side) = sides.get_mut(index) {
-            *side = count(&item, 1, SIDE)?;
-        }
-        found += 1;
-        Ok(())
-    })?;
-    let [width, height] = sides;
-    match Extent::new(width, height) {
-        Some(extent) if found == 2 => Ok(extent),
-        _ => Err(node.problem(Code::BadValue, format!("expected {SIZE}; found {found} numbers"))),
-    }
+    let sides = node.list(SIZE, SIDE_TEXT, |_, item| count(&item, 1, "a whole number of pixels, at least 1"))?;
+    let extent = if let [width, height] = sides[..] { Extent::new(width, height) } else { None };
+    extent.ok_or_else(|| node.unexpected(SIZE, format_args!("{} numbers", sides.len())))
 }

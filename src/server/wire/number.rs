@@ -1,54 +1,51 @@
-//! Numbers as they were written to f64 (correctly rounded) and to whole numbers.
+//! Numbers: text to f64 (correctly rounded) and to whole numbers.
 
 use super::json::{Kind, Node, quote};
 use crate::problem::{Code, Problem};
 
-/// 2^53: above it a JSON number with a point or exponent does not name one whole number.
-const WHOLE: f64 = 9_007_199_254_740_992.0;
+/// 2^53: above it an f64 does not name one whole number.
+const MAX_WHOLE: f64 = 9_007_199_254_740_992.0;
 
-/// A finite number. `expected` says which, for a problem.
+/// A finite number. `expected` describes it in problems.
 pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     if node.kind() != Kind::Number {
         return Err(node.wrong_kind(expected));
     }
-    let value: f64 = node.text().parse().map_err(|_| node.problem(Code::BadValue, format!("not a number: {}", quote(node.text()))))?;
+    let value: f64 = node.text.parse().map_err(|_| node.problem(Code::BadValue, format!("not a number: {}", quote(node.text))))?;
     if value.is_finite() {
         Ok(value)
     } else {
-        Err(node.problem(Code::NotFinite, format!("number beyond the range of 64 bits: {}", quote(node.text()))))
+        Err(node.problem(Code::NotFinite, format!("number beyond the range of 64 bits: {}", quote(node.text))))
     }
 }
 
 /// A number above zero.
 pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     let value = number(node, expected)?;
-    if value > 0.0 { Ok(value) } else { Err(node.problem(Code::BadValue, format!("expected {expected}; found {value}")).actual(value)) }
+    if value > 0.0 { Ok(value) } else { Err(node.unexpected(expected, value).actual(value)) }
 }
 
-/// A whole number from zero, also when written `8.0` or `1e3`.
+/// A whole number, at least 0; `8.0` and `1e3` are whole numbers.
 pub(crate) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem> {
-    if let Ok(value) = node.text().parse::<u64>() {
+    if let Ok(value) = node.text.parse::<u64>() {
         return Ok(value);
     }
     let value = number(node, expected)?;
-    if (0.0..=WHOLE).contains(&value) && value.fract() == 0.0 {
+    if (0.0..=MAX_WHOLE).contains(&value) && value.fract() == 0.0 {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a whole number of 0..=2^53")]
         let value = value as u64;
         Ok(value)
     } else {
-        Err(node.problem(Code::BadValue, format!("expected {expected}; found {}", quote(node.text()))).actual(value))
+        Err(node.unexpected(expected, quote(node.text)).actual(value))
     }
 }
 
-/// A whole number of `least..=u32::MAX`: a count or a side. What the service can do is the warp's to say, not the parser's.
-pub(crate) fn count(node: &Node<'_, '_>, least: u32, expected: &str) -> Result<u32, Problem> {
+/// A whole number of `min..=u32::MAX`. Whether the service can process so large a value is decided later.
+pub(crate) fn count(node: &Node<'_, '_>, min: u32, expected: &str) -> Result<u32, Problem> {
     let value = whole(node, expected)?;
     match u32::try_from(value) {
-        Ok(count) if count >= least => Ok(count),
-        Ok(count) => Err(node.problem(Code::BadValue, format!("expected {expected}; found {count}")).actual(count)),
-        Err(_) => {
-            let detail = format!("expected {expected}, at most {}; found {value}", u32::MAX);
-            Err(node.problem(Code::BadValue, detail).limit("count", u32::MAX, value))
-        }
+        Ok(count) if count >= min => Ok(count),
+        Ok(count) => Err(node.unexpected(expected, count).actual(count)),
+        Err(_) => Err(node.unexpected(&format!("{expected}, at most {}", u32::MAX), value).limit("count", u32::MAX, value)),
     }
 }

@@ -5,33 +5,27 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::OutputSpec;
 
-use super::enum_name::{Canvas, refuse, word};
-use super::json::{Kind, Node, quote};
+use super::enum_name::{Canvas, enum_name, unknown_name};
+use super::json::{Node, optional, quote};
 use super::number::count;
-use crate::problem::{Code, Problem};
+use crate::problem::Problem;
 
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
-/// The output fields that a request gave. Canvas has one value in this version: given or not is the same.
+/// The fields that a request gives. `canvas` has one value in this version and is not kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct OutputPatch {
-    /// File format.
-    pub format: Option<Format>,
-    /// JPEG quality, 1 to 100.
-    pub quality: Option<u8>,
-    /// PNG compression.
-    pub compression: Option<Compression>,
-    /// Width of the target, px.
-    pub width: Option<u32>,
-    /// How the source is read.
-    pub filter: Option<Filter>,
-    /// What is painted where the posed picture does not reach.
-    pub outside: Option<Outside>,
+pub(crate) struct OutputPatch {
+    pub(crate) format: Option<Format>,
+    pub(crate) quality: Option<u8>,
+    pub(crate) compression: Option<Compression>,
+    pub(crate) width: Option<u32>,
+    pub(crate) filter: Option<Filter>,
+    pub(crate) outside: Option<Outside>,
 }
 
 impl OutputPatch {
-    /// The session's output with the given fields replaced.
-    pub fn merge_onto(&self, base: &OutputSpec) -> OutputSpec {
+    /// `base` with the given fields replaced.
+    pub(crate) fn merge_onto(&self, base: &OutputSpec) -> OutputSpec {
         OutputSpec {
             format: self.format.unwrap_or(base.format),
             quality: self.quality.unwrap_or(base.quality),
@@ -44,15 +38,15 @@ impl OutputPatch {
 
     pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
         let [format, quality_, compression, width, filter, outside_, canvas] =
-            node.fields("an object", &["format", "quality", "compression", "width", "filter", "outside", "canvas"])?;
-        canvas.map(|n| word::<Canvas>(&n)).transpose()?;
+            node.fields(&["format", "quality", "compression", "width", "filter", "outside", "canvas"])?;
+        optional(canvas, enum_name::<Canvas>)?;
         Ok(Self {
-            format: format.map(|n| word(&n)).transpose()?,
-            quality: quality_.map(|n| quality(&n)).transpose()?,
-            compression: compression.map(|n| word(&n)).transpose()?,
-            width: width.map(|n| count(&n, 1, "a width: a whole number of pixels, at least 1")).transpose()?,
-            filter: filter.map(|n| word(&n)).transpose()?,
-            outside: outside_.map(|n| outside(&n)).transpose()?,
+            format: optional(format, enum_name)?,
+            quality: optional(quality_, quality)?,
+            compression: optional(compression, enum_name)?,
+            width: optional(width, |n| count(n, 1, "a width: a whole number of pixels, at least 1"))?,
+            filter: optional(filter, enum_name)?,
+            outside: optional(outside_, outside)?,
         })
     }
 }
@@ -62,23 +56,21 @@ fn quality(node: &Node<'_, '_>) -> Result<u8, Problem> {
     let value = count(node, 1, QUALITY)?;
     match u8::try_from(value) {
         Ok(quality) if quality <= 100 => Ok(quality),
-        _ => Err(node.problem(Code::BadValue, format!("expected {QUALITY}; found {value}")).actual(value)),
+        _ => Err(node.unexpected(QUALITY, value).actual(value)),
     }
 }
 
 fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
-    if node.kind() != Kind::String {
-        return Err(node.wrong_kind(&format!("one of {OUTSIDE}")));
-    }
-    let text = node.string(OUTSIDE)?;
+    let text = node.string(&format!("one of {OUTSIDE}"))?;
     match text.as_str() {
         "transparent" => Ok(Outside::Transparent),
         "edge" => Ok(Outside::Edge),
         _ => match text.strip_prefix('#') {
-            Some(digits) => colour(digits).map(Outside::Colour).ok_or_else(|| {
-                node.problem(Code::BadValue, format!("expected a colour, `#rrggbb` or `#rrggbbaa`; found {}", quote(&text)))
-            }),
-            None => Err(refuse(node, &text, &["reflect"], OUTSIDE)),
+            Some(digits) => {
+                let colour = colour(digits).map(Outside::Colour);
+                colour.ok_or_else(|| node.unexpected("a colour, `#rrggbb` or `#rrggbbaa`", quote(&text)))
+            }
+            None => Err(unknown_name(node, &text, &["reflect"], OUTSIDE)),
         },
     }
 }

@@ -1,4 +1,4 @@
-//! The messages of the drag socket: `{"seq", "q"}` and `{"ack"}` from the client; what it is told beside the frames.
+//! The messages of the drag socket: `{"seq", "q"}` and `{"ack"}` from the client; the report that precedes a frame.
 
 use mlswarp::deform::Handle;
 use serde::Serialize;
@@ -6,112 +6,90 @@ use serde::Serialize;
 use super::HANDLES;
 use super::handles::handles;
 use super::json;
-use super::json::{At, Node};
+use super::json::{At, Node, optional};
 use super::number::whole;
 use crate::problem::{Code, Problem};
 
 const NUMBER: &str = "a whole number, at least 0";
 
-/// A message of the client's.
 #[derive(Clone, Debug, PartialEq)]
-pub enum DragMessage {
-    /// Where the handles are.
+pub(crate) enum DragMessage {
     Pose {
-        /// Its number.
         seq: u64,
-        /// Posed handles, as they came.
         q: UnreadHandles,
     },
-    /// The frame of this number is shown.
+    /// The client shows the frame of this number.
     Ack(u64),
 }
 
-/// Well-formed JSON of handles that nobody has read: most poses are overtaken before anything is made of them.
+/// Handles as well-formed JSON that is not parsed yet: most poses are superseded before they are drawn.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct UnreadHandles(Box<str>);
 
 impl UnreadHandles {
     /// Bytes of text.
-    pub const fn len(&self) -> usize {
+    pub(crate) const fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// There is no text, not even that of no handles.
-    pub const fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Reads them.
-    /// Errors: A problem with the code and a JSON pointer into the message.
-    pub fn read(&self) -> Result<Vec<Handle>, Problem> {
-        handles(&json::kept(&self.0, At::Field(&At::Root, "q")))
+    pub(crate) fn read(&self) -> Result<Vec<Handle>, Problem> {
+        handles(&Node { text: &self.0, at: At::Field(&At::Root, "q") })
     }
 }
 
-/// What is wrong with a message, and its `seq` where that could be read.
+/// The problem of a message, and its `seq` where that could be read.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BadMessage {
-    /// The number.
-    pub seq: Option<u64>,
-    /// What is wrong.
-    pub problem: Box<Problem>,
+pub(crate) struct BadMessage {
+    pub(crate) seq: Option<u64>,
+    pub(crate) problem: Box<Problem>,
 }
 
 impl DragMessage {
-    /// Reads a message.
-    /// Errors: A problem with the code and a JSON pointer.
-    pub fn parse(json: &[u8]) -> Result<Self, BadMessage> {
-        let mut number = None;
-        Self::read(json, &mut number).map_err(|problem| BadMessage { seq: number, problem: Box::new(problem) })
+    pub(crate) fn parse(json: &[u8]) -> Result<Self, BadMessage> {
+        let mut seq = None;
+        Self::read(json, &mut seq).map_err(|problem| BadMessage { seq, problem: Box::new(problem) })
     }
 
     fn read(json: &[u8], number: &mut Option<u64>) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [seq, q, ack] = root.fields("an object", &["seq", "q", "ack"])?;
-        let read = |node: Option<Node<'_, '_>>| node.map(|n| whole(&n, NUMBER)).transpose();
-        *number = read(seq)?;
-        match (read(ack)?, *number, q) {
+        let [seq, q, ack] = root.fields(&["seq", "q", "ack"])?;
+        *number = optional(seq, |n| whole(n, NUMBER))?;
+        match (optional(ack, |n| whole(n, NUMBER))?, *number, q) {
             (Some(ack), None, None) => Ok(Self::Ack(ack)),
             (Some(_), ..) => Err(Problem::new(Code::BadValue, "`ack` stands alone: a pose is a message of its own").pointer("/ack")),
-            (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: UnreadHandles(q.text().into()) }),
+            (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: UnreadHandles(q.text.into()) }),
             (None, None, _) => Err(root.missing("seq", NUMBER)),
             (None, _, None) => Err(root.missing("q", HANDLES)),
         }
     }
 }
 
-/// What goes before a frame where the client asked for it.
+/// The message before a frame, for clients that ask for it.
 #[derive(Debug, Serialize)]
-pub struct FrameReport<'a> {
+pub(crate) struct FrameReport<'a> {
     /// Of the pose.
-    pub seq: u64,
-    /// Width of the frame, px (of the source where the frame is a mesh).
-    pub width: u32,
-    /// Height of the same.
-    pub height: u32,
-    /// Nothing is missing: not a preview.
-    pub full: bool,
+    pub(crate) seq: u64,
+    /// Size of the frame, px; of the source if the frame is a mesh.
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Not a preview.
+    pub(crate) full: bool,
     /// Drawn cells that fold.
-    pub folds: u64,
+    pub(crate) folds: u64,
     /// Largest distance between a posed handle and where it is drawn, px.
-    pub residual: f64,
+    pub(crate) residual: f64,
     /// Codes of warnings.
-    pub warnings: Vec<&'a str>,
-    /// What it cost.
-    pub timing: FrameTiming,
+    pub(crate) warnings: Vec<&'a str>,
+    pub(crate) timing: FrameTiming,
 }
 
-/// Milliseconds.
+/// Milliseconds; `render` and `encode` are sums over all threads.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct FrameTiming {
-    /// Waiting for a worker.
-    pub queue: f64,
-    /// Posing the grid.
-    pub deform: f64,
-    /// Mesh to pixels, all threads together.
-    pub render: f64,
-    /// Pixels to the file, all threads together.
-    pub encode: f64,
+pub(crate) struct FrameTiming {
+    pub(crate) queue: f64,
+    pub(crate) deform: f64,
+    pub(crate) render: f64,
+    pub(crate) encode: f64,
 }
 
 #[cfg(test)]

@@ -1,59 +1,33 @@
-//! Values to JSON in the form in which they are read: what is written parses to an equal value. f64 is written with the fewest digits
-//! that read back to the same bits. Defaults are written out, so that a client sees what was assumed; what has no default is left out.
+//! Values to JSON in the form in which they are read. f64 is written with the fewest digits that read back to the same bits. Defaults are
+//! written, so that a client sees them; an option without a default is left out.
 
-use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::{Handle, Method};
+use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
-use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Folds, GridSpec, OutputSpec, Units};
-use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
+use mlswarp::render::Outside;
+use mlswarp::warp::{GridSpec, OutputSpec};
+use serde::ser::{Serialize, SerializeMap, Serializer};
 
+use super::AsJson;
 use super::enum_name::{Canvas, EnumName};
-
-/// A value in its wire form: `AsJson(&spec)` serialises as a client would write it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AsJson<T>(pub T);
-
-macro_rules! words_are_strings {
-    ($($type:ty),+) => {
-        $(impl Serialize for AsJson<$type> {
-            fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-                s.serialize_str(self.0.word())
-            }
-        })+
-    };
-}
-
-words_are_strings!(Method, Units, Folds, Format, Compression, Filter);
-
-impl Serialize for AsJson<Point> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        [self.0.x, self.0.y].serialize(s)
-    }
-}
-
-impl Serialize for AsJson<&[Point]> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let mut array = s.serialize_seq(Some(self.0.len()))?;
-        self.0.iter().try_for_each(|place| array.serialize_element(&AsJson(*place)))?;
-        array.end()
-    }
-}
 
 impl Serialize for AsJson<&Handle> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
-            Handle::Point(place) => AsJson(*place).serialize(s),
+            Handle::Point(place) => [place.x, place.y].serialize(s),
             Handle::Polyline(places) => AsJson(places.as_slice()).serialize(s),
         }
     }
 }
 
+impl Serialize for AsJson<&[Point]> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_seq(self.0.iter().map(|place| [place.x, place.y]))
+    }
+}
+
 impl Serialize for AsJson<&[Handle]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let mut array = s.serialize_seq(Some(self.0.len()))?;
-        self.0.iter().try_for_each(|handle| array.serialize_element(&AsJson(handle)))?;
-        array.end()
+        s.collect_seq(self.0.iter().map(AsJson))
     }
 }
 
@@ -62,17 +36,8 @@ impl Serialize for AsJson<GridSpec> {
         match self.0 {
             GridSpec::Auto => s.serialize_str("auto"),
             GridSpec::Pixel => s.serialize_str("pixel"),
-            GridSpec::Cell(cell) => {
-                let mut object = s.serialize_map(Some(1))?;
-                object.serialize_entry("cell", &cell)?;
-                object.end()
-            }
-            GridSpec::Counts { columns, rows } => {
-                let mut object = s.serialize_map(Some(2))?;
-                object.serialize_entry("columns", &columns)?;
-                object.serialize_entry("rows", &rows)?;
-                object.end()
-            }
+            GridSpec::Cell(cell) => s.collect_map([("cell", cell)]),
+            GridSpec::Counts { columns, rows } => s.collect_map([("columns", columns), ("rows", rows)]),
         }
     }
 }
@@ -99,7 +64,7 @@ impl Serialize for AsJson<&OutputSpec> {
         }
         object.serialize_entry("filter", &AsJson(filter))?;
         object.serialize_entry("outside", &AsJson(outside))?;
-        object.serialize_entry("canvas", Canvas::Same.word())?;
+        object.serialize_entry("canvas", Canvas::Same.as_str())?;
         object.end()
     }
 }

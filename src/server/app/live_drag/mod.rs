@@ -93,7 +93,7 @@ impl App {
     pub async fn open_drag(&self, client: Client, id: SessionId, options: DragOptions) -> Result<Drag, Problem> {
         let record = self.session(id).await?.record;
         self.require_running()?;
-        let slot = self.0.sockets.take(client.tenant(), id)?;
+        let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
         let setup = self.session_setup(client, &record).await?;
         let shape = shape_message(&MeshShape::new(&setup, record.extent));
@@ -174,7 +174,7 @@ impl Drag {
             match self.scheduler.next(now) {
                 Step::Draw(request) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let drawing = draw_frame(self.app.clone(), self.client, self.id, self.slot.frames(), self.options.form, request);
+                    let drawing = draw_frame(self.app.clone(), self.client, self.id, self.slot.frames.clone(), self.options.form, request);
                     self.drawing = Some(Box::pin(scope.wrap(drawing)));
                 }
                 Step::Cancel => self.drawing = None,

@@ -98,7 +98,7 @@ impl Connections {
 
     /// Admits another connection, if the limits allow it.
     pub(crate) fn admit(&self, peer: IpAddr) -> Option<ConnectionPermit> {
-        self.limiter.take(peer, self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer)))
+        self.limiter.acquire(peer, self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer)))
     }
 
     fn timeouts(&self) -> Timeouts {

@@ -34,7 +34,7 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
 pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = SessionId::parse(caller.client.owner, &id)
-        .map_err(|_| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
+        .ok_or_else(|| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
     let (put, setup) = caller.app.put(caller.client, id, upload.image, upload.warp).await?;
@@ -77,7 +77,7 @@ pub(super) fn location(id: SessionId) -> HeaderValue {
 
 /// The session that a path names. A text that is no id names no session.
 pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Problem> {
-    SessionId::parse(client.owner, text).map_err(|_| Problem::new(Code::NoSuchSession, "there is no such session"))
+    SessionId::parse(client.owner, text).ok_or_else(|| Problem::new(Code::NoSuchSession, "there is no such session"))
 }
 
 /// The session object, whose memory counts for the client until it is sent.

@@ -162,7 +162,7 @@ fn problems_are_valid_documents() {
 fn words<T: EnumName>(place: &str) {
     let document = document();
     let node = document["components"]["schemas"].pointer(place).expect(place);
-    let here: Vec<&str> = T::ALL.iter().map(|v| v.word()).collect();
+    let here: Vec<&str> = T::ALL.iter().map(|v| v.as_str()).collect();
     assert_eq!(node["enum"], json!(here), "{place}");
     assert_eq!(node["default"], here[0], "{place}");
 }
