@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{ArgAction, Args};
 
-use super::option::{Maybe, checked, optional_path, report};
+use super::option::{Checked, Maybe, report, unless};
 use crate::auth::cors::Origins;
 use crate::auth::hosts::Hosts;
 use crate::auth::keys::Keys;
@@ -13,8 +13,7 @@ use crate::auth::read_bounded;
 use crate::auth::tls::TlsFiles;
 use crate::limits::networks::Network;
 
-/// Largest file of keys, bytes.
-const MAX_KEYS_FILE: u64 = 1 << 20;
+const MAX_KEYS_FILE_BYTES: u64 = 1 << 20;
 
 type Networks = Vec<Network>;
 
@@ -22,7 +21,7 @@ type Networks = Vec<Network>;
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct AuthConfig {
     /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     keys_file: Maybe<PathBuf>,
     /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command lines.
     #[arg(
@@ -31,7 +30,7 @@ pub struct AuthConfig {
         default_value = "",
         hide_default_value = true,
         hide_env_values = true,
-        value_parser = checked(Keys::parse)
+        value_parser = Checked(Keys::parse)
     )]
     fixed_keys: Keys,
     /// Allow a listen address that other machines can reach without keys. Everybody who reaches it may use the service.
@@ -43,7 +42,7 @@ pub struct AuthConfig {
         num_args = 0..=1,
         require_equals = true,
         action = ArgAction::Set,
-        value_parser = checked(boolean)
+        value_parser = Checked(boolean)
     )]
     pub allow_anonymous: bool,
     /// Answer GET /metrics without a key.
@@ -55,24 +54,24 @@ pub struct AuthConfig {
         num_args = 0..=1,
         require_equals = true,
         action = ArgAction::Set,
-        value_parser = checked(boolean)
+        value_parser = Checked(boolean)
     )]
     pub open_metrics: bool,
     /// TLS certificate chain, PEM. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     tls_cert: Maybe<PathBuf>,
     /// Private key of the certificate, PEM.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     tls_key: Maybe<PathBuf>,
     /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every origin.
-    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = checked(Origins::parse))]
+    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = Checked(Origins::parse))]
     pub cors_origin: Origins,
     /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list, hosts
     /// are checked only by a server without keys on a loopback address.
-    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = checked(Hosts::parse))]
+    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = Checked(Hosts::parse))]
     pub allowed_hosts: Hosts,
     /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For header names the client.
-    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = checked(networks))]
+    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = Checked(networks))]
     pub trusted_proxies: Networks,
     /// The keys; `None`: no key is needed.
     #[arg(skip)]
@@ -95,11 +94,8 @@ pub struct KeysConfig {
 
 impl KeysConfig {
     fn new(fixed: Keys, file: Option<PathBuf>) -> Result<Self, String> {
-        let mut keys = Self { all: fixed.clone(), fixed, file };
+        let mut keys = Self { all: Keys::default(), fixed, file };
         keys.all = keys.read()?;
-        if keys.all.is_empty() {
-            return Err("there is no key in it".to_owned());
-        }
         Ok(keys)
     }
 
@@ -108,7 +104,8 @@ impl KeysConfig {
     pub fn read(&self) -> Result<Keys, String> {
         let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
         let in_file = |why: String| format!("{}: {why}", path.display());
-        let text = String::from_utf8(read_bounded(path, MAX_KEYS_FILE).map_err(in_file)?).map_err(|_| in_file("not UTF-8".to_owned()))?;
+        let text =
+            String::from_utf8(read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?).map_err(|_| in_file("not UTF-8".to_owned()))?;
         let keys = Keys::parse(&text).map_err(in_file)?;
         if keys.is_empty() && self.fixed.is_empty() {
             return Err(in_file("there is no key in it".to_owned()));
@@ -154,13 +151,9 @@ impl AuthConfig {
     /// Reports a listener that other machines can reach without keys, unless it was asked for.
     pub(super) fn check_open(&self, listen: SocketAddr) {
         if !is_loopback(listen) && self.keys.is_none() && !self.allow_anonymous {
-            report::<()>(
-                "listen",
-                Err(format!(
-                    "{listen} is not a loopback address and there are no keys; give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
-                     or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)"
-                )),
-            );
+            let ways = "give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
+                        or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)";
+            report::<()>("listen", Err(format!("{listen} is not a loopback address and there are no keys; {ways}")));
         }
     }
 }
@@ -171,6 +164,11 @@ fn is_loopback(listen: SocketAddr) -> bool {
 
 fn boolean(text: &str) -> Result<bool, String> {
     text.parse().map_err(|_| format!("`{text}` is neither true nor false"))
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "a parser of options")]
+fn path(text: &str) -> Result<PathBuf, String> {
+    Ok(text.into())
 }
 
 fn networks(text: &str) -> Result<Networks, String> {

@@ -6,8 +6,6 @@ mod clients;
 mod option;
 mod store;
 mod telemetry;
-mod timeouts;
-mod units;
 mod work;
 
 use std::ffi::OsString;
@@ -18,17 +16,13 @@ use std::path::PathBuf;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
-use option::{checked, checked_or, size, take_mistakes, variable, whole};
+use option::{Checked, size, take_mistakes, variable, whole};
 
 pub use auth::{AuthConfig, KeysConfig};
-pub use clients::{ClientLimits, ClientShare};
+pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
-pub use timeouts::Timeouts;
 pub use work::WorkConfig;
-
-/// The address without `--listen`.
-const LISTEN: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 8080);
 
 /// The command line.
 #[derive(Debug, Parser)]
@@ -73,28 +67,28 @@ pub enum Command {
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct Config {
     /// Address and port of the service.
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = checked_or(LISTEN, address))]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
     pub listen: SocketAddr,
     /// Workers, queues and memory.
     #[command(flatten)]
     pub work: WorkConfig,
     /// Maximum size of a request body.
-    #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = Checked(size))]
     pub max_body_bytes: u64,
     /// Maximum size of a warp object. (The JSON of a drag: 64 KiB and 64 bytes per column.)
-    #[arg(long, value_name = "SIZE", default_value = "4MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "4MiB", value_parser = Checked(size))]
     pub max_warp_json_bytes: u64,
     /// Maximum number of pixels of a source or target.
-    #[arg(long, value_name = "N", default_value = "50M", value_parser = checked(whole::<u64>(1, u64::from(u32::MAX))))]
+    #[arg(long, value_name = "N", default_value = "50M", value_parser = Checked(whole::<u64>(1, u64::from(u32::MAX))))]
     max_image_pixels: u64,
     /// Maximum width and height of a source or target, px.
-    #[arg(long, value_name = "N", default_value = "16384", value_parser = checked(whole::<u32>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "16384", value_parser = Checked(whole::<u32>(1, 1_000_000)))]
     max_image_side: u32,
     /// Maximum number of columns of a plan: 1 per point, 2 per segment.
-    #[arg(long, value_name = "N", default_value = "10000", value_parser = checked(whole::<usize>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(1, 1_000_000)))]
     max_columns: usize,
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
-    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
     /// The session store.
     #[command(flatten)]
