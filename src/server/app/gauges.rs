@@ -10,6 +10,7 @@ use prometheus_client::registry::{Registry, Unit};
 
 use crate::app::App;
 use crate::cache::CacheStats;
+use crate::config::available_memory::kib_field;
 use crate::limits::memory::Purpose;
 use crate::observe::metrics::PREFIX;
 use crate::pool::{Load, WorkClass};
@@ -64,7 +65,8 @@ impl App {
         registry.register_with_unit("memory_limit", "Memory that requests may reserve", Unit::Bytes, ConstGauge::new(budget.total()));
         let reserved = Purpose::ALL.map(|purpose| ([("purpose", purpose.name())], budget.taken_for(purpose)));
         registry.register_with_unit("memory_reserved", "Memory that is reserved, by purpose", Unit::Bytes, gauges(reserved));
-        if let Some(bytes) = resident() {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        if let Some(bytes) = kib_field(&status, "VmRSS:") {
             registry.register_with_unit("memory_resident", "Resident memory of the process", Unit::Bytes, ConstGauge::new(bytes));
         }
         let caches = [("images", self.0.images.usage()), ("plans", self.0.plans.usage()), ("setups", self.0.setups.usage())];
@@ -107,11 +109,4 @@ fn counters<const N: usize>(samples: impl IntoIterator<Item = (Labels<N>, u64)>)
         family.get_or_create(&labels).inc_by(value);
     }
     family
-}
-
-/// Resident memory as Linux reports it.
-fn resident() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }

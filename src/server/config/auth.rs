@@ -24,38 +24,16 @@ pub struct AuthConfig {
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     keys_file: Maybe<PathBuf>,
     /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command lines.
-    #[arg(
-        long = "keys",
-        value_name = "PAIRS",
-        default_value = "",
-        hide_default_value = true,
-        hide_env_values = true,
-        value_parser = Checked(Keys::parse)
-    )]
+    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(Keys::parse))]
+    #[arg(hide_env_values = true)]
     fixed_keys: Keys,
     /// Allow a listen address that other machines can reach without keys. Everybody who reaches it may use the service.
-    #[arg(
-        long,
-        value_name = "BOOL",
-        default_value = "false",
-        default_missing_value = "true",
-        num_args = 0..=1,
-        require_equals = true,
-        action = ArgAction::Set,
-        value_parser = Checked(boolean)
-    )]
+    #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
     pub allow_anonymous: bool,
     /// Answer GET /metrics without a key.
-    #[arg(
-        long,
-        value_name = "BOOL",
-        default_value = "false",
-        default_missing_value = "true",
-        num_args = 0..=1,
-        require_equals = true,
-        action = ArgAction::Set,
-        value_parser = Checked(boolean)
-    )]
+    #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
     pub open_metrics: bool,
     /// TLS certificate chain, PEM. The file is read again when it changes.
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
@@ -65,31 +43,30 @@ pub struct AuthConfig {
     tls_key: Maybe<PathBuf>,
     /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every origin.
     #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = Checked(Origins::parse))]
-    pub cors_origin: Origins,
+    pub(crate) cors_origin: Origins,
     /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list, hosts
     /// are checked only by a server without keys on a loopback address.
     #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = Checked(Hosts::parse))]
-    pub allowed_hosts: Hosts,
+    pub(crate) allowed_hosts: Hosts,
     /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For header names the client.
     #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = Checked(networks))]
-    pub trusted_proxies: Networks,
+    pub(crate) trusted_proxies: Networks,
     /// The keys; `None`: no key is needed.
     #[arg(skip)]
-    pub keys: Option<KeysConfig>,
+    pub(crate) keys: Option<KeysConfig>,
     /// Certificate and key; `None`: plain HTTP.
     #[arg(skip)]
     pub tls: Option<TlsFiles>,
 }
 
-/// The keys at the start of the program, and the file that they are read from.
+/// The keys and the file that they are read from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct KeysConfig {
+pub(crate) struct KeysConfig {
     /// The keys of `--keys`, which do not change.
-    pub fixed: Keys,
-    /// The file of further keys.
-    pub file: Option<PathBuf>,
-    /// All keys.
-    pub all: Keys,
+    fixed: Keys,
+    pub(crate) file: Option<PathBuf>,
+    /// All keys at the start of the program.
+    pub(crate) all: Keys,
 }
 
 impl KeysConfig {
@@ -100,8 +77,7 @@ impl KeysConfig {
     }
 
     /// Reads the file and returns all keys.
-    /// Errors: The file and the reason.
-    pub fn read(&self) -> Result<Keys, String> {
+    pub(crate) fn read(&self) -> Result<Keys, String> {
         let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
         let in_file = |why: String| format!("{}: {why}", path.display());
         let text =
@@ -116,18 +92,18 @@ impl KeysConfig {
 
 impl AuthConfig {
     /// The hosts that a listener without keys serves; `None`: all. On a loopback address this prevents DNS rebinding.
-    pub fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
+    pub(crate) fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
         Some(&self.allowed_hosts).filter(|_| is_loopback(listen))
     }
 
     /// The hosts that the service serves; `None`: all.
-    pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
+    pub(crate) fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
         let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
         listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
     }
 
     /// Whether keys travel unencrypted to a listener that other machines can reach.
-    pub fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
+    pub(crate) fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
         self.keys.is_some() && self.tls.is_none() && !is_loopback(listen)
     }
 

@@ -1,7 +1,7 @@
 //! The command line: flags and `MLSWARP_*` variables. A flag takes precedence over its variable, a variable over the default.
 
 mod auth;
-mod available_memory;
+pub(crate) mod available_memory;
 mod clients;
 mod option;
 mod store;
@@ -9,16 +9,17 @@ mod telemetry;
 mod work;
 
 use std::ffi::OsString;
-use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use clap::error::ErrorKind;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
 use option::{Checked, size, take_mistakes, variable, whole};
 
-pub use auth::{AuthConfig, KeysConfig};
+pub use auth::AuthConfig;
+pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
@@ -107,29 +108,6 @@ pub struct Config {
     pub telemetry: TelemetryConfig,
 }
 
-/// Why a command line was not accepted.
-#[derive(Debug)]
-pub enum ArgsError {
-    /// Unknown or missing arguments; also the texts of `--help` and `--version`.
-    Usage(clap::Error),
-    /// Every wrong value.
-    Mistakes(Vec<String>),
-}
-
-impl fmt::Display for ArgsError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Usage(error) => error.fmt(f),
-            Self::Mistakes(mistakes) => {
-                mistakes.iter().try_for_each(|mistake| writeln!(f, "error: {mistake}"))?;
-                write!(f, "mlswarp --help lists the options with their defaults")
-            }
-        }
-    }
-}
-
-impl std::error::Error for ArgsError {}
-
 /// The command with all options; each has a variable and may stand before or after the subcommand.
 pub fn command() -> clap::Command {
     Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
@@ -140,31 +118,33 @@ pub fn command() -> clap::Command {
 
 impl Cli {
     /// Reads a command line and the environment.
-    /// Errors: All mistakes at once. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
+    /// Errors: All mistakes at once, one per line. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Self::read_with(command(), args)
     }
 
-    fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, ArgsError> {
+    fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, clap::Error> {
         drop(take_mistakes());
-        let matches = command.try_get_matches_from(args).map_err(ArgsError::Usage)?;
-        let mut cli = Self::from_arg_matches(&matches).map_err(ArgsError::Usage)?;
-        let config = &mut cli.config;
-        config.auth.load();
-        config.telemetry.check_listen(config.listen);
+        let mut cli = Self::from_arg_matches(&command.try_get_matches_from(args)?)?;
+        cli.config.auth.load();
+        cli.config.telemetry.check_listen(cli.config.listen);
         let mut mistakes = take_mistakes();
         if mistakes.is_empty() && matches!(cli.command, None | Some(Command::Serve)) {
             cli.config.auth.check_open(cli.config.listen);
             mistakes = take_mistakes();
         }
-        if mistakes.is_empty() { Ok(cli) } else { Err(ArgsError::Mistakes(mistakes)) }
+        if mistakes.is_empty() {
+            return Ok(cli);
+        }
+        let text = format!("{}\nmlswarp --help lists the options with their defaults\n", mistakes.join("\nerror: "));
+        Err(clap::Error::raw(ErrorKind::ValueValidation, text))
     }
 }
 
 impl Config {
     /// Reads the options of a command line.
     /// Errors: As [`Cli::read`].
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Cli::read(args).map(|cli| cli.config)
     }
 
@@ -192,7 +172,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 mod tests {
     use super::*;
 
-    fn resolve(args: &[&str]) -> Result<Config, ArgsError> {
+    fn resolve(args: &[&str]) -> Result<Config, clap::Error> {
         Config::read([&["mlswarp"], args].concat())
     }
 
@@ -217,7 +197,8 @@ mod tests {
         let mistakes =
             resolve(&["--listen", "here", "--workers", "none", "--max-body-bytes", "0", "--body-timeout", "30", "--log-format", "xml"])
                 .expect_err("five mistakes");
-        let ArgsError::Mistakes(mistakes) = mistakes else { panic!("{mistakes}") };
+        let text = mistakes.to_string();
+        let mistakes: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
         assert_eq!(mistakes.len(), 5, "{mistakes:?}");
         for flag in ["--listen (MLSWARP_LISTEN)", "--workers", "--max-body-bytes", "--body-timeout", "--log-format"] {
             assert!(mistakes.iter().any(|m| m.starts_with(flag)), "{flag} in {mistakes:?}");
