@@ -4,10 +4,6 @@
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[expect(unsafe_code, reason = "calls of the C library")]
 mod malloc_trim;
-#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-mod malloc_trim {
-    pub(crate) const fn start() {}
-}
 
 use std::process::ExitCode;
 
@@ -28,6 +24,7 @@ fn main() -> ExitCode {
     let done = match command.unwrap_or(Command::Serve) {
         Command::Serve => {
             observe::start(&config.telemetry.log, config.telemetry.log_format);
+            #[cfg(all(target_os = "linux", target_env = "gnu"))]
             malloc_trim::start();
             connection::run(config).map_err(|e| format!("error: {e}"))
         }

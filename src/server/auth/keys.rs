@@ -18,11 +18,9 @@ const MAX_NAME: usize = 64;
 pub struct Credential(Option<Key>);
 
 impl Credential {
-    /// Where no keys are configured.
-    pub const ANYBODY: Self = Self(None);
+    pub(crate) const ANYBODY: Self = Self(None);
 
-    /// The owner of the sessions that may be used.
-    pub fn owner(self) -> Owner {
+    pub(crate) fn owner(self) -> Owner {
         self.0.map_or(Owner::ANYBODY, |key| key.owner)
     }
 }
@@ -44,8 +42,8 @@ struct Key {
 }
 
 impl Keys {
-    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and lines that begin with `#` are ignored. Errors never hold the key.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and `#` lines are ignored. Errors never hold the key.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim_start().starts_with('#')) {
             for pair in text.split(',').map(str::trim).filter(|pair| !pair.is_empty()) {
@@ -63,7 +61,7 @@ impl Keys {
     }
 
     /// These keys and others; a key that is in both keeps its owner here.
-    pub fn and(mut self, others: &Self) -> Self {
+    pub(crate) fn and(mut self, others: &Self) -> Self {
         for key in &others.0 {
             if !self.has(key) {
                 self.0.push(*key);
@@ -76,19 +74,17 @@ impl Keys {
         self.0.iter().any(|known| known.digest == key.digest)
     }
 
-    /// The number of keys.
-    pub const fn len(&self) -> usize {
+    pub(crate) const fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there are no keys.
-    pub const fn is_empty(&self) -> bool {
+    pub(crate) const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
     /// and the owner is selected without a branch.
-    pub fn look_up(&self, key: &str) -> Option<Credential> {
+    pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
         let key = Key { digest, owner: Owner::from_bytes(owner) };
@@ -96,7 +92,7 @@ impl Keys {
     }
 
     /// Whether the credential's key is still configured, for the same owner.
-    pub fn is_valid(&self, credential: Credential) -> bool {
+    pub(crate) fn is_valid(&self, credential: Credential) -> bool {
         credential.0.is_none_or(|key| self.0.contains(&key))
     }
 

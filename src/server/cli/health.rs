@@ -28,13 +28,11 @@ fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()
     let mut line = Vec::new();
     stream.take(STATUS_LINE_BYTES).read_to_end(&mut line)?;
     let status = line.split(|b| *b == b'\r').next().unwrap_or_default();
-    if status.starts_with(b"HTTP/1.1 200") {
-        return Ok(());
-    }
-    Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status))))
+    let is_ready = status.starts_with(b"HTTP/1.1 200");
+    if is_ready { Ok(()) } else { Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status)))) }
 }
 
-/// The address, or the loopback in place of an unspecified address.
+/// Replaces an unspecified address by the loopback.
 fn reachable(mut listen: SocketAddr) -> SocketAddr {
     if listen.ip().is_unspecified() {
         listen.set_ip(if listen.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });

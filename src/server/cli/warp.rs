@@ -78,24 +78,18 @@ fn write_to(warp: &Warp, helpers: usize, out: &Path) -> io::Result<()> {
     name.push(format!(".{}.part", std::process::id()));
     let part = out.with_file_name(name);
     let written = File::create(&part).and_then(|file| write(warp, helpers, file)).and_then(|()| fs::rename(&part, out));
-    if written.is_err() {
-        // It may not exist.
-        let _ = fs::remove_file(&part);
-    }
-    written
+    // It may not exist.
+    written.inspect_err(|_| drop(fs::remove_file(&part)))
 }
 
 fn write(warp: &Warp, helpers: usize, out: impl Write + Send) -> io::Result<()> {
     let mut out = BufWriter::new(out);
-    let mut failed = None;
-    let _ = warp.write(helpers, &(), &mut |bytes| match out.write_all(&bytes) {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(e) => {
-            failed = Some(e);
-            ControlFlow::Break(())
-        }
+    let mut written = Ok(());
+    let _ = warp.write(helpers, &(), &mut |bytes| {
+        written = out.write_all(&bytes);
+        if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
-    failed.map_or_else(|| out.flush(), Err)
+    written.and_then(|()| out.flush())
 }
 
 fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Problem> {

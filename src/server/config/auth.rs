@@ -1,5 +1,6 @@
 //! Options of access: keys, TLS, and which origins, hosts and proxies are accepted.
 
+use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -23,7 +24,8 @@ pub struct AuthConfig {
     /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read again when it changes.
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     keys_file: Maybe<PathBuf>,
-    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command lines.
+    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command
+    /// lines.
     #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(Keys::parse))]
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
@@ -44,8 +46,8 @@ pub struct AuthConfig {
     /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every origin.
     #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = Checked(Origins::parse))]
     pub(crate) cors_origin: Origins,
-    /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list, hosts
-    /// are checked only by a server without keys on a loopback address.
+    /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list,
+    /// hosts are checked only by a server without keys on a loopback address.
     #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = Checked(Hosts::parse))]
     pub(crate) allowed_hosts: Hosts,
     /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For header names the client.
@@ -70,18 +72,12 @@ pub(crate) struct KeysConfig {
 }
 
 impl KeysConfig {
-    fn new(fixed: Keys, file: Option<PathBuf>) -> Result<Self, String> {
-        let mut keys = Self { all: Keys::default(), fixed, file };
-        keys.all = keys.read()?;
-        Ok(keys)
-    }
-
     /// Reads the file and returns all keys.
     pub(crate) fn read(&self) -> Result<Keys, String> {
         let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
         let in_file = |why: String| format!("{}: {why}", path.display());
-        let text =
-            String::from_utf8(read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?).map_err(|_| in_file("not UTF-8".to_owned()))?;
+        let bytes = read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?;
+        let text = String::from_utf8(bytes).map_err(|_| in_file("not UTF-8".to_owned()))?;
         let keys = Keys::parse(&text).map_err(in_file)?;
         if keys.is_empty() && self.fixed.is_empty() {
             return Err(in_file("there is no key in it".to_owned()));
@@ -111,7 +107,8 @@ impl AuthConfig {
     pub(super) fn load(&mut self) {
         if self.keys_file.is_some() || !self.fixed_keys.is_empty() {
             let flag = if self.keys_file.is_some() { "keys-file" } else { "keys" };
-            self.keys = report(flag, KeysConfig::new(self.fixed_keys.clone(), self.keys_file.clone()));
+            let keys = KeysConfig { fixed: self.fixed_keys.clone(), file: self.keys_file.clone(), all: Keys::default() };
+            self.keys = report(flag, keys.read()).map(|all| KeysConfig { all, ..keys });
         }
         match (self.tls_cert.clone(), self.tls_key.clone()) {
             (None, None) => {}
@@ -142,9 +139,8 @@ fn boolean(text: &str) -> Result<bool, String> {
     text.parse().map_err(|_| format!("`{text}` is neither true nor false"))
 }
 
-#[expect(clippy::unnecessary_wraps, reason = "a parser of options")]
 fn path(text: &str) -> Result<PathBuf, String> {
-    Ok(text.into())
+    text.parse().map_err(|never: Infallible| match never {})
 }
 
 fn networks(text: &str) -> Result<Networks, String> {

@@ -3,11 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where nothing can be read.
-const DEFAULT_BYTES: u64 = 2 << 30;
-
 pub(super) fn bytes() -> u64 {
-    least(&|path| fs::read_to_string(path).ok()).unwrap_or(DEFAULT_BYTES)
+    const IF_UNKNOWN: u64 = 2 << 30;
+    least(&|path| fs::read_to_string(path).ok()).unwrap_or(IF_UNKNOWN)
 }
 
 fn least(read: &dyn Fn(&Path) -> Option<String>) -> Option<u64> {
@@ -23,8 +21,8 @@ pub(crate) fn kib_field(text: &str, name: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// The files with the limits of a group and of its ancestors: `0::/a/b` of version 2, `5:memory:/a/b` of version 1. A container often sees only
-/// the limit at the root.
+/// The files with the limits of a group and of its ancestors: `0::/a/b` of version 2, `5:memory:/a/b` of version 1. A container often sees
+/// only the limit at the root.
 fn limit_files(line: &str) -> Vec<PathBuf> {
     let mut fields = line.splitn(3, ':').skip(1);
     let (Some(controllers), Some(path)) = (fields.next(), fields.next()) else { return Vec::new() };

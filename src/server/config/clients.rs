@@ -24,8 +24,8 @@ pub struct ClientLimits {
     /// Maximum number of drag sockets; further ones are answered 503.
     #[arg(long, value_name = "N", default_value = "256", value_parser = Checked(whole::<usize>(0, 1_000_000)))]
     pub max_sockets: usize,
-    /// Largest share of one client, in percent, of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for uploads; requests above
-    /// it are answered 429. A client is the name of a key or, without keys, an address (IPv6: one /64). 100 = no limit.
+    /// Largest share of one client, in percent, of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for uploads;
+    /// requests above it are answered 429. A client is the name of a key or, without keys, an address (IPv6: one /64). 100 = no limit.
     #[arg(long = "max-client-share", value_name = "PERCENT", default_value = "50", value_parser = Checked(client_share))]
     pub client_share: ClientShare,
 }

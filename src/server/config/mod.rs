@@ -27,12 +27,8 @@ pub use work::WorkConfig;
 
 /// The command line.
 #[derive(Debug, Parser)]
-#[command(
-    name = "mlswarp",
-    version,
-    args_override_self = true,
-    about = "Deforms images with control handles (moving least squares), over HTTP or offline."
-)]
+#[command(name = "mlswarp", version, args_override_self = true)]
+#[command(about = "Deforms images with control handles (moving least squares), over HTTP or offline.")]
 #[command(
     after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names."
 )]
@@ -118,7 +114,7 @@ pub fn command() -> clap::Command {
 
 impl Cli {
     /// Reads a command line and the environment.
-    /// Errors: All mistakes at once, one per line. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
+    /// Errors: All mistakes at once, one per line. Without `--allow-anonymous`, a server that others can reach without keys is one.
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Self::read_with(command(), args)
     }

@@ -8,7 +8,8 @@ use clap::builder::TypedValueParser;
 use clap::error::ErrorKind;
 use clap::{Arg, Command, Error};
 
-/// An optional value that is written as text (`off`, `auto` or nothing stand for `None`); clap takes a plain `Option` for an option without a default.
+/// An optional value that is written as text (`off`, `auto` or nothing stand for `None`); clap takes a plain `Option` for an option
+/// without a default.
 pub(super) type Maybe<T> = Option<T>;
 
 thread_local! {
@@ -29,10 +30,11 @@ where
 
     fn parse_ref(&self, _: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<T, Error> {
         let parse = |value: &OsStr| (self.0)(&value.to_string_lossy());
-        let flag = arg.and_then(Arg::get_long).unwrap_or_default();
-        let default = arg.and_then(|arg| arg.get_default_values().first()).map(|default| parse(default));
-        let value = report(flag, parse(value)).map_or_else(|| default.unwrap_or_else(|| Err("no default".to_owned())), Ok);
-        value.map_err(|mistake| Error::raw(ErrorKind::InvalidValue, mistake))
+        if let Some(parsed) = report(arg.and_then(Arg::get_long).unwrap_or_default(), parse(value)) {
+            return Ok(parsed);
+        }
+        let default = arg.and_then(|arg| arg.get_default_values().first()).ok_or_else(|| Error::new(ErrorKind::InvalidValue))?;
+        parse(default).map_err(|mistake| Error::raw(ErrorKind::InvalidValue, mistake))
     }
 }
 

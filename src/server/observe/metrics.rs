@@ -10,7 +10,6 @@ use prometheus_client::registry::{Registry, Unit};
 use crate::observe::stages::{Cost, Timing};
 use crate::problem::Problem;
 
-/// The prefix of all names.
 pub(crate) const PREFIX: &str = "mlswarp";
 
 /// Names and values of labels.

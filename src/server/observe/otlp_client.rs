@@ -23,9 +23,8 @@ use tokio::time::timeout;
 
 use crate::auth::tls::Connector;
 
-/// Maximum size of a collector's response.
 const MAX_RESPONSE_BYTES: usize = 64 << 10;
-/// Maximum time for a collector to accept a batch.
+/// Of one batch.
 const EXPORT_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The address of a collector, with scheme, host, port and path.
@@ -64,6 +63,9 @@ struct ClientState {
     runtime: Handle,
 }
 
+trait Stream: AsyncRead + AsyncWrite + Unpin + Send {}
+impl<S: AsyncRead + AsyncWrite + Unpin + Send> Stream for S {}
+
 impl fmt::Debug for OtlpClient {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("OtlpClient").field("authority", &self.0.authority).finish_non_exhaustive()
@@ -83,10 +85,14 @@ impl OtlpClient {
 impl ClientState {
     async fn connect(&self) -> Result<SendRequest<Full<Bytes>>, HttpError> {
         let stream = TcpStream::connect(&self.authority).await?;
-        match &self.tls {
-            Some(connector) => start(connector.connect(stream).await?).await,
-            None => start(stream).await,
-        }
+        let stream: Box<dyn Stream> = match &self.tls {
+            Some(connector) => Box::new(connector.connect(stream).await?),
+            None => Box::new(stream),
+        };
+        let (sender, connection) = handshake(TokioIo::new(stream)).await?;
+        // Ends with the sender, which also returns its errors.
+        tokio::spawn(connection);
+        Ok(sender)
     }
 
     async fn send(&self, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
@@ -111,16 +117,6 @@ impl ClientState {
         self.rejected.fetch_add(u64::try_from(rejected).unwrap_or(0), Ordering::Relaxed);
         Ok(Response::from_parts(head, body))
     }
-}
-
-async fn start<S>(stream: S) -> Result<SendRequest<Full<Bytes>>, HttpError>
-where
-    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
-{
-    let (sender, connection) = handshake(TokioIo::new(stream)).await?;
-    // Ends with the sender, which also returns its errors.
-    tokio::spawn(connection);
-    Ok(sender)
 }
 
 impl HttpClient for OtlpClient {

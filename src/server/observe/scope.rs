@@ -76,18 +76,14 @@ impl Scope {
         Self::start(id.into(), tracer, parent, *began, |span| {
             span.set_attribute(KeyValue::new("http.request.method", method.unwrap_or("_OTHER")));
             span.set_attribute(KeyValue::new("url.scheme", *scheme));
-            let method = method.unwrap_or("HTTP");
-            match route {
-                Some(route) => {
-                    span.set_attribute(KeyValue::new("http.route", (*route).to_owned()));
-                    span.update_name(format!("{method} {route}"));
-                }
-                None => span.update_name(method),
+            span.update_name([method.unwrap_or("HTTP"), route.unwrap_or_default()].join(" ").trim_end().to_owned());
+            if let Some(route) = route {
+                span.set_attribute(KeyValue::new("http.route", (*route).to_owned()));
             }
         })
     }
 
-    /// A frame of the drag that this request opened. Its trace is its own, since the handshake's would have no end, and links to the handshake's.
+    /// A frame of the drag that this request opened. Its own trace links to the handshake's, which would have no end.
     pub(crate) fn frame(&self, tracer: Option<&Tracer>) -> Self {
         let (Some(handshake), Some(tracer)) = (&self.0, tracer) else { return self.clone() };
         Self::start(Arc::clone(&handshake.id), tracer, &Context::new(), Instant::now(), |span| {

@@ -19,16 +19,12 @@ use tokio::time::Instant;
 use super::otlp_client::{CollectorUrl, OtlpClient};
 use super::sampler::Sampler;
 
-/// The name of the service in every trace.
 const SERVICE: &str = "mlswarp";
-/// Maximum number of spans that wait to be exported, about half a kilobyte each; a request has eight.
+/// Spans of about half a kilobyte each; a request has eight.
 const MAX_QUEUED: usize = 16_384;
-/// Spans in one export.
-const BATCH: usize = 2048;
-/// Maximum time until a span is exported.
+const MAX_BATCH: usize = 2048;
 const EXPORT_INTERVAL: Duration = Duration::from_secs(1);
-/// How often a shutdown looks for spans that have not ended.
-const POLL: Duration = Duration::from_millis(5);
+const SHUTDOWN_POLL: Duration = Duration::from_millis(5);
 
 /// The state of the export.
 #[derive(Debug, Default)]
@@ -71,7 +67,7 @@ impl Tracer {
         let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
         let config = BatchConfigBuilder::default()
             .with_max_queue_size(MAX_QUEUED)
-            .with_max_export_batch_size(BATCH)
+            .with_max_export_batch_size(MAX_BATCH)
             .with_scheduled_delay(EXPORT_INTERVAL)
             .build();
         let queue = SpanQueue { batches: Arc::new(BatchSpanProcessor::new(exporter, config)), stats };
@@ -94,7 +90,7 @@ impl Tracer {
     pub(crate) async fn shutdown(&self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
         while self.stats().open.load(Ordering::Relaxed) > 0 && Instant::now() < deadline - timeout * 3 / 4 {
-            tokio::time::sleep(POLL).await;
+            tokio::time::sleep(SHUTDOWN_POLL).await;
         }
         self.stats().is_shut_down.store(true, Ordering::Relaxed);
         let batches = Arc::clone(&self.queue.batches);
@@ -159,23 +155,15 @@ impl opentelemetry_sdk::trace::SpanExporter for CountingExporter {
         let result = exporter.export(batch).await;
         let rejected = rejected.swap(0, Ordering::Relaxed).min(count);
         let was_failing = stats.is_failing.swap(result.is_err(), Ordering::Relaxed);
-        let dropped = match &result {
-            Ok(()) => {
-                if was_failing {
-                    tracing::info!("traces are exported again ({collector})");
-                }
-                if rejected > 0 {
-                    tracing::debug!(rejected, "the collector rejected spans ({collector})");
-                }
-                rejected
-            }
-            Err(error) => {
-                if !was_failing {
-                    tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}");
-                }
-                count
-            }
-        };
+        match &result {
+            Ok(()) if was_failing => tracing::info!("traces are exported again ({collector})"),
+            Err(error) if !was_failing => tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}"),
+            _ => {}
+        }
+        if result.is_ok() && rejected > 0 {
+            tracing::debug!(rejected, "the collector rejected spans ({collector})");
+        }
+        let dropped = if result.is_ok() { rejected } else { count };
         stats.exported.inc_by(count - dropped);
         stats.dropped.inc_by(dropped);
         result
@@ -255,7 +243,7 @@ mod tests {
         let tracer = Tracer::new(&collector, 1.0).unwrap();
         drop(request(&tracer, Context::new()));
         while tracer.stats().queued.load(Ordering::Relaxed) > 0 {
-            tokio::time::sleep(POLL).await;
+            tokio::time::sleep(SHUTDOWN_POLL).await;
         }
         for _ in 0..MAX_QUEUED + 10 {
             drop(request(&tracer, Context::new()));
