@@ -66,10 +66,8 @@ impl Hosts {
     }
 
     pub(crate) fn allow(&self, host: &Host) -> bool {
-        match host {
-            Host::Address(_) => true,
-            Host::Name(name) => name == "localhost" || self.0.contains(host),
-        }
+        let is_local = matches!(host, Host::Name(name) if name == "localhost");
+        is_local || matches!(host, Host::Address(_)) || self.0.contains(host)
     }
 }
 

@@ -62,11 +62,8 @@ impl Keys {
 
     /// These keys and others; a key that is in both keeps its owner here.
     pub(crate) fn and(mut self, others: &Self) -> Self {
-        for key in &others.0 {
-            if !self.has(key) {
-                self.0.push(*key);
-            }
-        }
+        let new: Vec<Key> = others.0.iter().filter(|key| !self.has(key)).copied().collect();
+        self.0.extend(new);
         self
     }
 

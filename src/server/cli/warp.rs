@@ -51,7 +51,6 @@ fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Resu
     Ok(warnings.iter().fold(summary, |summary, warning| format!("{summary}, {}", warning.code())))
 }
 
-/// The format of a file name's extension.
 fn format_of(out: &Path) -> Option<Format> {
     match out.extension()?.to_str()?.to_ascii_lowercase().as_str() {
         "png" => Some(Format::Png),

@@ -12,7 +12,6 @@ use crate::problem::Problem;
 
 pub(crate) const PREFIX: &str = "mlswarp";
 
-/// Names and values of labels.
 type Labels<const N: usize> = [(&'static str, String); N];
 
 #[derive(Debug)]

@@ -24,7 +24,6 @@ impl Sampler {
         Self { share, caller_limit: Arc::new(Mutex::new(Bucket::new(CALLER_LIMIT.0, CALLER_LIMIT.1, Instant::now()))) }
     }
 
-    /// Compares 63 random bits with the share.
     fn is_in_share(&self) -> bool {
         let random = u64::from_be_bytes(RandomIdGenerator::default().new_span_id().to_bytes()) >> 1;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "between 0 and 2^63")]
