@@ -1,23 +1,19 @@
-//! Freed memory goes back to the system. glibc gives every thread an arena of its own and keeps what is freed in it: after a minute of mixed requests 27 MiB
-//! were in use and 150 to 200 resident (it grew), trimmed every three seconds or not, because the free end of an arena is not trimmed but for the
-//! first one's. So there are few arenas; large blocks are the system's and go back at once; and what is free in between is handed back now and then: 41 MiB
-//! are resident then. Trimming walks the free blocks, some milliseconds each time; what is needed again is faulted in again.
+//! Returns freed memory to the system. glibc keeps it in the arenas of threads and trims only the end of the first one: after a minute of mixed
+//! requests 27 MiB were in use and 150 to 200 resident. With few arenas, mapped large blocks and regular trimming 41 MiB are resident.
 
 use std::ffi::c_int;
 use std::num::NonZero;
 use std::time::Duration;
 
-/// Between two trims: seldom beside requests, soon beside a crowd that has left.
-const PAUSE: Duration = Duration::from_secs(3);
-/// Processors that share an arena. Threads keep small blocks to themselves and meet there seldom.
-const PROCESSORS: usize = 4;
-/// A block as large as this is mapped by itself. Frames of a drag are made of smaller ones.
-const LARGE: c_int = 4 << 20;
+/// A trim takes some milliseconds.
+const TRIM_INTERVAL: Duration = Duration::from_secs(3);
+const PROCESSORS_PER_ARENA: usize = 4;
+/// Larger blocks are mapped by themselves. Frames of a drag are made of smaller ones.
+const MMAP_THRESHOLD: c_int = 4 << 20;
+/// High, or a drag that frees its frame would return what its next frame takes.
+const TRIM_THRESHOLD: c_int = 64 << 20;
 
-/// The end of an arena goes back only by trimming: a drag that frees its frame would otherwise give back what the next one takes.
-const END: c_int = 64 << 20;
-
-/// Of `malloc.h`.
+// Of `malloc.h`.
 const M_TRIM_THRESHOLD: c_int = -1;
 const M_MMAP_THRESHOLD: c_int = -3;
 const M_ARENA_MAX: c_int = -8;
@@ -29,17 +25,16 @@ unsafe extern "C" {
     safe fn mallopt(option: c_int, value: c_int) -> c_int;
 }
 
-/// Trims as long as the process lives. To be called first: arenas are there as soon as threads are.
+/// Trims as long as the process lives. Call it first: threads create arenas.
 pub(crate) fn start() {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
-    let arenas = c_int::try_from(processors.div_ceil(PROCESSORS)).unwrap_or(c_int::MAX);
-    // Where glibc refuses, the service runs, and holds more.
-    let _ = (mallopt(M_ARENA_MAX, arenas), mallopt(M_MMAP_THRESHOLD, LARGE), mallopt(M_TRIM_THRESHOLD, END));
+    let arenas = c_int::try_from(processors.div_ceil(PROCESSORS_PER_ARENA)).unwrap_or(c_int::MAX);
+    // Without these options the service uses more memory.
+    let _ = (mallopt(M_ARENA_MAX, arenas), mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD), mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD));
     let trims = || {
         loop {
-            std::thread::sleep(PAUSE);
-            // Whether anything was given back does not matter.
-            let _ = malloc_trim(0);
+            std::thread::sleep(TRIM_INTERVAL);
+            malloc_trim(0);
         }
     };
     if let Err(error) = std::thread::Builder::new().name("heap".to_owned()).spawn(trims) {

@@ -104,7 +104,7 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
     }
     let stats = server.app.tracer().unwrap().stats();
     // The exporter counts them when the collector has answered.
-    eventually("all spans are counted", || (stats.exported(), stats.dropped()) == (collector.spans().len() as u64, 0)).await;
+    eventually("all spans are counted", || (stats.exported.get(), stats.dropped.get()) == (collector.spans().len() as u64, 0)).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -236,7 +236,7 @@ async fn spans_that_nobody_takes_are_counted() {
     let away = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let server = Server::start(&["--otlp-endpoint", &format!("http://{away}")]).await;
     server.is_well().await;
-    eventually("they are dropped", || server.app.tracer().unwrap().stats().dropped() >= 7).await;
+    eventually("they are dropped", || server.app.tracer().unwrap().stats().dropped.get() >= 7).await;
     let metrics = server.get("/metrics").send().await.unwrap().text().await.unwrap();
     assert!(metrics.contains("mlswarp_spans_exported_total 0\n"), "{metrics}");
     let dropped = metrics.lines().find_map(|line| line.strip_prefix("mlswarp_spans_dropped_total ")).unwrap();
@@ -251,7 +251,7 @@ async fn spans_that_a_collector_rejects_are_not_exported() {
     server.is_well().await;
     let tally = || {
         let stats = server.app.tracer().unwrap().stats();
-        (stats.exported(), stats.dropped())
+        (stats.exported.get(), stats.dropped.get())
     };
     eventually("the batch is counted", || tally() != (0, 0)).await;
     let (exported, dropped) = tally();

@@ -1,144 +1,112 @@
-//! `GET /metrics`: the text in OpenMetrics format, and the metrics that are read at the moment of a scrape.
+//! `GET /metrics`: the counters of the service, and values that are read at the moment of a scrape, as OpenMetrics text.
 
-use std::fmt;
+use std::sync::atomic::AtomicU64;
 
-use prometheus_client::collector::Collector;
-use prometheus_client::encoding::text::encode;
-use prometheus_client::encoding::{DescriptorEncoder, MetricEncoder, NoLabelSet};
-use prometheus_client::metrics::MetricType;
+use prometheus_client::encoding::text::{encode, encode_registry};
+use prometheus_client::metrics::counter::{ConstCounter, Counter};
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::app::App;
 use crate::cache::CacheStats;
+use crate::config::available_memory::kib_field;
 use crate::limits::memory::Purpose;
-use crate::observe::tracer::Tracer;
+use crate::observe::metrics::PREFIX;
 use crate::pool::{Load, WorkClass};
 
-/// Labels and a value.
-type Sample = (Vec<(&'static str, &'static str)>, u64);
+type Labels<const N: usize> = [(&'static str, &'static str); N];
 
 impl App {
     /// All metrics as OpenMetrics text.
     pub fn metrics_text(&self) -> String {
-        let mut registry = Registry::with_prefix("mlswarp");
-        self.0.metrics.register(&mut registry);
-        registry.register_collector(Box::new(self.clone()));
         let mut text = String::new();
-        encode(&mut text, &registry).expect("writing to a string does not fail");
+        let counters = encode_registry(&mut text, &self.0.metrics.registry);
+        let registry = &mut Registry::with_prefix(PREFIX);
+        registry.register("build_info", "The program's version", gauges([([("version", env!("CARGO_PKG_VERSION"))], 1)]));
+        self.register_work(registry);
+        self.register_memory(registry);
+        self.register_store(registry);
+        let connections = self.0.access.connections();
+        registry.register("connections", "Connections that are open", ConstGauge::new(connections.open()));
+        let help = "Connections closed at once because of a limit";
+        registry.register("connections_refused", help, ConstCounter::new(connections.refused()));
+        registry.register("sockets", "Drag sockets that are open", ConstGauge::new(self.0.sockets.open()));
+        let stats = self.tracer().map(|tracer| (tracer.stats().exported.clone(), tracer.stats().dropped.clone()));
+        let (exported, dropped) = stats.unwrap_or_default();
+        registry.register("spans_exported", "Spans that the collector has accepted", exported);
+        registry.register("spans_dropped", "Spans that were lost because the collector did not accept them", dropped);
+        counters.and_then(|()| encode(&mut text, registry)).expect("writing to a string does not fail");
         text
     }
-}
 
-/// Writes metrics with their samples.
-struct Writer<'a>(DescriptorEncoder<'a>);
-
-impl Writer<'_> {
-    fn write(&mut self, kind: MetricType, name: &str, help: &str, unit: Option<&Unit>, samples: &[Sample]) -> fmt::Result {
-        let mut metric = self.0.encode_descriptor(name, help, unit, kind)?;
-        let encode = |mut sample: MetricEncoder<'_>, value: &u64| match kind {
-            MetricType::Counter => sample.encode_counter::<NoLabelSet, _, u64>(value, None),
-            _ => sample.encode_gauge(value),
-        };
-        for (labels, value) in samples {
-            // Without labels `encode_family` would write empty braces.
-            if labels.is_empty() {
-                return encode(metric, value);
-            }
-            encode(metric.encode_family(labels)?, value)?;
-        }
-        Ok(())
-    }
-
-    fn gauge(&mut self, name: &str, help: &str, samples: &[Sample]) -> fmt::Result {
-        self.write(MetricType::Gauge, name, help, None, samples)
-    }
-
-    fn bytes(&mut self, name: &str, help: &str, samples: &[Sample]) -> fmt::Result {
-        self.write(MetricType::Gauge, name, help, Some(&Unit::Bytes), samples)
-    }
-
-    fn counter(&mut self, name: &str, help: &str, samples: &[Sample]) -> fmt::Result {
-        self.write(MetricType::Counter, name, help, None, samples)
-    }
-}
-
-const fn one(value: u64) -> [Sample; 1] {
-    [(Vec::new(), value)]
-}
-
-fn labelled(name: &'static str, value: &'static str, sample: u64) -> Sample {
-    (vec![(name, value)], sample)
-}
-
-impl Collector for App {
-    fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        let writer = &mut Writer(encoder);
-        writer.gauge("build_info", "The program's version", &[labelled("version", env!("CARGO_PKG_VERSION"), 1)])?;
-        self.write_work(writer)?;
-        self.write_memory(writer)?;
-        self.write_store(writer)?;
-        let connections = self.0.access.connections();
-        writer.gauge("connections", "Connections that are open", &one(connections.open() as u64))?;
-        writer.counter("connections_refused", "Connections closed at once because of a limit", &one(connections.refused()))?;
-        writer.gauge("sockets", "Drag sockets that are open", &one(self.0.sockets.open() as u64))?;
-        let (exported, dropped) = self.tracer().map(Tracer::stats).map_or((0, 0), |stats| (stats.exported(), stats.dropped()));
-        writer.counter("spans_exported", "Spans that the collector has accepted", &one(exported))?;
-        writer.counter("spans_dropped", "Spans that were lost because the collector did not accept them", &one(dropped))
-    }
-}
-
-impl App {
-    fn write_work(&self, writer: &mut Writer<'_>) -> fmt::Result {
+    fn register_work(&self, registry: &mut Registry) {
         let loads = [(WorkClass::Drag, "drag"), (WorkClass::Upload, "upload"), (WorkClass::Transfer, "transfer")]
             .map(|(work, name)| (self.0.pool.load(work), name));
-        let each = |value: &dyn Fn(&Load) -> usize| loads.each_ref().map(|(load, work)| labelled("work", work, value(load) as u64));
+        let each = |value: &dyn Fn(&Load) -> usize| loads.each_ref().map(|(load, work)| ([("work", *work)], value(load) as u64));
         // Transfers wait for the store and take no worker.
         let [drag, upload, _] = each(&|_| self.0.config.work.workers);
-        writer.gauge("workers", "Requests that run at one time, at most", &[drag, upload])?;
+        registry.register("workers", "Requests that run at one time, at most", gauges([drag, upload]));
         let [drag, upload, (_, transfers)] = each(&|load| load.running);
-        writer.gauge("workers_busy", "Requests that run", &[drag, upload])?;
-        writer.gauge("transfers", "Files of sessions that are being sent to the store or fetched from it", &one(transfers))?;
-        writer.gauge("queue_places", "Requests that wait, at most", &each(&|_| self.0.config.work.queue()))?;
-        writer.gauge("queue_waiting", "Requests that wait", &each(&|load| load.waiting))?;
-        let mut shed = vec![(vec![("work", "any"), ("reason", "memory")], self.0.budget.refused())];
-        for (load, work) in &loads {
-            shed.push((vec![("work", *work), ("reason", "queue_full")], load.full));
-            shed.push((vec![("work", *work), ("reason", "late")], load.late));
-        }
-        writer.counter("shed", "Requests that were refused for lack of capacity", &shed)
+        registry.register("workers_busy", "Requests that run", gauges([drag, upload]));
+        let help = "Files of sessions that are being sent to the store or fetched from it";
+        registry.register("transfers", help, ConstGauge::new(transfers));
+        registry.register("queue_places", "Requests that wait, at most", gauges(each(&|_| self.0.config.work.queue())));
+        registry.register("queue_waiting", "Requests that wait", gauges(each(&|load| load.waiting)));
+        let by_class = loads.iter().flat_map(|(load, work)| {
+            [([("work", *work), ("reason", "queue_full")], load.full), ([("work", *work), ("reason", "late")], load.late)]
+        });
+        let shed = by_class.chain([([("work", "any"), ("reason", "memory")], self.0.budget.refused())]);
+        registry.register("shed", "Requests that were refused for lack of capacity", counters(shed));
     }
 
-    fn write_memory(&self, writer: &mut Writer<'_>) -> fmt::Result {
+    fn register_memory(&self, registry: &mut Registry) {
         let budget = &self.0.budget;
-        writer.bytes("memory_limit", "Memory that requests may reserve", &one(budget.total()))?;
-        let reserved = Purpose::ALL.map(|purpose| labelled("purpose", purpose.name(), budget.taken_for(purpose)));
-        writer.bytes("memory_reserved", "Memory that is reserved, by purpose", &reserved)?;
-        if let Some(bytes) = resident() {
-            writer.bytes("memory_resident", "Resident memory of the process", &one(bytes))?;
+        registry.register_with_unit("memory_limit", "Memory that requests may reserve", Unit::Bytes, ConstGauge::new(budget.total()));
+        let reserved = Purpose::ALL.map(|purpose| ([("purpose", purpose.name())], budget.taken_for(purpose)));
+        registry.register_with_unit("memory_reserved", "Memory that is reserved, by purpose", Unit::Bytes, gauges(reserved));
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        if let Some(bytes) = kib_field(&status, "VmRSS:") {
+            registry.register_with_unit("memory_resident", "Resident memory of the process", Unit::Bytes, ConstGauge::new(bytes));
         }
         let caches = [("images", self.0.images.usage()), ("plans", self.0.plans.usage()), ("setups", self.0.setups.usage())];
-        let each = |value: fn(&CacheStats) -> u64| caches.each_ref().map(|(name, usage)| labelled("cache", name, value(usage)));
-        writer.bytes("cache_size", "Size of the cached values", &each(|usage| usage.bytes))?;
-        writer.gauge("cache_values", "Values that are cached", &each(|usage| usage.values))?;
-        writer.counter("cache_hits", "Lookups that found a value", &each(|usage| usage.hits))?;
-        writer.counter("cache_builds", "Values that were built because they were not cached", &each(|usage| usage.built))?;
-        writer.counter("cache_evictions", "Values that were evicted", &each(|usage| usage.evicted))
+        let each = |value: fn(&CacheStats) -> u64| caches.each_ref().map(|(name, usage)| ([("cache", *name)], value(usage)));
+        registry.register_with_unit("cache_size", "Size of the cached values", Unit::Bytes, gauges(each(|usage| usage.bytes)));
+        registry.register("cache_values", "Values that are cached", gauges(each(|usage| usage.values)));
+        registry.register("cache_hits", "Lookups that found a value", counters(each(|usage| usage.hits)));
+        let help = "Values that were built because they were not cached";
+        registry.register("cache_builds", help, counters(each(|usage| usage.built)));
+        registry.register("cache_evictions", "Values that were evicted", counters(each(|usage| usage.evicted)));
     }
 
-    fn write_store(&self, writer: &mut Writer<'_>) -> fmt::Result {
-        let figures = self.0.store.figures();
-        writer.gauge("store_up", "1 while the store works", &one(u64::from(!figures.is_away)))?;
-        writer.gauge("store_sessions", "Sessions that this process knows of", &one(figures.sessions))?;
-        writer.bytes("store_size", "Size of their records, and of their files unless Redis keeps them", &one(figures.bytes))?;
-        writer.counter("store_damaged", "Sessions that were left out because their stored data was damaged", &one(figures.damaged))?;
-        writer.counter("store_other_version", "Records of another version of the program", &one(figures.other_version))?;
-        writer.counter("store_failures", "Operations of the store that failed", &one(figures.failures))
+    fn register_store(&self, registry: &mut Registry) {
+        let stats = self.0.store.figures();
+        registry.register("store_up", "1 while the store works", ConstGauge::new(u64::from(!stats.is_away)));
+        registry.register("store_sessions", "Sessions that this process knows of", ConstGauge::new(stats.sessions));
+        let help = "Size of their records, and of their files unless Redis keeps them";
+        registry.register_with_unit("store_size", help, Unit::Bytes, ConstGauge::new(stats.bytes));
+        for (name, help, value) in [
+            ("store_damaged", "Sessions that were left out because their stored data was damaged", stats.damaged),
+            ("store_other_version", "Records of another version of the program", stats.other_version),
+            ("store_failures", "Operations of the store that failed", stats.failures),
+        ] {
+            registry.register(name, help, ConstCounter::new(value));
+        }
     }
 }
 
-/// Resident memory as Linux reports it.
-fn resident() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+fn gauges<const N: usize>(samples: impl IntoIterator<Item = (Labels<N>, u64)>) -> Family<Labels<N>, Gauge<u64, AtomicU64>> {
+    let family = Family::<_, Gauge<_, _>>::default();
+    for (labels, value) in samples {
+        family.get_or_create(&labels).set(value);
+    }
+    family
+}
+
+fn counters<const N: usize>(samples: impl IntoIterator<Item = (Labels<N>, u64)>) -> Family<Labels<N>, Counter> {
+    let family = Family::<_, Counter>::default();
+    for (labels, value) in samples {
+        family.get_or_create(&labels).inc_by(value);
+    }
+    family
 }

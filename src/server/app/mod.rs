@@ -211,7 +211,7 @@ impl App {
     }
 
     /// Counters and histograms.
-    pub fn metrics(&self) -> &Metrics {
+    pub(crate) fn metrics(&self) -> &Metrics {
         &self.0.metrics
     }
 

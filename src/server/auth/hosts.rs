@@ -2,32 +2,27 @@
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
-/// A host.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Host {
-    /// An IP literal.
+pub(crate) enum Host {
     Address(IpAddr),
-    /// A name in lower case, without a trailing dot.
+    /// In lower case, without a trailing dot.
     Name(String),
 }
 
-/// A host with an optional port.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Authority {
-    /// The host.
-    pub host: Host,
-    /// The port.
-    pub port: Option<u16>,
+pub(crate) struct Authority {
+    pub(crate) host: Host,
+    pub(crate) port: Option<u16>,
 }
 
 impl Authority {
     /// Reads `host` or `host:port`.
-    pub fn parse(text: &str) -> Option<Self> {
+    pub(crate) fn parse(text: &str) -> Option<Self> {
         let (host, port) = match text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
-            Some((address, port)) => (Host::Address(IpAddr::V6(address.parse::<Ipv6Addr>().ok()?)), port),
+            Some((address, port)) => (Host::Address(address.parse::<Ipv6Addr>().ok()?.into()), port),
             None => {
                 let (name, port) = text.split_at(text.find(':').unwrap_or(text.len()));
-                (Host::named(name)?, port)
+                (parse_name(name)?, port)
             }
         };
         let port = match port.strip_prefix(':') {
@@ -41,46 +36,38 @@ impl Authority {
     }
 }
 
-impl Host {
-    /// Reads a registered name or an IPv4 address.
-    fn named(text: &str) -> Option<Self> {
-        let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~!$&'()*+,;=%".contains(&b);
-        let escapes = text.split('%').skip(1).all(|rest| rest.as_bytes().get(..2).is_some_and(|hex| hex.iter().all(u8::is_ascii_hexdigit)));
-        let name = text.strip_suffix('.').unwrap_or(text);
-        if name.is_empty() || !text.bytes().all(plain) || !escapes {
-            return None;
-        }
-        Some(name.parse().map_or_else(|_| Self::Name(name.to_ascii_lowercase()), |v4: Ipv4Addr| Self::Address(v4.into())))
+/// Reads a registered name or an IPv4 address.
+fn parse_name(text: &str) -> Option<Host> {
+    let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"-._~!$&'()*+,;=%".contains(&b);
+    let escapes = text.split('%').skip(1).all(|rest| rest.as_bytes().get(..2).is_some_and(|hex| hex.iter().all(u8::is_ascii_hexdigit)));
+    let name = text.strip_suffix('.').unwrap_or(text);
+    if name.is_empty() || !text.bytes().all(is_plain) || !escapes {
+        return None;
     }
+    Some(name.parse().map_or_else(|_| Host::Name(name.to_ascii_lowercase()), |v4: Ipv4Addr| Host::Address(v4.into())))
 }
 
 /// The hosts that a request may name. `localhost` and IP literals are always allowed: they are not resolved by DNS.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Hosts(Vec<Host>);
+pub(crate) struct Hosts(Vec<Host>);
 
 impl Hosts {
     /// Reads a comma-separated list of host names.
-    /// Errors: the first entry that is not a host name.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let entries = text.split(',').map(str::trim).filter(|entry| !entry.is_empty());
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let host = |entry: &str| match Authority::parse(entry) {
             Some(Authority { host, port: None }) if !entry.contains(['*', ':']) => Ok(host),
             _ => Err(format!("`{entry}` is not a host name such as bend.example (no scheme, no port, no wildcard)")),
         };
-        entries.map(host).collect::<Result<_, _>>().map(Self)
+        text.split(',').map(str::trim).filter(|entry| !entry.is_empty()).map(host).collect::<Result<_, _>>().map(Self)
     }
 
-    /// Whether the list is empty.
-    pub const fn is_empty(&self) -> bool {
+    pub(crate) const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether a request may name this host.
-    pub fn allow(&self, host: &Host) -> bool {
-        match host {
-            Host::Address(_) => true,
-            Host::Name(name) => name == "localhost" || self.0.contains(host),
-        }
+    pub(crate) fn allow(&self, host: &Host) -> bool {
+        let is_local = matches!(host, Host::Name(name) if name == "localhost");
+        is_local || matches!(host, Host::Address(_)) || self.0.contains(host)
     }
 }
 

@@ -1,5 +1,4 @@
-//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced without losing sessions. Only digests are
-//! kept.
+//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced. Only digests are kept.
 
 use std::fmt;
 
@@ -8,9 +7,7 @@ use subtle::{Choice, ConditionallySelectable as _, ConstantTimeEq as _};
 
 use crate::client::Owner;
 
-/// Minimum length of a key, against guessing.
 const MIN_KEY: usize = 16;
-/// Maximum length of a key.
 const MAX_KEY: usize = 512;
 /// Maximum number of keys: every request is compared with all of them.
 const MAX_KEYS: usize = 1000;
@@ -21,11 +18,9 @@ const MAX_NAME: usize = 64;
 pub struct Credential(Option<Key>);
 
 impl Credential {
-    /// Where no keys are configured.
-    pub const ANYBODY: Self = Self(None);
+    pub(crate) const ANYBODY: Self = Self(None);
 
-    /// The owner whose sessions may be used.
-    pub fn owner(self) -> Owner {
+    pub(crate) fn owner(self) -> Owner {
         self.0.map_or(Owner::ANYBODY, |key| key.owner)
     }
 }
@@ -47,9 +42,8 @@ struct Key {
 }
 
 impl Keys {
-    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and lines that begin with `#` are ignored.
-    /// Errors: the number of the wrong line and the cause; never the key.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and `#` lines are ignored. Errors never hold the key.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim_start().starts_with('#')) {
             for pair in text.split(',').map(str::trim).filter(|pair| !pair.is_empty()) {
@@ -67,12 +61,9 @@ impl Keys {
     }
 
     /// These keys and others; a key that is in both keeps its owner here.
-    pub fn and(mut self, others: &Self) -> Self {
-        for key in &others.0 {
-            if !self.has(key) {
-                self.0.push(*key);
-            }
-        }
+    pub(crate) fn and(mut self, others: &Self) -> Self {
+        let new: Vec<Key> = others.0.iter().filter(|key| !self.has(key)).copied().collect();
+        self.0.extend(new);
         self
     }
 
@@ -80,19 +71,17 @@ impl Keys {
         self.0.iter().any(|known| known.digest == key.digest)
     }
 
-    /// The number of keys.
-    pub const fn len(&self) -> usize {
+    pub(crate) const fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there are no keys.
-    pub const fn is_empty(&self) -> bool {
+    pub(crate) const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
     /// and the owner is selected without a branch.
-    pub fn look_up(&self, key: &str) -> Option<Credential> {
+    pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
         let key = Key { digest, owner: Owner::from_bytes(owner) };
@@ -100,7 +89,7 @@ impl Keys {
     }
 
     /// Whether the credential's key is still configured, for the same owner.
-    pub fn is_valid(&self, credential: Credential) -> bool {
+    pub(crate) fn is_valid(&self, credential: Credential) -> bool {
         credential.0.is_none_or(|key| self.0.contains(&key))
     }
 

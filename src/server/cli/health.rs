@@ -6,13 +6,12 @@ use std::time::Duration;
 
 use crate::config::Config;
 
-/// Timeout of connecting, of each write and of each read.
+/// Of connecting, of each write and of each read.
 const TIMEOUT: Duration = Duration::from_secs(3);
-/// Enough for a status line.
-const STATUS_LINE: usize = 64;
+const STATUS_LINE_BYTES: u64 = 64;
 
 /// Whether the server can take work now.
-/// Errors: it cannot be reached, or is not ready.
+/// Errors: It cannot be reached, or is not ready.
 pub fn ask(config: &Config) -> io::Result<()> {
     // The ops listener has no TLS and connections of its own.
     let ops = config.telemetry.metrics_listen;
@@ -26,16 +25,14 @@ pub fn ask(config: &Config) -> io::Result<()> {
 
 fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()> {
     stream.write_all(format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").as_bytes())?;
-    let mut line = Vec::with_capacity(STATUS_LINE);
-    stream.take(STATUS_LINE as u64).read_to_end(&mut line)?;
+    let mut line = Vec::new();
+    stream.take(STATUS_LINE_BYTES).read_to_end(&mut line)?;
     let status = line.split(|b| *b == b'\r').next().unwrap_or_default();
-    if status.starts_with(b"HTTP/1.1 200") {
-        return Ok(());
-    }
-    Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status))))
+    let is_ready = status.starts_with(b"HTTP/1.1 200");
+    if is_ready { Ok(()) } else { Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status)))) }
 }
 
-/// The address, or the loopback in place of an unspecified address.
+/// Replaces an unspecified address by the loopback.
 fn reachable(mut listen: SocketAddr) -> SocketAddr {
     if listen.ip().is_unspecified() {
         listen.set_ip(if listen.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });

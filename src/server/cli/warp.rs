@@ -1,6 +1,5 @@
 //! `mlswarp warp IMAGE WARP.json -o OUT`: `POST /warp` without a server, with the same parser and the same bytes.
 
-use std::fmt;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Write};
 use std::ops::ControlFlow;
@@ -8,16 +7,22 @@ use std::path::Path;
 use std::sync::Arc;
 
 use mlswarp::codec::Format;
-use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Image, Posed, Report, Setup, Warp};
 
 use crate::config::Config;
 use crate::problem::{Code, Problem};
 use crate::wire::{WarpObject, WarpPatch};
 
-/// Warps one picture; `-` is standard input or output.
-/// Errors: the problem that a server would answer, or a file that cannot be read or written.
-pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Summary, Problem> {
+/// Warps one image and returns what a server sends in response headers; `-` is standard input or output.
+/// Errors: The problem that a server would answer, as `code: detail (pointer)`.
+pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<String, String> {
+    run_with_problem(config, image, warp, out).map_err(|Problem { code, detail, pointer, .. }| {
+        let place = pointer.map_or_else(String::new, |pointer| format!(" ({pointer})"));
+        format!("{}: {detail}{place}", code.as_str())
+    })
+}
+
+fn run_with_problem(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<String, Problem> {
     if is_stdio(image) && is_stdio(warp) {
         return Err(Problem::new(Code::MalformedRequest, "standard input can be the image or the warp object, not both"));
     }
@@ -32,7 +37,7 @@ pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<Sum
     threads.install(|| render(config, &file, &object, out))
 }
 
-fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<Summary, Problem> {
+fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<String, Problem> {
     let image = Arc::new(Image::decode(file, &config.limits().image)?);
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let pose = setup.pose(object.posed()?)?;
@@ -41,10 +46,11 @@ fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Resu
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
     write_to(&warp, config.work.workers.saturating_sub(1), out)
         .map_err(|e| Problem::new(Code::Internal, format!("{} cannot be written: {e}", out.display())))?;
-    Ok(Summary { extent: warp.target(), report: posed.into_report_on(&image) })
+    let (extent, Report { warnings, folds, residual }) = (warp.target(), posed.into_report_on(&image));
+    let summary = format!("{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height());
+    Ok(warnings.iter().fold(summary, |summary, warning| format!("{summary}, {}", warning.code())))
 }
 
-/// The format of a file name's extension.
 fn format_of(out: &Path) -> Option<Format> {
     match out.extension()?.to_str()?.to_ascii_lowercase().as_str() {
         "png" => Some(Format::Png),
@@ -71,24 +77,18 @@ fn write_to(warp: &Warp, helpers: usize, out: &Path) -> io::Result<()> {
     name.push(format!(".{}.part", std::process::id()));
     let part = out.with_file_name(name);
     let written = File::create(&part).and_then(|file| write(warp, helpers, file)).and_then(|()| fs::rename(&part, out));
-    if written.is_err() {
-        // It may not exist.
-        let _ = fs::remove_file(&part);
-    }
-    written
+    // It may not exist.
+    written.inspect_err(|_| drop(fs::remove_file(&part)))
 }
 
 fn write(warp: &Warp, helpers: usize, out: impl Write + Send) -> io::Result<()> {
     let mut out = BufWriter::new(out);
-    let mut failed = None;
-    let _ = warp.write(helpers, &(), &mut |bytes| match out.write_all(&bytes) {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(e) => {
-            failed = Some(e);
-            ControlFlow::Break(())
-        }
+    let mut written = Ok(());
+    let _ = warp.write(helpers, &(), &mut |bytes| {
+        written = out.write_all(&bytes);
+        if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
-    failed.map_or_else(|| out.flush(), Err)
+    written.and_then(|()| out.flush())
 }
 
 fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Problem> {
@@ -100,27 +100,4 @@ fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Problem> {
         return Err(Problem::new(Code::TooLarge, format!("the {what} is larger than {limit} bytes")).limit("bytes", limit, bytes.len()));
     }
     Ok(bytes)
-}
-
-/// The error message of a problem: `code: detail (pointer)`.
-pub fn error_message(problem: &Problem) -> String {
-    let place = problem.pointer.as_ref().map_or_else(String::new, |pointer| format!(" ({pointer})"));
-    format!("{}: {}{place}", problem.code.as_str(), problem.detail)
-}
-
-/// What a server sends in response headers.
-#[derive(Debug)]
-pub struct Summary {
-    /// The report of the posed grid.
-    pub report: Report,
-    /// The size of the picture.
-    pub extent: Extent,
-}
-
-impl fmt::Display for Summary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { report: Report { warnings, folds, residual }, extent } = self;
-        write!(f, "{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height())?;
-        warnings.iter().try_for_each(|warning| write!(f, ", {}", warning.code()))
-    }
 }

@@ -1,11 +1,12 @@
 //! Options of access: keys, TLS, and which origins, hosts and proxies are accepted.
 
+use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::{ArgAction, Args};
 
-use super::option::{Maybe, checked, optional_path, report};
+use super::option::{Checked, Maybe, report, unless};
 use crate::auth::cors::Origins;
 use crate::auth::hosts::Hosts;
 use crate::auth::keys::Keys;
@@ -13,8 +14,7 @@ use crate::auth::read_bounded;
 use crate::auth::tls::TlsFiles;
 use crate::limits::networks::Network;
 
-/// Largest file of keys, bytes.
-const MAX_KEYS_FILE: u64 = 1 << 20;
+const MAX_KEYS_FILE_BYTES: u64 = 1 << 20;
 
 type Networks = Vec<Network>;
 
@@ -22,93 +22,62 @@ type Networks = Vec<Network>;
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct AuthConfig {
     /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     keys_file: Maybe<PathBuf>,
-    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command lines.
-    #[arg(
-        long = "keys",
-        value_name = "PAIRS",
-        default_value = "",
-        hide_default_value = true,
-        hide_env_values = true,
-        value_parser = checked(Keys::parse)
-    )]
+    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command
+    /// lines.
+    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(Keys::parse))]
+    #[arg(hide_env_values = true)]
     fixed_keys: Keys,
     /// Allow a listen address that other machines can reach without keys. Everybody who reaches it may use the service.
-    #[arg(
-        long,
-        value_name = "BOOL",
-        default_value = "false",
-        default_missing_value = "true",
-        num_args = 0..=1,
-        require_equals = true,
-        action = ArgAction::Set,
-        value_parser = checked(boolean)
-    )]
+    #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
     pub allow_anonymous: bool,
     /// Answer GET /metrics without a key.
-    #[arg(
-        long,
-        value_name = "BOOL",
-        default_value = "false",
-        default_missing_value = "true",
-        num_args = 0..=1,
-        require_equals = true,
-        action = ArgAction::Set,
-        value_parser = checked(boolean)
-    )]
+    #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
     pub open_metrics: bool,
     /// TLS certificate chain, PEM. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     tls_cert: Maybe<PathBuf>,
     /// Private key of the certificate, PEM.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = checked(optional_path))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
     tls_key: Maybe<PathBuf>,
     /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every origin.
-    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = checked(Origins::parse))]
-    pub cors_origin: Origins,
-    /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list, hosts
-    /// are checked only by a server without keys on a loopback address.
-    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = checked(Hosts::parse))]
-    pub allowed_hosts: Hosts,
+    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = Checked(Origins::parse))]
+    pub(crate) cors_origin: Origins,
+    /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list,
+    /// hosts are checked only by a server without keys on a loopback address.
+    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = Checked(Hosts::parse))]
+    pub(crate) allowed_hosts: Hosts,
     /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For header names the client.
-    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = checked(networks))]
-    pub trusted_proxies: Networks,
+    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = Checked(networks))]
+    pub(crate) trusted_proxies: Networks,
     /// The keys; `None`: no key is needed.
     #[arg(skip)]
-    pub keys: Option<KeysConfig>,
+    pub(crate) keys: Option<KeysConfig>,
     /// Certificate and key; `None`: plain HTTP.
     #[arg(skip)]
     pub tls: Option<TlsFiles>,
 }
 
-/// The keys at the start of the program, and the file that they are read from.
+/// The keys and the file that they are read from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct KeysConfig {
+pub(crate) struct KeysConfig {
     /// The keys of `--keys`, which do not change.
-    pub fixed: Keys,
-    /// The file of further keys.
-    pub file: Option<PathBuf>,
-    /// All keys.
-    pub all: Keys,
+    fixed: Keys,
+    pub(crate) file: Option<PathBuf>,
+    /// All keys at the start of the program.
+    pub(crate) all: Keys,
 }
 
 impl KeysConfig {
-    fn new(fixed: Keys, file: Option<PathBuf>) -> Result<Self, String> {
-        let mut keys = Self { all: fixed.clone(), fixed, file };
-        keys.all = keys.read()?;
-        if keys.all.is_empty() {
-            return Err("there is no key in it".to_owned());
-        }
-        Ok(keys)
-    }
-
     /// Reads the file and returns all keys.
-    /// Errors: The file and the reason.
-    pub fn read(&self) -> Result<Keys, String> {
+    pub(crate) fn read(&self) -> Result<Keys, String> {
         let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
         let in_file = |why: String| format!("{}: {why}", path.display());
-        let text = String::from_utf8(read_bounded(path, MAX_KEYS_FILE).map_err(in_file)?).map_err(|_| in_file("not UTF-8".to_owned()))?;
+        let bytes = read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?;
+        let text = String::from_utf8(bytes).map_err(|_| in_file("not UTF-8".to_owned()))?;
         let keys = Keys::parse(&text).map_err(in_file)?;
         if keys.is_empty() && self.fixed.is_empty() {
             return Err(in_file("there is no key in it".to_owned()));
@@ -119,18 +88,18 @@ impl KeysConfig {
 
 impl AuthConfig {
     /// The hosts that a listener without keys serves; `None`: all. On a loopback address this prevents DNS rebinding.
-    pub fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
+    pub(crate) fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
         Some(&self.allowed_hosts).filter(|_| is_loopback(listen))
     }
 
     /// The hosts that the service serves; `None`: all.
-    pub fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
+    pub(crate) fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
         let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
         listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
     }
 
     /// Whether keys travel unencrypted to a listener that other machines can reach.
-    pub fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
+    pub(crate) fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
         self.keys.is_some() && self.tls.is_none() && !is_loopback(listen)
     }
 
@@ -138,7 +107,8 @@ impl AuthConfig {
     pub(super) fn load(&mut self) {
         if self.keys_file.is_some() || !self.fixed_keys.is_empty() {
             let flag = if self.keys_file.is_some() { "keys-file" } else { "keys" };
-            self.keys = report(flag, KeysConfig::new(self.fixed_keys.clone(), self.keys_file.clone()));
+            let keys = KeysConfig { fixed: self.fixed_keys.clone(), file: self.keys_file.clone(), all: Keys::default() };
+            self.keys = report(flag, keys.read()).map(|all| KeysConfig { all, ..keys });
         }
         match (self.tls_cert.clone(), self.tls_key.clone()) {
             (None, None) => {}
@@ -154,13 +124,9 @@ impl AuthConfig {
     /// Reports a listener that other machines can reach without keys, unless it was asked for.
     pub(super) fn check_open(&self, listen: SocketAddr) {
         if !is_loopback(listen) && self.keys.is_none() && !self.allow_anonymous {
-            report::<()>(
-                "listen",
-                Err(format!(
-                    "{listen} is not a loopback address and there are no keys; give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
-                     or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)"
-                )),
-            );
+            let ways = "give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
+                        or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)";
+            report::<()>("listen", Err(format!("{listen} is not a loopback address and there are no keys; {ways}")));
         }
     }
 }
@@ -171,6 +137,10 @@ fn is_loopback(listen: SocketAddr) -> bool {
 
 fn boolean(text: &str) -> Result<bool, String> {
     text.parse().map_err(|_| format!("`{text}` is neither true nor false"))
+}
+
+fn path(text: &str) -> Result<PathBuf, String> {
+    text.parse().map_err(|never: Infallible| match never {})
 }
 
 fn networks(text: &str) -> Result<Networks, String> {

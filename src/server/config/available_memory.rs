@@ -1,36 +1,31 @@
-//! How much memory there is for this process: the least of what the machine has and what its control groups allow (Linux). What cannot be read
-//! allows everything.
+//! The memory that this process may use: the least of the machine's and of the limits of its control groups (Linux).
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where nothing can be read, bytes.
-const UNKNOWN: u64 = 2 << 30;
-
-/// Bytes that this process may come to hold before the kernel ends it.
 pub(super) fn bytes() -> u64 {
-    let read = |path: &Path| fs::read_to_string(path).ok();
-    least(&read).unwrap_or(UNKNOWN)
+    const IF_UNKNOWN: u64 = 2 << 30;
+    least(&|path| fs::read_to_string(path).ok()).unwrap_or(IF_UNKNOWN)
 }
 
 fn least(read: &dyn Fn(&Path) -> Option<String>) -> Option<u64> {
-    let machine = read(Path::new("/proc/meminfo")).as_deref().and_then(total);
+    let machine = read(Path::new("/proc/meminfo")).and_then(|text| kib_field(&text, "MemTotal:"));
     let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
-    let limits = groups.lines().flat_map(files).filter_map(|file| read(&file)?.trim().parse().ok());
+    let limits = groups.lines().flat_map(limit_files).filter_map(|file| read(&file)?.trim().parse().ok());
     limits.chain(machine).min()
 }
 
-/// `MemTotal:       24612345 kB`
-fn total(meminfo: &str) -> Option<u64> {
-    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+/// The bytes of a line such as `MemTotal:       24612345 kB`.
+pub(crate) fn kib_field(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// The limits of a group and of those that it lies in: `0::/a/b` of version 2, `5:memory:/a/b` of version 1. In a container the group's own path is often
-/// not to be seen, and its limit lies at the root.
-fn files(line: &str) -> Vec<PathBuf> {
-    let mut fields = line.splitn(3, ':');
-    let (Some(_), Some(controllers), Some(path)) = (fields.next(), fields.next(), fields.next()) else { return Vec::new() };
+/// The files with the limits of a group and of its ancestors: `0::/a/b` of version 2, `5:memory:/a/b` of version 1. A container often sees
+/// only the limit at the root.
+fn limit_files(line: &str) -> Vec<PathBuf> {
+    let mut fields = line.splitn(3, ':').skip(1);
+    let (Some(controllers), Some(path)) = (fields.next(), fields.next()) else { return Vec::new() };
     let (root, file) = match controllers {
         "" => ("/sys/fs/cgroup", "memory.max"),
         _ if controllers.split(',').any(|controller| controller == "memory") => ("/sys/fs/cgroup/memory", "memory.limit_in_bytes"),

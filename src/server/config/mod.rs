@@ -1,43 +1,34 @@
 //! The command line: flags and `MLSWARP_*` variables. A flag takes precedence over its variable, a variable over the default.
 
 mod auth;
-mod available_memory;
+pub(crate) mod available_memory;
 mod clients;
 mod option;
 mod store;
 mod telemetry;
-mod timeouts;
-mod units;
 mod work;
 
 use std::ffi::OsString;
-use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use clap::error::ErrorKind;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
-use option::{checked, checked_or, size, take_mistakes, variable, whole};
+use option::{Checked, size, take_mistakes, variable, whole};
 
-pub use auth::{AuthConfig, KeysConfig};
-pub use clients::{ClientLimits, ClientShare};
+pub use auth::AuthConfig;
+pub(crate) use auth::KeysConfig;
+pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
-pub use timeouts::Timeouts;
 pub use work::WorkConfig;
-
-/// The address without `--listen`.
-const LISTEN: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 8080);
 
 /// The command line.
 #[derive(Debug, Parser)]
-#[command(
-    name = "mlswarp",
-    version,
-    args_override_self = true,
-    about = "Deforms images with control handles (moving least squares), over HTTP or offline."
-)]
+#[command(name = "mlswarp", version, args_override_self = true)]
+#[command(about = "Deforms images with control handles (moving least squares), over HTTP or offline.")]
 #[command(
     after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names."
 )]
@@ -73,28 +64,28 @@ pub enum Command {
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct Config {
     /// Address and port of the service.
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = checked_or(LISTEN, address))]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
     pub listen: SocketAddr,
     /// Workers, queues and memory.
     #[command(flatten)]
     pub work: WorkConfig,
     /// Maximum size of a request body.
-    #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = Checked(size))]
     pub max_body_bytes: u64,
     /// Maximum size of a warp object. (The JSON of a drag: 64 KiB and 64 bytes per column.)
-    #[arg(long, value_name = "SIZE", default_value = "4MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "4MiB", value_parser = Checked(size))]
     pub max_warp_json_bytes: u64,
     /// Maximum number of pixels of a source or target.
-    #[arg(long, value_name = "N", default_value = "50M", value_parser = checked(whole::<u64>(1, u64::from(u32::MAX))))]
+    #[arg(long, value_name = "N", default_value = "50M", value_parser = Checked(whole::<u64>(1, u64::from(u32::MAX))))]
     max_image_pixels: u64,
     /// Maximum width and height of a source or target, px.
-    #[arg(long, value_name = "N", default_value = "16384", value_parser = checked(whole::<u32>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "16384", value_parser = Checked(whole::<u32>(1, 1_000_000)))]
     max_image_side: u32,
     /// Maximum number of columns of a plan: 1 per point, 2 per segment.
-    #[arg(long, value_name = "N", default_value = "10000", value_parser = checked(whole::<usize>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(1, 1_000_000)))]
     max_columns: usize,
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
-    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = checked(size))]
+    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
     /// The session store.
     #[command(flatten)]
@@ -113,29 +104,6 @@ pub struct Config {
     pub telemetry: TelemetryConfig,
 }
 
-/// Why a command line was not accepted.
-#[derive(Debug)]
-pub enum ArgsError {
-    /// Unknown or missing arguments; also the texts of `--help` and `--version`.
-    Usage(clap::Error),
-    /// Every wrong value.
-    Mistakes(Vec<String>),
-}
-
-impl fmt::Display for ArgsError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Usage(error) => error.fmt(f),
-            Self::Mistakes(mistakes) => {
-                mistakes.iter().try_for_each(|mistake| writeln!(f, "error: {mistake}"))?;
-                write!(f, "mlswarp --help lists the options with their defaults")
-            }
-        }
-    }
-}
-
-impl std::error::Error for ArgsError {}
-
 /// The command with all options; each has a variable and may stand before or after the subcommand.
 pub fn command() -> clap::Command {
     Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
@@ -146,31 +114,33 @@ pub fn command() -> clap::Command {
 
 impl Cli {
     /// Reads a command line and the environment.
-    /// Errors: All mistakes at once. A server that other machines can reach without keys is one, unless `--allow-anonymous` is given.
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
+    /// Errors: All mistakes at once, one per line. Without `--allow-anonymous`, a server that others can reach without keys is one.
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Self::read_with(command(), args)
     }
 
-    fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, ArgsError> {
+    fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, clap::Error> {
         drop(take_mistakes());
-        let matches = command.try_get_matches_from(args).map_err(ArgsError::Usage)?;
-        let mut cli = Self::from_arg_matches(&matches).map_err(ArgsError::Usage)?;
-        let config = &mut cli.config;
-        config.auth.load();
-        config.telemetry.check_listen(config.listen);
+        let mut cli = Self::from_arg_matches(&command.try_get_matches_from(args)?)?;
+        cli.config.auth.load();
+        cli.config.telemetry.check_listen(cli.config.listen);
         let mut mistakes = take_mistakes();
         if mistakes.is_empty() && matches!(cli.command, None | Some(Command::Serve)) {
             cli.config.auth.check_open(cli.config.listen);
             mistakes = take_mistakes();
         }
-        if mistakes.is_empty() { Ok(cli) } else { Err(ArgsError::Mistakes(mistakes)) }
+        if mistakes.is_empty() {
+            return Ok(cli);
+        }
+        let text = format!("{}\nmlswarp --help lists the options with their defaults\n", mistakes.join("\nerror: "));
+        Err(clap::Error::raw(ErrorKind::ValueValidation, text))
     }
 }
 
 impl Config {
     /// Reads the options of a command line.
     /// Errors: As [`Cli::read`].
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, ArgsError> {
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Cli::read(args).map(|cli| cli.config)
     }
 
@@ -198,7 +168,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 mod tests {
     use super::*;
 
-    fn resolve(args: &[&str]) -> Result<Config, ArgsError> {
+    fn resolve(args: &[&str]) -> Result<Config, clap::Error> {
         Config::read([&["mlswarp"], args].concat())
     }
 
@@ -223,7 +193,8 @@ mod tests {
         let mistakes =
             resolve(&["--listen", "here", "--workers", "none", "--max-body-bytes", "0", "--body-timeout", "30", "--log-format", "xml"])
                 .expect_err("five mistakes");
-        let ArgsError::Mistakes(mistakes) = mistakes else { panic!("{mistakes}") };
+        let text = mistakes.to_string();
+        let mistakes: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
         assert_eq!(mistakes.len(), 5, "{mistakes:?}");
         for flag in ["--listen (MLSWARP_LISTEN)", "--workers", "--max-body-bytes", "--body-timeout", "--log-format"] {
             assert!(mistakes.iter().any(|m| m.starts_with(flag)), "{flag} in {mistakes:?}");

@@ -2,25 +2,25 @@
 
 use clap::Args;
 
-use super::option::{checked, whole};
-use super::units::{bytes, span};
+use super::option::{Checked, bytes, span, whole};
 use crate::store::{Bounds, StoreUrl};
 
 /// Where sessions are stored, and how many.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct StoreConfig {
     /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
-    #[arg(long = "store", value_name = "STORE", default_value = "memory", hide_env_values = true, value_parser = checked(str::parse::<StoreUrl>))]
+    #[arg(long = "store", value_name = "STORE", default_value = "memory", hide_env_values = true)]
+    #[arg(value_parser = Checked(str::parse::<StoreUrl>))]
     pub url: StoreUrl,
     /// Time after which an unused session expires.
-    #[arg(long, value_name = "TIME", default_value = "15m", value_parser = checked(span))]
+    #[arg(long, value_name = "TIME", default_value = "15m", value_parser = Checked(span))]
     pub session_idle: std::time::Duration,
     /// Maximum number of sessions; further ones are answered 503. (Redis: limited by its own memory only.)
-    #[arg(long, value_name = "N", default_value = "10000", value_parser = checked(whole::<usize>(0, 100_000_000)))]
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(0, 100_000_000)))]
     max_sessions: usize,
-    /// Maximum size of the sessions' records and image files; further ones are answered 503. (Redis: memory for the records that this process
-    /// keeps a copy of; Redis itself is limited by its `maxmemory`.)
-    #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = checked(bytes))]
+    /// Maximum size of the sessions' records and image files; further ones are answered 503. (Redis: memory for the records that this
+    /// process keeps a copy of; Redis itself is limited by its `maxmemory`.)
+    #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = Checked(bytes))]
     store_bytes: u64,
 }
 

@@ -6,27 +6,27 @@ use std::str::FromStr as _;
 use clap::Args;
 
 use super::address;
-use super::option::{Maybe, checked, checked_or, report};
+use super::option::{Checked, Maybe, report, unless};
 use crate::observe::LogFormat;
-use crate::observe::collector::Collector;
+use crate::observe::otlp_client::{CollectorUrl, parse_collector};
 
 /// Logs, traces and metrics.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub struct TelemetryConfig {
     /// Additional address and port for /metrics, /healthz and /readyz, without keys and without TLS.
-    #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true, value_parser = checked(optional_address))]
+    #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true, value_parser = Checked(unless("", address)))]
     pub metrics_listen: Maybe<SocketAddr>,
     /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or https://collector.example; spans are sent to its /v1/traces.
-    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true, value_parser = checked(optional_collector))]
-    pub otlp_endpoint: Maybe<Collector>,
+    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true, value_parser = Checked(unless("", parse_collector)))]
+    pub(crate) otlp_endpoint: Maybe<CollectorUrl>,
     /// Ratio of requests and frames that are traced, 0 to 1, unless the caller has decided.
-    #[arg(long, value_name = "RATIO", default_value = "1", value_parser = checked(ratio))]
+    #[arg(long, value_name = "RATIO", default_value = "1", value_parser = Checked(ratio))]
     pub otlp_sample: f64,
     /// Log filter, such as `info`, `mlswarp=debug,warn` or `off`.
-    #[arg(long, value_name = "FILTER", default_value = "info", value_parser = checked(filter))]
+    #[arg(long, value_name = "FILTER", default_value = "info", value_parser = Checked(filter))]
     pub log: String,
     /// Format of log lines: `text` or `json`.
-    #[arg(long, value_name = "FORMAT", default_value = "text", value_parser = checked_or(LogFormat::Text, log_format))]
+    #[arg(long, value_name = "FORMAT", default_value = "text", value_parser = Checked(log_format))]
     pub log_format: LogFormat,
 }
 
@@ -39,18 +39,9 @@ impl TelemetryConfig {
             other.port() == listen.port() && other.port() != 0 && (theirs == ours || theirs.is_unspecified() || ours.is_unspecified())
         };
         if let Some(taken) = self.metrics_listen.filter(is_taken) {
-            let mistake = format!("{taken} is the address of the service (--listen); choose another port");
-            report::<()>("metrics-listen", Err(mistake));
+            report::<()>("metrics-listen", Err(format!("{taken} is the address of the service (--listen); choose another port")));
         }
     }
-}
-
-fn optional_address(text: &str) -> Result<Maybe<SocketAddr>, String> {
-    if text.is_empty() { Ok(None) } else { address(text).map(Some) }
-}
-
-fn optional_collector(text: &str) -> Result<Maybe<Collector>, String> {
-    if text.is_empty() { Ok(None) } else { Collector::parse(text).map(Some) }
 }
 
 fn ratio(text: &str) -> Result<f64, String> {

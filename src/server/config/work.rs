@@ -5,11 +5,10 @@ use std::time::Duration;
 use clap::Args;
 
 use super::available_memory;
-use super::option::{Maybe, checked, unless, whole};
-use super::units::{bytes, span};
+use super::option::{Checked, Maybe, bytes, span, unless, whole};
 
 /// The shortest automatic queue: a drag takes milliseconds, so that even one core serves this many.
-pub(crate) const MIN_QUEUE: usize = 64;
+pub(super) const MIN_QUEUE: usize = 64;
 /// Tenths of the available memory that clients may use; the rest is for the program, its stacks, the allocator and the kernel's buffers.
 const TENTHS: u64 = 6;
 /// The service does not start with less memory.
@@ -19,25 +18,25 @@ const MIN_MEMORY: u64 = 16 << 20;
 #[derive(Args, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkConfig {
     /// Number of compute threads, and of requests that run at one time; separately for drags and for uploads. auto = number of cores.
-    #[arg(long, value_name = "N", default_value = "auto", value_parser = checked(workers))]
+    #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(workers))]
     pub workers: usize,
     /// Number of drags, and of uploads, that may wait for a worker; further ones are answered 503. auto = 4 times the workers, at least 64.
-    #[arg(long, value_name = "N", default_value = "auto", value_parser = checked(unless("auto", whole::<usize>(0, 100_000))))]
+    #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(unless("auto", whole::<usize>(0, 100_000))))]
     queue: Maybe<usize>,
     /// Maximum time that a drag waits for a worker; then it is answered 503.
-    #[arg(long, value_name = "TIME", default_value = "200ms", value_parser = checked(span))]
+    #[arg(long, value_name = "TIME", default_value = "200ms", value_parser = Checked(span))]
     pub drag_wait: Duration,
     /// Maximum time that an upload, or a drag whose image or plan must be rebuilt, waits for a worker; then it is answered 503.
-    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = checked(span))]
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = Checked(span))]
     pub upload_wait: Duration,
     /// Memory for uploads, images, plans, responses and sockets. auto = 6 tenths of the memory of the machine or of the control group.
-    #[arg(long, value_name = "SIZE", default_value = "auto", value_parser = checked(memory_bytes))]
+    #[arg(long, value_name = "SIZE", default_value = "auto", value_parser = Checked(memory_bytes))]
     pub memory_bytes: u64,
     /// Part of it that decoded images may use while no request uses them.
-    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = checked(bytes))]
+    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
     pub image_cache_bytes: u64,
     /// Part of it that plans may use while no request uses them.
-    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = checked(bytes))]
+    #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
     pub plan_cache_bytes: u64,
 }
 

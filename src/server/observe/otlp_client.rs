@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use http_body_util::{BodyExt as _, Full, Limited};
+use hyper::Uri;
 use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{HOST, HeaderValue};
 use hyper_util::rt::TokioIo;
@@ -20,15 +21,35 @@ use tokio::runtime::Handle;
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
-use super::collector::Collector;
 use crate::auth::tls::Connector;
 
-/// Maximum size of a collector's response.
 const MAX_RESPONSE_BYTES: usize = 64 << 10;
-/// Maximum time for a collector to accept a batch.
+/// Of one batch.
 const EXPORT_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A client of one collector.
+/// The address of a collector, with scheme, host, port and path.
+pub(crate) type CollectorUrl = Uri;
+
+/// Reads `http[s]://host[:port][/path]`.
+pub(crate) fn parse_collector(text: &str) -> Result<CollectorUrl, String> {
+    let is_no_address = || format!("`{text}` is not an address such as http://127.0.0.1:4318");
+    let uri: Uri = text.parse().map_err(|_| is_no_address())?;
+    let default_port = match uri.scheme_str() {
+        Some("http") => 80,
+        Some("https") => 443,
+        _ => return Err(is_no_address()),
+    };
+    let (host, authority) = (uri.host().unwrap_or_default(), uri.authority().map_or("", |authority| authority.as_str()));
+    let port = uri.port_u16().unwrap_or(default_port);
+    let has_more = text.contains(['?', '#']) || (authority != host && uri.port().is_none_or(|port| authority != format!("{host}:{port}")));
+    if host.is_empty() || has_more {
+        let why = "has no host, or more than a host, a port and a path; set headers in OTEL_EXPORTER_OTLP_HEADERS";
+        return Err(format!("`{text}` {why}"));
+    }
+    let url = Uri::builder().scheme(uri.scheme_str().unwrap_or_default()).authority(format!("{host}:{port}"));
+    url.path_and_query(format!("{}/v1/traces", uri.path().trim_end_matches('/'))).build().map_err(|_| is_no_address())
+}
+
 #[derive(Clone)]
 pub(crate) struct OtlpClient(Arc<ClientState>);
 
@@ -42,6 +63,9 @@ struct ClientState {
     runtime: Handle,
 }
 
+trait Stream: AsyncRead + AsyncWrite + Unpin + Send {}
+impl<S: AsyncRead + AsyncWrite + Unpin + Send> Stream for S {}
+
 impl fmt::Debug for OtlpClient {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("OtlpClient").field("authority", &self.0.authority).finish_non_exhaustive()
@@ -49,12 +73,11 @@ impl fmt::Debug for OtlpClient {
 }
 
 impl OtlpClient {
-    /// # Errors
-    /// There is no runtime. With TLS: no root certificates are trusted, or the collector's name is invalid.
-    pub(crate) fn new(collector: &Collector, rejected: Arc<AtomicU64>) -> Result<Self, String> {
-        let tls = collector.is_tls.then(|| Connector::new(collector.host())).transpose()?;
+    pub(crate) fn new(collector: &CollectorUrl, rejected: Arc<AtomicU64>) -> Result<Self, String> {
+        let host = collector.host().unwrap_or_default().trim_matches(['[', ']']);
+        let tls = (collector.scheme_str() == Some("https")).then(|| Connector::new(host)).transpose()?;
         let runtime = Handle::try_current().map_err(|error| error.to_string())?;
-        let authority = collector.authority.clone();
+        let authority = collector.authority().map(ToString::to_string).unwrap_or_default();
         Ok(Self(Arc::new(ClientState { authority, tls, rejected, connection: Mutex::new(None), runtime })))
     }
 }
@@ -62,10 +85,14 @@ impl OtlpClient {
 impl ClientState {
     async fn connect(&self) -> Result<SendRequest<Full<Bytes>>, HttpError> {
         let stream = TcpStream::connect(&self.authority).await?;
-        match &self.tls {
-            Some(connector) => start(connector.connect(stream).await?).await,
-            None => start(stream).await,
-        }
+        let stream: Box<dyn Stream> = match &self.tls {
+            Some(connector) => Box::new(connector.connect(stream).await?),
+            None => Box::new(stream),
+        };
+        let (sender, connection) = handshake(TokioIo::new(stream)).await?;
+        // Ends with the sender, which also returns its errors.
+        tokio::spawn(connection);
+        Ok(sender)
     }
 
     async fn send(&self, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
@@ -75,9 +102,8 @@ impl ClientState {
         head.uri = head.uri.path().parse()?;
         // Taken out: a cancelled request leaves no connection with a half-read response behind.
         let mut slot = self.connection.lock().await;
-        let kept = slot.take().filter(|connection| !connection.is_closed());
-        let mut connection = match kept {
-            Some(kept) => kept,
+        let mut connection = match slot.take().filter(|connection| !connection.is_closed()) {
+            Some(connection) => connection,
             None => self.connect().await?,
         };
         connection.ready().await?;
@@ -91,16 +117,6 @@ impl ClientState {
         self.rejected.fetch_add(u64::try_from(rejected).unwrap_or(0), Ordering::Relaxed);
         Ok(Response::from_parts(head, body))
     }
-}
-
-async fn start<S>(stream: S) -> Result<SendRequest<Full<Bytes>>, HttpError>
-where
-    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
-{
-    let (sender, connection) = handshake(TokioIo::new(stream)).await?;
-    // Ends with the sender, which also returns its errors.
-    tokio::spawn(connection);
-    Ok(sender)
 }
 
 impl HttpClient for OtlpClient {

@@ -1,9 +1,7 @@
-//! The sampler: which requests are traced.
-//!
-//! A caller that does not sample its request is followed always, one that samples it up to a rate: anybody may send that flag. All else is sampled
-//! at random, never by the trace's id, which a caller chooses.
+//! The sampler of traces. It follows a caller's decision not to sample always, and the decision to sample up to a rate. All other requests
+//! are sampled at random, never by the trace's id, which a caller chooses.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use opentelemetry::trace::{Link, SpanContext, SpanKind, TraceContextExt as _, TraceId, TraceState};
@@ -23,20 +21,14 @@ pub(crate) struct Sampler {
 
 impl Sampler {
     pub(crate) fn new(share: f64) -> Self {
-        let caller_limit = Bucket::new(CALLER_LIMIT.0, CALLER_LIMIT.1, Instant::now());
-        Self { share, caller_limit: Arc::new(Mutex::new(caller_limit)) }
+        Self { share, caller_limit: Arc::new(Mutex::new(Bucket::new(CALLER_LIMIT.0, CALLER_LIMIT.1, Instant::now()))) }
     }
 
-    /// Compares 63 random bits with the share.
     fn is_in_share(&self) -> bool {
         let random = u64::from_be_bytes(RandomIdGenerator::default().new_span_id().to_bytes()) >> 1;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_precision_loss, reason = "between 0 and 2^63")]
         let bound = (self.share * (1_u64 << 63) as f64) as u64;
         random < bound
-    }
-
-    fn is_within_caller_limit(&self) -> bool {
-        self.caller_limit.lock().unwrap_or_else(PoisonError::into_inner).take(Instant::now())
     }
 }
 
@@ -46,7 +38,9 @@ impl ShouldSample for Sampler {
         let is_sampled = match parent {
             None => self.is_in_share(),
             Some(parent) if !parent.is_remote() => parent.is_sampled(),
-            Some(caller) => caller.is_sampled() && (self.is_in_share() || self.is_within_caller_limit()),
+            Some(caller) => {
+                caller.is_sampled() && (self.is_in_share() || self.caller_limit.lock().is_ok_and(|mut limit| limit.take(Instant::now())))
+            }
         };
         let decision = if is_sampled { SamplingDecision::RecordAndSample } else { SamplingDecision::Drop };
         // The caller's `tracestate` is dropped.

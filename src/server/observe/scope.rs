@@ -1,5 +1,4 @@
-//! The request that the current code works on: its id and its span. A scope goes with the request's futures, and by its ticket to compute threads;
-//! outside of requests it is empty.
+//! The id and the span of the current request. A scope goes with the request's futures, and by its ticket to compute threads.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -8,6 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use opentelemetry::trace::{Span as _, SpanBuilder, SpanContext, SpanKind, Status, TraceContextExt as _, TraceId, Tracer as _};
 use opentelemetry::{Context, KeyValue};
+use opentelemetry_sdk::trace::Span;
 
 use super::tracer::Tracer;
 use crate::problem::Code;
@@ -18,12 +18,12 @@ tokio::task_local! {
 
 /// One request, or one frame of a drag. Clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Scope(Option<Arc<Request>>);
+pub(crate) struct Scope(Option<Arc<Request>>);
 
 #[derive(Debug)]
 struct Request {
     id: Arc<str>,
-    /// The context of the request's span, recorded or not.
+    /// Of the request's span, recorded or not.
     span_context: Option<SpanContext>,
     recorded: Option<RecordedSpan>,
 }
@@ -47,55 +47,44 @@ impl RecordedSpan {
 
 impl Drop for RecordedSpan {
     fn drop(&mut self) {
-        let ended = match *self.ended.get_mut() {
-            // The client left before an answer.
-            0 => self.nanos(Instant::now()),
-            ended => ended,
-        };
+        // 0: the client left before an answer.
+        let ended = Some(*self.ended.get_mut()).filter(|ended| *ended > 0).unwrap_or_else(|| self.nanos(Instant::now()));
         self.context.span().end_with_timestamp(self.start_time + Duration::from_nanos(ended));
     }
 }
 
-/// What a span tells of a request at its beginning.
-#[derive(Debug)]
-pub struct RequestInfo<'a> {
-    /// The caller's span, if it sent one.
-    pub parent: Context,
-    /// When the request arrived.
-    pub began: Instant,
-    /// The method, if HTTP defines it.
-    pub method: Option<&'static str>,
-    /// The pattern of the route, if there is one.
-    pub route: Option<&'a str>,
+/// What is known of a request at its beginning.
+pub(crate) struct RequestInfo<'a> {
+    /// The caller's span.
+    pub(crate) parent: Context,
+    pub(crate) began: Instant,
+    pub(crate) method: Option<&'static str>,
+    /// The pattern of the route.
+    pub(crate) route: Option<&'a str>,
     /// `http` or `https`.
-    pub scheme: &'static str,
+    pub(crate) scheme: &'static str,
 }
 
 impl Scope {
     /// A request without a trace. `id` is made of letters, digits, `-`, `_` and `.`.
-    pub fn untraced(id: &str) -> Self {
+    pub(crate) fn untraced(id: &str) -> Self {
         Self(Some(Arc::new(Request { id: id.into(), span_context: None, recorded: None })))
     }
 
-    /// A request whose span is named and described by `info`.
-    pub fn request(id: &str, tracer: &Tracer, info: &RequestInfo<'_>) -> Self {
+    pub(crate) fn request(id: &str, tracer: &Tracer, info: &RequestInfo<'_>) -> Self {
         let RequestInfo { parent, began, method, route, scheme } = info;
         Self::start(id.into(), tracer, parent, *began, |span| {
             span.set_attribute(KeyValue::new("http.request.method", method.unwrap_or("_OTHER")));
             span.set_attribute(KeyValue::new("url.scheme", *scheme));
-            let method = method.unwrap_or("HTTP");
-            match route {
-                Some(route) => {
-                    span.set_attribute(KeyValue::new("http.route", (*route).to_owned()));
-                    span.update_name(format!("{method} {route}"));
-                }
-                None => span.update_name(method),
+            span.update_name([method.unwrap_or("HTTP"), route.unwrap_or_default()].join(" ").trim_end().to_owned());
+            if let Some(route) = route {
+                span.set_attribute(KeyValue::new("http.route", (*route).to_owned()));
             }
         })
     }
 
-    /// A frame of the drag that this request opened. Its trace is its own, since the handshake's would have no end, and links to the handshake's.
-    pub fn frame(&self, tracer: Option<&Tracer>) -> Self {
+    /// A frame of the drag that this request opened. Its own trace links to the handshake's, which would have no end.
+    pub(crate) fn frame(&self, tracer: Option<&Tracer>) -> Self {
         let (Some(handshake), Some(tracer)) = (&self.0, tracer) else { return self.clone() };
         Self::start(Arc::clone(&handshake.id), tracer, &Context::new(), Instant::now(), |span| {
             span.update_name("drag frame");
@@ -105,16 +94,10 @@ impl Scope {
         })
     }
 
-    fn start(
-        id: Arc<str>,
-        tracer: &Tracer,
-        parent: &Context,
-        began: Instant,
-        describe: impl FnOnce(&mut opentelemetry_sdk::trace::Span),
-    ) -> Self {
+    fn start(id: Arc<str>, tracer: &Tracer, parent: &Context, began: Instant, describe: impl FnOnce(&mut Span)) -> Self {
         let start_time = SystemTime::now().checked_sub(began.elapsed()).unwrap_or(SystemTime::UNIX_EPOCH);
         let builder = SpanBuilder::from_name("").with_kind(SpanKind::Server).with_start_time(start_time);
-        let mut span = tracer.sdk().build_with_context(builder, parent);
+        let mut span = tracer.sdk.build_with_context(builder, parent);
         let span_context = Some(span.span_context().clone());
         let recorded = span.is_recording().then(|| {
             span.set_attribute(KeyValue::new("mlswarp.request_id", id.to_string()));
@@ -125,41 +108,34 @@ impl Scope {
     }
 
     /// The scope of the current code.
-    pub fn current() -> Self {
+    pub(crate) fn current() -> Self {
         CURRENT.try_with(Self::clone).unwrap_or_default()
     }
 
     /// The same request without its span, for work that goes on after the response: log lines still have its id.
-    pub fn answered(&self) -> Self {
+    pub(crate) fn answered(&self) -> Self {
         let Some(request) = &self.0 else { return Self::default() };
         Self(Some(Arc::new(Request { id: Arc::clone(&request.id), span_context: request.span_context.clone(), recorded: None })))
     }
 
-    /// The request's id.
-    pub fn id(&self) -> Option<&str> {
+    pub(crate) fn id(&self) -> Option<&str> {
         self.0.as_ref().map(|request| &*request.id)
     }
 
     /// The id of its trace, if traces are exported.
-    pub fn trace_id(&self) -> Option<TraceId> {
+    pub(crate) fn trace_id(&self) -> Option<TraceId> {
         self.0.as_ref()?.span_context.as_ref().map(SpanContext::trace_id)
     }
 
-    /// Runs `work` in this scope on this thread.
-    pub fn enter<T>(&self, work: impl FnOnce() -> T) -> T {
-        match &self.0 {
-            Some(_) => CURRENT.sync_scope(self.clone(), work),
-            None => work(),
-        }
+    pub(crate) fn enter<T>(&self, work: impl FnOnce() -> T) -> T {
+        if self.0.is_some() { CURRENT.sync_scope(self.clone(), work) } else { work() }
     }
 
-    /// Runs `future` in this scope.
-    pub fn wrap<F: Future>(self, future: F) -> impl Future<Output = F::Output> {
+    pub(crate) fn wrap<F: Future>(self, future: F) -> impl Future<Output = F::Output> {
         CURRENT.scope(self, future)
     }
 
-    /// The span is sampled: stages are recorded.
-    pub fn is_traced(&self) -> bool {
+    pub(crate) fn is_traced(&self) -> bool {
         self.recorded().is_some()
     }
 
@@ -168,7 +144,7 @@ impl Scope {
     }
 
     /// Records the response's status; the span ends here unless a stage goes on.
-    pub fn set_response(&self, status: u16, code: Option<Code>) {
+    pub(crate) fn set_response(&self, status: u16, code: Option<Code>) {
         if let Some(recorded) = self.recorded() {
             recorded.ended.fetch_max(recorded.nanos(Instant::now()), Ordering::Relaxed);
             recorded.context.span().set_attribute(KeyValue::new("http.response.status_code", i64::from(status)));
@@ -179,7 +155,7 @@ impl Scope {
     }
 
     /// Records a problem. A client's mistake is no error of the service.
-    pub fn set_error(&self, code: Code) {
+    pub(crate) fn set_error(&self, code: Code) {
         if let Some(recorded) = self.recorded() {
             let span = recorded.context.span();
             span.set_attribute(KeyValue::new("error.type", code.as_str()));
@@ -190,29 +166,25 @@ impl Scope {
     }
 
     /// Records a stage as a child span.
-    pub fn stage(&self, name: &'static str, began: Instant, ended: Instant) {
+    pub(crate) fn stage(&self, name: &'static str, began: Instant, ended: Instant) {
         if let Some(recorded) = self.recorded() {
             let (began, ended) = (recorded.nanos(began), recorded.nanos(ended));
             let at = |nanos| recorded.start_time + Duration::from_nanos(nanos);
             let builder = SpanBuilder::from_name(name).with_start_time(at(began));
-            recorded.tracer.sdk().build_with_context(builder, &recorded.context).end_with_timestamp(at(ended));
+            recorded.tracer.sdk.build_with_context(builder, &recorded.context).end_with_timestamp(at(ended));
             recorded.ended.fetch_max(ended, Ordering::Relaxed);
         }
     }
 }
 
 /// Records a stage of the current request that ends now.
-pub fn stage(name: &'static str, began: Instant) {
+pub(crate) fn stage(name: &'static str, began: Instant) {
     // Without cloning the scope: every frame of a drag calls this.
-    let _ = CURRENT.try_with(|scope| {
-        if scope.is_traced() {
-            scope.stage(name, began, Instant::now());
-        }
-    });
+    let _ = CURRENT.try_with(|scope| scope.stage(name, began, Instant::now()));
 }
 
 /// Awaits `future` as a stage of the current request.
-pub async fn in_stage<T>(name: &'static str, future: impl Future<Output = T>) -> T {
+pub(crate) async fn in_stage<T>(name: &'static str, future: impl Future<Output = T>) -> T {
     let began = Instant::now();
     let output = future.await;
     stage(name, began);

@@ -1,4 +1,4 @@
-//! The OpenTelemetry tracer: the SDK's provider and batch processor with our sampler, our bounds and counters of exported and dropped spans.
+//! The OpenTelemetry tracer: the SDK's provider and batch processor, with a bounded queue and counters of exported and dropped spans.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -13,28 +13,26 @@ use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{
     BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanLimits, SpanProcessor,
 };
+use prometheus_client::metrics::counter::Counter;
 use tokio::time::Instant;
 
-use super::collector::Collector;
-use super::otlp_client::OtlpClient;
+use super::otlp_client::{CollectorUrl, OtlpClient};
 use super::sampler::Sampler;
 
-/// The name of the service in every trace.
 const SERVICE: &str = "mlswarp";
-/// Maximum number of spans that wait to be exported, about half a kilobyte each; a request has eight.
+/// Spans of about half a kilobyte each; a request has eight.
 const MAX_QUEUED: usize = 16_384;
-/// Spans in one export.
-const BATCH: usize = 2048;
-/// Maximum time until a span is exported.
+const MAX_BATCH: usize = 2048;
 const EXPORT_INTERVAL: Duration = Duration::from_secs(1);
-/// How often a shutdown looks for spans that have not ended.
-const POLL: Duration = Duration::from_millis(5);
+const SHUTDOWN_POLL: Duration = Duration::from_millis(5);
 
-/// The state of the export, and how many spans reached the collector.
+/// The state of the export.
 #[derive(Debug, Default)]
 pub struct ExportStats {
-    exported: AtomicU64,
-    dropped: AtomicU64,
+    /// Spans that the collector has accepted.
+    pub exported: Counter,
+    /// Spans that were lost: the queue was full, or the collector did not accept them.
+    pub dropped: Counter,
     /// Spans that have not ended.
     open: AtomicUsize,
     queued: AtomicUsize,
@@ -44,30 +42,35 @@ pub struct ExportStats {
     is_shut_down: AtomicBool,
 }
 
-impl ExportStats {
-    /// Spans that the collector has accepted.
-    pub fn exported(&self) -> u64 {
-        self.exported.load(Ordering::Relaxed)
-    }
-
-    /// Spans that were lost: the queue was full, or the collector did not accept them.
-    pub fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
-    }
-}
-
 /// Starts spans. Clones share it.
 #[derive(Clone, Debug)]
 pub struct Tracer {
-    sdk: SdkTracer,
+    pub(crate) sdk: SdkTracer,
     queue: SpanQueue,
 }
 
 impl Tracer {
-    /// Starts to export to `collector`; `share` of the requests without a caller's decision are traced. Needs a runtime.
-    /// Errors: The exporter cannot be made with this address and OpenTelemetry's variables.
-    pub fn new(collector: &Collector, share: f64) -> Result<Self, String> {
-        let queue = SpanQueue::new(collector).map_err(|why| format!("traces cannot be exported to {collector}: {why}"))?;
+    /// Starts to export to `collector` a `share` of the requests whose callers have not decided. Needs a runtime.
+    pub(crate) fn new(collector: &CollectorUrl, share: f64) -> Result<Self, String> {
+        let failed = |why: String| format!("traces cannot be exported to {collector}: {why}");
+        let (stats, rejected) = (Arc::<ExportStats>::default(), Arc::<AtomicU64>::default());
+        let mut exporter = SpanExporter::builder()
+            .with_http()
+            .with_endpoint(collector.to_string())
+            .with_protocol(Protocol::HttpBinary)
+            .with_http_client(OtlpClient::new(collector, Arc::clone(&rejected)).map_err(failed)?)
+            // A retry would stop the queue; lost spans are counted instead.
+            .with_retry_policy(RetryPolicy::disabled())
+            .build()
+            .map_err(|error| failed(error.to_string()))?;
+        opentelemetry_sdk::trace::SpanExporter::set_resource(&mut exporter, &resource());
+        let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
+        let config = BatchConfigBuilder::default()
+            .with_max_queue_size(MAX_QUEUED)
+            .with_max_export_batch_size(MAX_BATCH)
+            .with_scheduled_delay(EXPORT_INTERVAL)
+            .build();
+        let queue = SpanQueue { batches: Arc::new(BatchSpanProcessor::new(exporter, config)), stats };
         let provider = SdkTracerProvider::builder()
             .with_sampler(Sampler::new(share))
             // Set here, or variables of the environment would set them.
@@ -78,20 +81,16 @@ impl Tracer {
         Ok(Self { sdk: provider.tracer_with_scope(scope), queue })
     }
 
-    /// Counters of exported and dropped spans.
+    /// The state of the export.
     pub fn stats(&self) -> &ExportStats {
         &self.queue.stats
     }
 
-    pub(crate) const fn sdk(&self) -> &SdkTracer {
-        &self.sdk
-    }
-
     /// Exports what is left, for at most `timeout`. A thread may still hold the span of an answered request: it has a quarter of that time.
-    pub async fn shutdown(&self, timeout: Duration) {
+    pub(crate) async fn shutdown(&self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
         while self.stats().open.load(Ordering::Relaxed) > 0 && Instant::now() < deadline - timeout * 3 / 4 {
-            tokio::time::sleep(POLL).await;
+            tokio::time::sleep(SHUTDOWN_POLL).await;
         }
         self.stats().is_shut_down.store(true, Ordering::Relaxed);
         let batches = Arc::clone(&self.queue.batches);
@@ -110,29 +109,6 @@ struct SpanQueue {
     stats: Arc<ExportStats>,
 }
 
-impl SpanQueue {
-    fn new(collector: &Collector) -> Result<Self, String> {
-        let (stats, rejected) = (Arc::<ExportStats>::default(), Arc::<AtomicU64>::default());
-        let mut exporter = SpanExporter::builder()
-            .with_http()
-            .with_endpoint(collector.to_string())
-            .with_protocol(Protocol::HttpBinary)
-            .with_http_client(OtlpClient::new(collector, Arc::clone(&rejected))?)
-            // A retry would stop the queue; lost spans are counted instead.
-            .with_retry_policy(RetryPolicy::disabled())
-            .build()
-            .map_err(|error| error.to_string())?;
-        opentelemetry_sdk::trace::SpanExporter::set_resource(&mut exporter, &resource());
-        let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
-        let config = BatchConfigBuilder::default()
-            .with_max_queue_size(MAX_QUEUED)
-            .with_max_export_batch_size(BATCH)
-            .with_scheduled_delay(EXPORT_INTERVAL)
-            .build();
-        Ok(Self { batches: Arc::new(BatchSpanProcessor::new(exporter, config)), stats })
-    }
-}
-
 impl SpanProcessor for SpanQueue {
     fn on_start(&self, _: &mut Span, _: &Context) {
         self.stats.open.fetch_add(1, Ordering::Relaxed);
@@ -146,7 +122,7 @@ impl SpanProcessor for SpanQueue {
             batches.on_end(span);
         } else {
             stats.queued.fetch_sub(1, Ordering::Relaxed);
-            stats.dropped.fetch_add(1, Ordering::Relaxed);
+            stats.dropped.inc();
         }
         stats.open.fetch_sub(1, Ordering::Relaxed);
     }
@@ -167,7 +143,7 @@ struct CountingExporter {
     exporter: SpanExporter,
     /// Spans that the collector rejected of the batch that it accepted.
     rejected: Arc<AtomicU64>,
-    collector: Collector,
+    collector: CollectorUrl,
     stats: Arc<ExportStats>,
 }
 
@@ -179,37 +155,27 @@ impl opentelemetry_sdk::trace::SpanExporter for CountingExporter {
         let result = exporter.export(batch).await;
         let rejected = rejected.swap(0, Ordering::Relaxed).min(count);
         let was_failing = stats.is_failing.swap(result.is_err(), Ordering::Relaxed);
-        let dropped = match &result {
-            Ok(()) => {
-                if was_failing {
-                    tracing::info!("traces are exported again ({collector})");
-                }
-                if rejected > 0 {
-                    tracing::debug!(rejected, "the collector rejected spans ({collector})");
-                }
-                rejected
-            }
-            Err(error) => {
-                if !was_failing {
-                    tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}");
-                }
-                count
-            }
-        };
-        stats.exported.fetch_add(count - dropped, Ordering::Relaxed);
-        stats.dropped.fetch_add(dropped, Ordering::Relaxed);
+        match &result {
+            Ok(()) if was_failing => tracing::info!("traces are exported again ({collector})"),
+            Err(error) if !was_failing => tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}"),
+            _ => {}
+        }
+        if result.is_ok() && rejected > 0 {
+            tracing::debug!(rejected, "the collector rejected spans ({collector})");
+        }
+        let dropped = if result.is_ok() { rejected } else { count };
+        stats.exported.inc_by(count - dropped);
+        stats.dropped.inc_by(dropped);
         result
     }
 }
 
 /// The resource of all spans: `OTEL_SERVICE_NAME` and `OTEL_RESOURCE_ATTRIBUTES` come before our own attributes.
 fn resource() -> Resource {
-    let own = [
-        KeyValue::new("service.version", env!("CARGO_PKG_VERSION")),
-        KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string()),
-    ];
-    let resource =
-        Resource::builder_empty().with_service_name(SERVICE).with_attributes(own).with_detector(Box::new(EnvResourceDetector::new()));
+    let version = KeyValue::new("service.version", env!("CARGO_PKG_VERSION"));
+    let instance = KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string());
+    let own = Resource::builder_empty().with_service_name(SERVICE).with_attributes([version, instance]);
+    let resource = own.with_detector(Box::new(EnvResourceDetector::new()));
     match std::env::var("OTEL_SERVICE_NAME").ok().filter(|name| !name.is_empty()) {
         Some(name) => resource.with_service_name(name).build(),
         None => resource.build(),
@@ -219,8 +185,8 @@ fn resource() -> Resource {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observe::Scope;
-    use crate::observe::scope::RequestInfo;
+    use crate::observe::otlp_client::parse_collector;
+    use crate::observe::{RequestInfo, Scope};
     use opentelemetry::trace::{SpanContext, TraceContextExt as _, TraceFlags, TraceState};
     use opentelemetry_sdk::trace::{IdGenerator as _, RandomIdGenerator};
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -231,9 +197,9 @@ mod tests {
         Scope::request("r", tracer, &info)
     }
 
-    async fn listen() -> (TcpListener, Collector) {
+    async fn listen() -> (TcpListener, CollectorUrl) {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let collector = Collector::parse(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
+        let collector = parse_collector(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
         (listener, collector)
     }
 
@@ -254,14 +220,14 @@ mod tests {
         };
         let ends = async { tokio::join!(takes, tracer.shutdown(Duration::from_secs(60)), late) };
         let _ = tokio::time::timeout(Duration::from_secs(30), ends).await;
-        assert_eq!((tracer.stats().exported(), tracer.stats().dropped()), (1, 0));
+        assert_eq!((tracer.stats().exported.get(), tracer.stats().dropped.get()), (1, 0));
         drop(request(&tracer, Context::new()));
-        assert_eq!(tracer.stats().dropped(), 1, "after the end");
+        assert_eq!(tracer.stats().dropped.get(), 1, "after the end");
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
     async fn a_request_belongs_to_its_callers_trace() {
-        let tracer = Tracer::new(&Collector::parse("http://127.0.0.1:1").unwrap(), 0.0).unwrap();
+        let tracer = Tracer::new(&parse_collector("http://127.0.0.1:1").unwrap(), 0.0).unwrap();
         let ids = RandomIdGenerator::default();
         let caller = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), TraceFlags::SAMPLED, true, TraceState::NONE);
         let scope = request(&tracer, Context::new().with_remote_span_context(caller.clone()));
@@ -277,11 +243,11 @@ mod tests {
         let tracer = Tracer::new(&collector, 1.0).unwrap();
         drop(request(&tracer, Context::new()));
         while tracer.stats().queued.load(Ordering::Relaxed) > 0 {
-            tokio::time::sleep(POLL).await;
+            tokio::time::sleep(SHUTDOWN_POLL).await;
         }
         for _ in 0..MAX_QUEUED + 10 {
             drop(request(&tracer, Context::new()));
         }
-        assert_eq!((tracer.stats().dropped(), tracer.stats().queued.load(Ordering::Relaxed)), (10, MAX_QUEUED));
+        assert_eq!((tracer.stats().dropped.get(), tracer.stats().queued.load(Ordering::Relaxed)), (10, MAX_QUEUED));
     }
 }
