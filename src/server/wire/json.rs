@@ -216,11 +216,12 @@ pub(crate) fn list(names: &[&str]) -> String {
 
 /// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end.
 fn next<'j>(rest: &mut &'j str) -> Option<&'j str> {
-    let text = rest.trim_start_matches([' ', '\t', '\n', '\r', ',', ':']);
-    if text.starts_with([']', '}']) {
+    let bytes = rest.as_bytes();
+    let start = bytes.iter().take_while(|b| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':')).count();
+    if matches!(bytes[start..], [b']' | b'}', ..]) {
         return None;
     }
-    let (value, after) = text.split_at_checked(length(text.as_bytes()))?;
+    let (value, after) = rest[start..].split_at_checked(length(&bytes[start..]))?;
     *rest = after;
     (!value.is_empty()).then_some(value)
 }
