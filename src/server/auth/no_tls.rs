@@ -41,10 +41,12 @@ pub(crate) const fn inner<S>(stream: &mut TlsStream<S>) -> &mut S {
     stream
 }
 
+#[cfg(feature = "otlp")]
 /// Never constructed.
 #[derive(Debug)]
 pub(crate) enum Connector {}
 
+#[cfg(feature = "otlp")]
 impl Connector {
     pub(crate) fn new(_: &str) -> Result<Self, String> {
         Err(NO_TLS.to_owned())

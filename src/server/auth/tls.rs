@@ -8,16 +8,15 @@ use std::sync::Arc;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_rustls::TlsAcceptor;
-use tokio_rustls::TlsConnector;
 pub(crate) use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
-use tokio_rustls::rustls::{
-    CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, RootCertStore, SignatureScheme, StreamOwned,
-};
+use tokio_rustls::rustls::{CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, SignatureScheme, StreamOwned};
 pub(crate) use tokio_rustls::server::TlsStream;
+#[cfg(feature = "otlp")]
+use tokio_rustls::{TlsConnector, rustls::RootCertStore};
 
 /// The ALPN name of HTTP/2.
 const H2: &[u8] = b"h2";
@@ -83,12 +82,14 @@ pub(crate) fn inner<S>(stream: &mut TlsStream<S>) -> &mut S {
     stream.get_mut().0
 }
 
+#[cfg(feature = "otlp")]
 /// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
 pub(crate) struct Connector {
     connector: TlsConnector,
     host: ServerName<'static>,
 }
 
+#[cfg(feature = "otlp")]
 impl Connector {
     /// Fails if there are no roots, or the host is neither a name nor an address.
     pub(crate) fn new(host: &str) -> Result<Self, String> {

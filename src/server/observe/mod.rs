@@ -2,6 +2,10 @@
 
 pub(crate) mod log_format;
 pub(crate) mod metrics;
+#[cfg(feature = "otlp")]
+pub(crate) mod otlp_client;
+#[cfg(not(feature = "otlp"))]
+#[path = "no_otlp.rs"]
 pub(crate) mod otlp_client;
 mod sampler;
 pub(crate) mod scope;

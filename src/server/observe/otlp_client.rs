@@ -13,7 +13,9 @@ use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{HOST, HeaderValue};
 use hyper_util::rt::TokioIo;
 use opentelemetry_http::{Bytes, HttpClient, HttpError, Request, Response};
+use opentelemetry_otlp::{Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceResponse;
+use opentelemetry_sdk::Resource;
 use prost::Message as _;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
@@ -50,8 +52,24 @@ pub(crate) fn parse_collector(text: &str) -> Result<CollectorUrl, String> {
     url.path_and_query(format!("{}/v1/traces", uri.path().trim_end_matches('/'))).build().map_err(|_| is_no_address())
 }
 
+/// An exporter to a collector, and the number of spans that the collector rejected of batches that it accepted.
+pub(super) fn exporter(collector: &CollectorUrl, resource: &Resource) -> Result<(SpanExporter, Arc<AtomicU64>), String> {
+    let rejected = Arc::<AtomicU64>::default();
+    let mut exporter = SpanExporter::builder()
+        .with_http()
+        .with_endpoint(collector.to_string())
+        .with_protocol(Protocol::HttpBinary)
+        .with_http_client(OtlpClient::new(collector, Arc::clone(&rejected))?)
+        // A retry would stop the queue; lost spans are counted instead.
+        .with_retry_policy(RetryPolicy::disabled())
+        .build()
+        .map_err(|error| error.to_string())?;
+    opentelemetry_sdk::trace::SpanExporter::set_resource(&mut exporter, resource);
+    Ok((exporter, rejected))
+}
+
 #[derive(Clone)]
-pub(crate) struct OtlpClient(Arc<ClientState>);
+struct OtlpClient(Arc<ClientState>);
 
 struct ClientState {
     authority: String,

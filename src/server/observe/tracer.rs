@@ -6,17 +6,16 @@ use std::time::Duration;
 
 use opentelemetry::trace::TracerProvider as _;
 use opentelemetry::{Context, InstrumentationScope, KeyValue};
-use opentelemetry_otlp::{Protocol, RetryPolicy, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{
-    BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanLimits, SpanProcessor,
+    BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanExporter, SpanLimits, SpanProcessor,
 };
 use prometheus_client::metrics::counter::Counter;
 use tokio::time::Instant;
 
-use super::otlp_client::{CollectorUrl, OtlpClient};
+use super::otlp_client::{self, CollectorUrl};
 use super::sampler::Sampler;
 
 const SERVICE: &str = "mlswarp";
@@ -53,17 +52,8 @@ impl Tracer {
     /// Starts to export to `collector` a `share` of the requests whose callers have not decided. Needs a runtime.
     pub(crate) fn new(collector: &CollectorUrl, share: f64) -> Result<Self, String> {
         let failed = |why: String| format!("traces cannot be exported to {collector}: {why}");
-        let (stats, rejected) = (Arc::<ExportStats>::default(), Arc::<AtomicU64>::default());
-        let mut exporter = SpanExporter::builder()
-            .with_http()
-            .with_endpoint(collector.to_string())
-            .with_protocol(Protocol::HttpBinary)
-            .with_http_client(OtlpClient::new(collector, Arc::clone(&rejected)).map_err(failed)?)
-            // A retry would stop the queue; lost spans are counted instead.
-            .with_retry_policy(RetryPolicy::disabled())
-            .build()
-            .map_err(|error| failed(error.to_string()))?;
-        opentelemetry_sdk::trace::SpanExporter::set_resource(&mut exporter, &resource());
+        let stats = Arc::<ExportStats>::default();
+        let (exporter, rejected) = otlp_client::exporter(collector, &resource()).map_err(failed)?;
         let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
         let config = BatchConfigBuilder::default()
             .with_max_queue_size(MAX_QUEUED)
@@ -139,15 +129,15 @@ impl SpanProcessor for SpanQueue {
 
 /// Counts what becomes of each batch, and logs when exports begin to fail and when they succeed again.
 #[derive(Debug)]
-struct CountingExporter {
-    exporter: SpanExporter,
+struct CountingExporter<E> {
+    exporter: E,
     /// Spans that the collector rejected of the batch that it accepted.
     rejected: Arc<AtomicU64>,
     collector: CollectorUrl,
     stats: Arc<ExportStats>,
 }
 
-impl opentelemetry_sdk::trace::SpanExporter for CountingExporter {
+impl<E: SpanExporter> SpanExporter for CountingExporter<E> {
     async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
         let Self { exporter, rejected, collector, stats } = self;
         stats.queued.fetch_sub(batch.len(), Ordering::Relaxed);
