@@ -1,5 +1,10 @@
 //! The service of mlswarp: image deformation over HTTP. The use cases are in [`app`], the routes in [`http`].
 
+#![allow(
+    rustdoc::private_intra_doc_links,
+    rustdoc::bare_urls,
+    reason = "the crate is read in its source; documentation of options is the help text too"
+)]
 #![forbid(unsafe_code)]
 
 pub mod app;
