@@ -36,6 +36,8 @@ impl std::fmt::Debug for WorkerState {
 #[derive(Default)]
 struct JobQueue {
     jobs: VecDeque<Job>,
+    /// Idle threads that poll, and those that sleep.
+    polling: usize,
     asleep: usize,
     is_closed: bool,
 }
@@ -60,12 +62,11 @@ impl WorkerThreads {
         self.0.waiting.load(Ordering::Relaxed) > 0
     }
 
-    /// Queues jobs and wakes as many threads. A job that panics ends its thread, so jobs catch panics.
+    /// Queues jobs, and wakes threads for those that no polling thread will take. A job that panics ends its thread, so jobs catch panics.
     pub(crate) fn submit(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();
-        let before = queue.jobs.len();
         queue.jobs.extend(jobs);
-        let wake = queue.asleep.min(queue.jobs.len() - before);
+        let wake = queue.asleep.min(queue.jobs.len().saturating_sub(queue.polling));
         self.0.waiting.store(queue.jobs.len(), Ordering::Release);
         drop(queue);
         for _ in 0..wake {
@@ -107,24 +108,26 @@ impl WorkerState {
 
     /// The next job; `None` when the threads are dropped.
     fn next(&self) -> Option<Job> {
-        let mut idle = None;
-        loop {
+        let mut queue = self.lock();
+        if let Some(job) = self.take(&mut queue) {
+            return Some(job);
+        }
+        queue.polling += 1;
+        drop(queue);
+        let began = Instant::now();
+        while began.elapsed() < POLL_TIME {
             if self.waiting.load(Ordering::Acquire) > 0 {
                 let mut queue = self.lock();
                 if let Some(job) = self.take(&mut queue) {
+                    queue.polling -= 1;
                     return Some(job);
                 }
-            }
-            if idle.get_or_insert_with(Instant::now).elapsed() >= POLL_TIME {
-                return self.sleep();
             }
             // Other threads may use this processor.
             std::thread::yield_now();
         }
-    }
-
-    fn sleep(&self) -> Option<Job> {
         let mut queue = self.lock();
+        queue.polling -= 1;
         loop {
             if let Some(job) = self.take(&mut queue) {
                 return Some(job);
