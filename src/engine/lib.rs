@@ -44,7 +44,8 @@
 //! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the mathematics alone, [`geometry`] the
 //! grids and meshes that it moves, [`render`] draws a deformed mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
 //!
-//! Modules depend on each other in one direction only: `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`.
+//! Modules depend on each other in one direction only: `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`;
+//! [`level`] chooses the vector instructions of all of them.
 //!
 //! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the mathematics and the renderer, and one
 //! dependency.

@@ -133,7 +133,7 @@ async fn a_request_that_takes_too_long_says_whose_fault_it_is() {
     let response = request.body(reqwest::Body::wrap_stream(slowly)).send().await.unwrap();
     assert!(response.headers().get("retry-after").is_none());
     let document = problem(response, 408, "timeout").await;
-    assert!(document["detail"].as_str().unwrap().contains("the body was not whole within the 1 s"), "{document}");
+    assert!(document["detail"].as_str().unwrap().contains("the body was incomplete after the 1 s"), "{document}");
 }
 
 const PAGE: &str = include_str!("../../api/problems.md");

@@ -183,7 +183,7 @@ async fn a_second_signal_waits_for_neither_delay_nor_grace_and_a_third_changes_n
     assert_eq!(hand.closed().await, 1012);
     program.terminate();
     let log = ends(program).await;
-    assert!(log.contains("told twice"), "{log}");
+    assert!(log.contains("second signal"), "{log}");
     assert!(told.elapsed() < Duration::from_secs(10), "{:?}", told.elapsed());
     assert_eq!(answer(begun).await, "", "its time was over");
 }

@@ -6,7 +6,7 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum CodecError {
     /// Not a supported format.
-    #[error("not an image that is read here: {found}; supported: PNG, JPEG, WebP")]
+    #[error("unsupported image format: {found}; supported: PNG, JPEG, WebP")]
     Unsupported {
         /// Description of the first bytes.
         found: String,

@@ -90,7 +90,7 @@ fn measured(what: &str, actual: u64) -> String {
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),
-        "output_side" => format!("the answer would have a side of {actual} px"),
+        "output_side" => format!("the output would have a side of {actual} px"),
         "output_pixels" => format!("the answer would have {actual} pixels"),
         _ => format!("{what}: {actual}"),
     }

@@ -156,7 +156,7 @@ impl App {
         Ok(AdmittedPlan { ticket, planned })
     }
 
-    /// Admits a step of a drag: as a drag if everything that it uses is cached, otherwise as an upload.
+    /// Admits a step of a drag: as a drag if everything that it uses is cached and the plan has a table, otherwise as an upload.
     async fn admit_step(&self, client: Client, record: &Record, setup: &Setup, has_image: bool) -> Result<Ticket, Problem> {
         let is_cached = has_image && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
         let class = if is_cached { WorkClass::Drag } else { WorkClass::Upload };

@@ -1,4 +1,5 @@
-//! The use cases, one file each, and the state that they share. There is no HTTP and no JSON here; every error is a [`Problem`].
+//! The use cases, one file each, and the state that they share. HTTP is not known here, and `wire` defines the JSON. Every error is a
+//! [`Problem`].
 
 pub mod client_sessions;
 pub mod drag;
@@ -227,7 +228,7 @@ impl App {
         self.0.setups.clear();
     }
 
-    /// Whether a new client would be served, and with what; answers within about a second. A service that loses its store stays ready: a
+    /// Whether a new client would be served, and whether the store is available; answers within about a second. A service that loses its store stays ready: a
     /// store is unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue
     /// without it. Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {

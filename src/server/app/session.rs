@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, setup_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, revision_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -26,7 +26,7 @@ impl App {
         self.open_prepared(client, prepared).await
     }
 
-    /// Opens a session from what has been warped.
+    /// Opens a session from an upload that was already prepared.
     /// Errors: Too little capacity.
     pub async fn open_prepared(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
         // Undoes the demotion of an image that is warped once.
@@ -95,7 +95,7 @@ impl App {
             // Without a session, another request has changed fields that this one may not have named: the next attempt keeps them.
             if let Some(session) = revised? {
                 self.cache_setup(&session.record, &setup).await;
-                self.0.setups.remove(setup_key(&old));
+                self.0.setups.remove(revision_key(&old));
                 return Ok((session, setup));
             }
         }
@@ -120,13 +120,13 @@ impl App {
     async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
         if let Ok(reservation) = self.reserve(Purpose::Plan, setup_weight(record)) {
             let entry = CacheEntry::new(Arc::clone(setup), reservation);
-            let _ = self.0.setups.get(setup_key(record), async { Ok(entry) }, build_aborted).await;
+            let _ = self.0.setups.get(revision_key(record), async { Ok(entry) }, build_aborted).await;
         }
     }
 
     /// Evicts what was cached for a record that no session has any more.
     fn evict_session(&self, record: &Record) {
-        let setup = self.0.setups.remove(setup_key(record));
+        let setup = self.0.setups.remove(revision_key(record));
         // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same
         // extent and handles builds the plan again.
         let owner = record.id.owner();

@@ -100,7 +100,7 @@ impl App {
             let setup = app.0.pool.run(&ticket, new).await??;
             Ok(CacheEntry::new(Arc::new(setup), reservation))
         };
-        let setup = self.0.setups.get(setup_key(record), build, build_aborted).await?;
+        let setup = self.0.setups.get(revision_key(record), build, build_aborted).await?;
         Ok(Arc::clone(&setup.value))
     }
 
@@ -163,7 +163,7 @@ impl App {
             match pool.run(&ticket, decode).await {
                 // Decoders may panic on a malicious file: then the file is at fault.
                 Err(PoolError::Panicked) => {
-                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "its decoder gave up".to_owned() }).into())
+                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "the decoder failed".to_owned() }).into())
                 }
                 Err(error) => Err(error.into()),
                 Ok(decoded) => decoded,
@@ -186,7 +186,7 @@ impl App {
             reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
             Ok(CacheEntry::new(file, reservation))
         };
-        Ok(Source::File(self.0.files.get(setup_key(record), fetch, build_aborted).await?.value))
+        Ok(Source::File(self.0.files.get(revision_key(record), fetch, build_aborted).await?.value))
     }
 
     /// The decoded image of a session's source.
@@ -216,7 +216,7 @@ impl App {
     }
 }
 
-/// Names the part of the multipart body whose text has no place to point to.
+/// Adds the name of the part to an error without a JSON pointer.
 fn in_part_warp(mut problem: Problem) -> Problem {
     if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
         problem.detail.insert_str(0, "the part `warp`: ");
@@ -256,8 +256,8 @@ pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usi
     Ok(text.0)
 }
 
-/// The cache key of a session's setup. Records never change, so that id and revision identify it.
-pub(crate) fn setup_key(record: &Record) -> Key {
+/// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.
+pub(crate) fn revision_key(record: &Record) -> Key {
     Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
 }
 

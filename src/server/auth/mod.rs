@@ -75,14 +75,14 @@ impl AccessControl {
         let Some(keys) = &self.keys else { return Ok(Credential::ANYBODY) };
         let keys = Arc::clone(&keys.borrow());
         let key = key.ok_or_else(|| Problem::new(Code::Unauthorized, "API key required: send `Authorization: Bearer <key>`"))?;
-        let credential = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "the key is not one of this server's"))?;
+        let credential = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "invalid API key"))?;
         take(self.by_owner.as_ref(), Tenant::Key(credential.owner()), now)?;
         Ok(credential)
     }
 }
 
 fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Result<(), Problem> {
-    let too_fast = |seconds| Problem::new(Code::RateLimited, "more requests a second than one client may send").retry_after(seconds);
+    let too_fast = |seconds| Problem::new(Code::RateLimited, "request rate limit exceeded").retry_after(seconds);
     rate.map_or(Ok(()), |rate| rate.take(tenant, now)).map_err(too_fast)
 }
 

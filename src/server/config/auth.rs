@@ -122,7 +122,7 @@ impl AuthConfig {
     }
 
     /// Reports a listener that other machines can reach without keys, unless it was asked for.
-    pub(super) fn check_open(&self, listen: SocketAddr) {
+    pub(super) fn check_anonymous(&self, listen: SocketAddr) {
         if !is_loopback(listen) && self.keys.is_none() && !self.allow_anonymous {
             let ways = "give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
                         or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)";

@@ -126,7 +126,7 @@ impl Cli {
         cli.config.telemetry.check_listen(cli.config.listen);
         let mut mistakes = take_mistakes();
         if mistakes.is_empty() && matches!(cli.command, None | Some(Command::Serve)) {
-            cli.config.auth.check_open(cli.config.listen);
+            cli.config.auth.check_anonymous(cli.config.listen);
             mistakes = take_mistakes();
         }
         if mistakes.is_empty() {

@@ -17,7 +17,7 @@ const MIN_MEMORY: u64 = 16 << 20;
 /// Workers, queues and memory.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkConfig {
-    /// Number of compute threads, and of requests that run at one time; separately for drags and for uploads. auto = number of cores.
+    /// Number of requests that run at one time, separately for drags and for uploads; each has a compute thread. auto = number of cores.
     #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(workers))]
     pub workers: usize,
     /// Number of drags, and of uploads, that may wait for a worker; further ones are answered 503. auto = 4 times the workers, at least 64.

@@ -15,12 +15,12 @@ use crate::wire::UnreadHandles;
 
 /// Without a pose for this time, the pointer rests.
 pub const REST: Duration = Duration::from_millis(150);
-/// A frame is started this factor of its average drawing time before it is needed.
+/// A frame starts this many average drawing times before it is needed.
 const EARLY: f64 = 1.25;
 /// A ready frame is outdated after this many drawing times.
 const OUTDATED: u32 = 2;
 /// A rejected pose is retried after this time.
-const RETRY: Duration = Duration::from_millis(10);
+const REJECTED_POSE_RETRY: Duration = Duration::from_millis(10);
 
 /// The positions of the handles at a time.
 #[derive(Clone, Debug)]
@@ -186,7 +186,7 @@ impl<F> FrameScheduler<F> {
     /// The service rejected the frame in progress: its pose waits again, unless there is a newer one.
     pub fn rejected(&mut self, now: Instant) {
         if let Some(Drawing { request, .. }) = self.drawing.take() {
-            self.not_before = Some(now + RETRY);
+            self.not_before = Some(now + REJECTED_POSE_RETRY);
             if request.is_full_quality {
                 self.preview = Some(request.pose);
             } else if self.waiting.is_none() {
@@ -483,11 +483,11 @@ mod tests {
         desk.pose(pose(1));
         assert!(matches!(desk.next(now), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
         desk.rejected(now);
-        assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + RETRY));
-        assert!(matches!(desk.next(now + RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
+        assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + REJECTED_POSE_RETRY));
+        assert!(matches!(desk.next(now + REJECTED_POSE_RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
         desk.pose(pose(2));
         desk.rejected(now);
-        assert!(matches!(desk.next(now + RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
+        assert!(matches!(desk.next(now + REJECTED_POSE_RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
         assert_eq!(desk.take_superseded(), 1);
     }
 }

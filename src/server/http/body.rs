@@ -72,7 +72,7 @@ impl HttpBody for LimitedBody {
         let Some(body) = &mut this.body else { return Poll::Ready(None) };
         if this.deadline.as_mut().poll(cx).is_ready() {
             this.body = None;
-            let detail = format!("the body was not whole within {} s", this.timeout.as_secs_f64());
+            let detail = format!("the body was incomplete after {} s", this.timeout.as_secs_f64());
             return Poll::Ready(Some(Err(axum::Error::new(Problem::new(Code::Timeout, detail)))));
         }
         let polled = Pin::new(body).poll_frame(cx);

@@ -1,7 +1,7 @@
 //! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
 //!
-//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `check_admission` (uploads: rejects them before the
-//! body is read when the queue is full), and its handler.
+//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `reject_if_queue_full` (uploads, before their body is read;
+//! `POST /warp` does this in its handler), and its handler.
 
 mod accept;
 pub(crate) mod assets;
@@ -31,7 +31,7 @@ use crate::problem::{Code, Problem};
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
     let metrics_access = if app.config().auth.open_metrics { Open } else { Keyed };
-    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), check_admission));
+    let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), reject_if_queue_full));
     vec![
         ("/warp", Keyed, post(routes::warp::warp)),
         ("/sessions", Keyed, uploads(post(routes::sessions::create))),
@@ -78,7 +78,7 @@ fn ops_router(app: &App) -> Router {
 
 /// Answers plain HTTP on a TLS listener.
 fn tls_required_router(app: &App) -> Router {
-    let fallback = async || Problem::new(Code::MalformedRequest, "plain HTTP where TLS is spoken: the address begins with https://");
+    let fallback = async || Problem::new(Code::MalformedRequest, "this port serves HTTPS: use https://");
     middleware::apply(Router::new().fallback(fallback), app, None)
 }
 
@@ -87,7 +87,7 @@ fn with_fallbacks(router: Router<App>) -> Router<App> {
 }
 
 /// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.
-async fn check_admission(State(app): State<App>, caller: Caller, request: Request, next: Next) -> Result<Response, Problem> {
+async fn reject_if_queue_full(State(app): State<App>, caller: Caller, request: Request, next: Next) -> Result<Response, Problem> {
     app.require_queue_place(caller.client)?;
     Ok(next.run(request).await)
 }

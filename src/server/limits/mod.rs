@@ -1,4 +1,4 @@
-//! The limits that clients can reach.
+//! The limits that clients can reach. Not all of them are in this module: the last column says where.
 //!
 //! | limit | option | excess | in |
 //! |---|---|---|---|
@@ -10,6 +10,11 @@
 //! | drag sockets | `--max-sockets` | 503 `overloaded` | [`sockets`] |
 //! | drag sockets of a session | 32 | 503 `overloaded` | [`sockets`] |
 //! | drag sockets of a client | `--max-client-share` of `--max-sockets` | 429 `rate_limited` | [`sockets`] |
+//! | sessions, bytes of a client | `--max-client-share` of `--max-sessions`, `--store-bytes` | 429 `rate_limited` | `app::client_sessions` |
+//! | sessions and stored bytes in all | `--max-sessions`, `--store-bytes` | 503 `overloaded` | `store::index` |
+//! | waiting requests | `--queue`, `--drag-wait`, `--upload-wait` | 503 `overloaded` | `pool` |
+//! | bytes of a body, of its JSON | `--max-body-bytes`, `--max-warp-json-bytes` | 413 `too_large` | `http::body`, `http::upload` |
+//! | pixels, sides, columns, size of a plan | `--max-image-pixels`, `--max-image-side`, `--max-columns` | 413 `too_large` | the engine |
 //! | messages per second on a drag socket | 1000, 2000 at once | WebSocket close code 1008 | [`bucket`] |
 
 pub mod bucket;

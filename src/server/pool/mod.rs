@@ -1,6 +1,6 @@
 //! Admission and compute threads: `README.md` describes both, with a diagram.
 //!
-//! Async tasks never compute, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for
+//! Async tasks compute nothing but small JSON bodies, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for
 //! it holds a clone, so that the ticket is returned when the last closure has ended, even if the request's future was dropped before.
 
 mod admission;
@@ -38,7 +38,7 @@ pub enum PoolError {
     #[error("all workers are busy and the queue is full")]
     Full,
     /// No worker became free in time.
-    #[error("no worker was free within the {} ms that this may wait", .max_wait.as_millis())]
+    #[error("no worker became free within {} ms", .max_wait.as_millis())]
     Late {
         /// The longest wait.
         max_wait: Duration,
@@ -48,12 +48,12 @@ pub enum PoolError {
     Panicked,
 }
 
-/// Niceness of upload threads: next to a drag on the same processor they get a third of its time, otherwise all of it.
+/// Niceness of upload threads: beside a drag thread on the same processor they get about a quarter of the processor, otherwise all of it.
 const UPLOAD_NICENESS: i32 = 5;
 
-/// Simultaneous transfers of files from and to the store, one extra for another client apart. Not more than the Redis connections for
+/// Simultaneous transfers of files from and to the store, not counting the spare permit. Not more than the Redis connections for
 /// files, so that no transfer waits for a connection.
-const TRANSFERS: usize = 6;
+const MAX_TRANSFERS: usize = 6;
 
 /// The classes of work, each with a queue of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -151,7 +151,7 @@ impl Pool {
         Ok(Self {
             drags: class("drag", drag_wait, 0)?,
             uploads: class("upload", upload_wait, UPLOAD_NICENESS)?,
-            transfers: AdmissionQueue::new(WorkerThreads::default(), TRANSFERS, queue, upload_wait),
+            transfers: AdmissionQueue::new(WorkerThreads::default(), MAX_TRANSFERS, queue, upload_wait),
             parallel: Arc::new(Mutex::new(parallel)),
             recent: RecentConcurrency::default(),
             workers,

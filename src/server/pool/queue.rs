@@ -26,19 +26,19 @@ pub(crate) const SPARE: usize = 1;
 const HALF_LIFE: f64 = 10.0;
 /// A client without requests that has used fewer seconds is forgotten.
 const NEGLIGIBLE: f64 = 0.01;
-/// Number of known clients above which those with negligible use are searched for.
+/// Above this many clients, those with negligible use are removed.
 const MANY: usize = 1024;
 
 /// Requests with equal keys wait together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct QueueKey {
     tenant: Tenant,
-    within: Within,
+    part: KeyPart,
 }
 
 /// The part of a client's requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Within {
+enum KeyPart {
     Session(SessionId),
     /// Without a session: users who share an API key are told apart by their addresses.
     Address(Tenant),
@@ -47,12 +47,12 @@ enum Within {
 impl QueueKey {
     /// The key of a client's requests for a session.
     pub fn session(client: Client, id: SessionId) -> Self {
-        Self { tenant: client.tenant(), within: Within::Session(id) }
+        Self { tenant: client.tenant(), part: KeyPart::Session(id) }
     }
 
     /// The key of a client's requests without a session.
     pub fn client(client: Client) -> Self {
-        Self { tenant: client.tenant(), within: Within::Address(Tenant::of_address(client.address)) }
+        Self { tenant: client.tenant(), part: KeyPart::Address(Tenant::of_address(client.address)) }
     }
 
     /// The client that is charged for the request.
@@ -61,7 +61,7 @@ impl QueueKey {
     }
 
     const fn is_newest_first(self) -> bool {
-        matches!(self.within, Within::Session(_))
+        matches!(self.part, KeyPart::Session(_))
     }
 }
 
@@ -262,7 +262,7 @@ impl<W> FairQueue<W> {
         }
     }
 
-    /// The next request that runs, and its client; `None` without a permit for any. After an end there may be permits for two.
+    /// The next request that runs, and its client; `None` if no waiting request may run. After an end there may be permits for two.
     pub(crate) fn next(&mut self, now: Instant) -> Option<(Tenant, W)> {
         let key = self.next_key(now)?;
         let next = self.take(key, |waiters| if key.is_newest_first() { waiters.pop_back() } else { waiters.pop_front() });

@@ -141,7 +141,7 @@ pub enum StoreError {
     #[error("the session store has no room")]
     NoRoom,
     /// Every attempt collided with another request's change.
-    #[error("other requests changed the session each time that this one was about to")]
+    #[error("other requests changed the session at the same time; try again")]
     Contended,
     /// Another version of the program has written the record, with something that this one does not know.
     #[error("another version of the program has stored this session, and this one cannot read it")]

@@ -32,7 +32,7 @@ impl Formats {
 
 fn not_acceptable(formats: &[Format]) -> Problem {
     let names: Vec<&str> = formats.iter().map(|f| f.media_type()).collect();
-    Problem::new(Code::NotAcceptable, format!("the picture is written as {}, and Accept takes none of that", names.join(", ")))
+    Problem::new(Code::NotAcceptable, format!("Accept allows none of the formats of the image: {}", names.join(", ")))
 }
 
 #[cfg(test)]

@@ -224,7 +224,8 @@ impl Drag {
         }
     }
 
-    /// Ends the drag if the session has ended. A 503 does not tell that: the store is unavailable, or another version stored the session.
+    /// Ends the drag if the session has ended. A 503 does not mean that: the store is
+    /// unavailable, or another version stored the session.
     pub async fn check_session(&mut self) {
         if let Err(problem) = self.app.session(self.id).await
             && problem.code.status() != 503

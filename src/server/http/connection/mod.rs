@@ -110,7 +110,7 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         sleep(HURRY).await;
     };
     if unless(hurried, draining).await.is_none() {
-        tracing::warn!("told twice to stop: what has not ended within {HURRY:?} is cut off");
+        tracing::warn!("second signal to stop: connections that remain after {HURRY:?} are closed");
     }
     tracing::info!("stopped");
     Ok(())

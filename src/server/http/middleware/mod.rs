@@ -158,7 +158,7 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     }
     let seconds = timeouts.request.as_secs_f64();
     Err(if waits.load(Ordering::Relaxed) {
-        Problem::new(Code::Timeout, format!("the body was not whole within the {seconds} s that a request may take"))
+        Problem::new(Code::Timeout, format!("the body was incomplete after the {seconds} s that a request may take"))
     } else {
         let detail = format!("the server did not answer within the {seconds} s that a request may take");
         Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)

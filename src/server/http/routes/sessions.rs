@@ -34,7 +34,7 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
 pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = SessionId::parse(caller.client.owner, &id)
-        .ok_or_else(|| Problem::new(Code::BadValue, "a client names its session by a UUID of version 4, hyphenated"))?;
+        .ok_or_else(|| Problem::new(Code::BadValue, "the session id must be a hyphenated UUID of version 4"))?;
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
     let (put, setup) = caller.app.put(caller.client, id, upload.image, upload.warp).await?;

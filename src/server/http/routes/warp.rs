@@ -47,7 +47,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     if keeps_session {
-        return Err(Problem::new(Code::BadValue, "session=true makes a session of an upload; this body names one"));
+        return Err(Problem::new(Code::BadValue, "session=true opens a session from an upload; this body refers to an existing session"));
     }
     let body = json(&caller, request, Purpose::Upload, "drag_json_bytes", drag_limit(app.config().limits().columns as u64)).await?;
     let _parsed = reserve_parsed(&caller, &body)?;

@@ -151,7 +151,7 @@ impl FileStoreState {
                     Err(Unreadable::Damaged(why)) => why,
                 };
                 self.damaged.fetch_add(1, Ordering::Relaxed);
-                tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
+                tracing::error!(session = ?id, why, "a damaged session record is left out");
             }
             for digest in change.files()?.iter().filter(|digest| !files.contains_key(digest)) {
                 change.remove_file(*digest)?;

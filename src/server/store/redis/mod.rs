@@ -137,7 +137,7 @@ impl RedisStoreState {
         match why {
             Unreadable::Damaged(why) => {
                 self.damaged.fetch_add(1, Ordering::Relaxed);
-                tracing::error!(session = ?id, why, "a session is left out: what is stored of it is damaged");
+                tracing::error!(session = ?id, why, "a damaged session record is left out");
                 Ok(None)
             }
             Unreadable::OtherVersion(why) => {
