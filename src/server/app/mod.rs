@@ -2,14 +2,14 @@
 //! [`Problem`].
 
 pub mod client_sessions;
-pub mod drag;
+pub mod drag_socket;
 pub mod draw;
-mod gauges;
 pub(crate) mod lifecycle;
-pub mod live_drag;
+mod metrics_text;
 pub(crate) mod points;
 pub mod sequence;
 pub(crate) mod session;
+pub mod session_warp;
 pub mod warp;
 
 use std::sync::Arc;

@@ -21,14 +21,14 @@ use crate::wire::{WarpObject, WarpPatch};
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn open(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn create_session(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         let prepared = self.prepare_session(client, file, json).await?;
-        self.open_prepared(client, prepared).await
+        self.create_session_from(client, prepared).await
     }
 
     /// Opens a session from an upload that was already prepared.
     /// Errors: Too little capacity.
-    pub async fn open_prepared(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
         // Undoes the demotion of an image that is warped once.
         let _ = self.0.images.touch(Key::new(client.owner, prepared.digest));
         let (put, setup) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
@@ -38,7 +38,7 @@ impl App {
 
     /// Opens or replaces a session with an id that the client has chosen.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn put(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
+    pub async fn put_session(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
         let prepared = self.prepare_session(client, file, json).await?;
         self.put_prepared(client, id, prepared).await
     }
@@ -72,7 +72,7 @@ impl App {
 
     /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn revise(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
@@ -140,13 +140,13 @@ impl App {
 
     /// Reads the session without extending its life.
     /// Errors: Unknown or expired.
-    pub async fn session(&self, id: SessionId) -> Result<Session, Problem> {
+    pub async fn peek_session(&self, id: SessionId) -> Result<Session, Problem> {
         Ok(in_stage("store", self.0.store.peek(id)).await?)
     }
 
     /// Closes the session. If it was deleted recently, or another version of the program stored it, nothing is cached for it here.
     /// Errors: Unknown or expired.
-    pub async fn close(&self, id: SessionId) -> Result<(), Problem> {
+    pub async fn delete_session(&self, id: SessionId) -> Result<(), Problem> {
         let (session, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.client_sessions.claim_of(id));
         in_stage("store", self.0.store.delete(id)).await?;
         self.0.client_sessions.ended(id, claim);
@@ -219,8 +219,8 @@ mod tests {
         let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
-        let (session, _) = app.open(client, file.into_inner().into(), Bytes::from_static(br#"{"p": [[5, 5]]}"#)).await.unwrap();
-        let refused = app.revise(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
+        let (session, _) = app.create_session(client, file.into_inner().into(), Bytes::from_static(br#"{"p": [[5, 5]]}"#)).await.unwrap();
+        let refused = app.replace_handles(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
         // The last computation gives its turn back by itself.
@@ -238,7 +238,7 @@ mod tests {
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
         let file = Bytes::from(file.into_inner());
-        let open = || app.open(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
+        let open = || app.create_session(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
         let (session, setup) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
         let _used =
@@ -251,6 +251,6 @@ mod tests {
             rest.push(budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap());
         }
         let (other, _) = open().await.unwrap();
-        assert_eq!(app.session(other.record.id).await.unwrap().record, other.record);
+        assert_eq!(app.peek_session(other.record.id).await.unwrap().record, other.record);
     }
 }

@@ -5,7 +5,7 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use super::warp::read_drag;
-use crate::app::drag::MeshForm;
+use crate::app::session_warp::MeshForm;
 use crate::http::middleware::authentication::Caller;
 use crate::http::{accept, response};
 use crate::problem::Problem;
@@ -18,6 +18,6 @@ pub(crate) async fn mesh(caller: Caller, Path(id): Path<String>, request: Reques
     let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
     let id = session_id(caller.client, &id)?;
     let (drag, _parsed) = read_drag(&caller, id, request, DragObject::parse_posed).await?;
-    let mesh = caller.app.mesh(caller.client, id, drag, form).await?;
+    let mesh = caller.app.mesh_session(caller.client, id, drag, form).await?;
     Ok(response::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))
 }

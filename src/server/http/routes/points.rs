@@ -18,7 +18,7 @@ pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, P
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
-    caller.app.session(id).await?;
+    caller.app.peek_session(id).await?;
     let body = read(&caller, request).await?;
     Ok(json_text(caller.app.map_session(caller.client, id, body).await?))
 }

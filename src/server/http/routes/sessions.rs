@@ -27,7 +27,7 @@ const FIXED_PART: usize = 2048;
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
-    let (session, setup) = caller.app.open(caller.client, upload.image, upload.warp).await?;
+    let (session, setup) = caller.app.create_session(caller.client, upload.image, upload.warp).await?;
     Ok(created(&session, object(held, &session, &setup)))
 }
 
@@ -37,7 +37,7 @@ pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request
         .ok_or_else(|| Problem::new(Code::BadValue, "the session id must be a hyphenated UUID of version 4"))?;
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
-    let (put, setup) = caller.app.put(caller.client, id, upload.image, upload.warp).await?;
+    let (put, setup) = caller.app.put_session(caller.client, id, upload.image, upload.warp).await?;
     Ok(match put {
         Put::Created(session) => created(&session, object(held, &session, &setup)),
         Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
@@ -48,22 +48,22 @@ pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request
 pub(crate) async fn handles(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
-    app.session(id).await?;
+    app.peek_session(id).await?;
     let body = body::json(&caller, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
-    let (session, setup) = app.revise(*client, id, body).await?;
+    let (session, setup) = app.replace_handles(*client, id, body).await?;
     reserved_object(&caller, &session, &setup)
 }
 
 /// The session object. Reading does not extend the session's life.
 pub(crate) async fn read(caller: Caller, Path(id): Path<String>) -> Result<Response, Problem> {
-    let session = caller.app.session(session_id(caller.client, &id)?).await?;
+    let session = caller.app.peek_session(session_id(caller.client, &id)?).await?;
     let setup = caller.app.session_setup(caller.client, &session.record).await?;
     reserved_object(&caller, &session, &setup)
 }
 
 /// Deletes a session.
 pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<StatusCode, Problem> {
-    caller.app.close(session_id(caller.client, &id)?).await?;
+    caller.app.delete_session(session_id(caller.client, &id)?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -34,7 +34,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
         app.require_queue_place(*client)?;
         let upload = upload::read(&caller, request).await?;
         let (drawn, material) = app.warp_once(*client, upload.image, upload.warp, formats).await?;
-        let session = if keeps_session { Some(app.open_prepared(*client, material).await?.0.record.id) } else { None };
+        let session = if keeps_session { Some(app.create_session_from(*client, material).await?.0.record.id) } else { None };
         let mut response = picture(drawn, trailers);
         if let Some(id) = session {
             let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
@@ -53,11 +53,11 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let _parsed = reserve_parsed(&caller, &body)?;
     let drag = DragObject::parse(&body, true)?;
     let id = session_id(*client, drag.session.as_deref().unwrap_or_default())?;
-    let limit = drag_limit(columns(&app.session(id).await?.record));
+    let limit = drag_limit(columns(&app.peek_session(id).await?.record));
     if body.len() as u64 > limit {
         return Err(too_large("drag_json_bytes", limit, body.len() as u64));
     }
-    Ok(picture(app.drag(*client, id, drag, formats).await?, trailers))
+    Ok(picture(app.warp_session(*client, id, drag, formats).await?, trailers))
 }
 
 /// A picture of a session, by `q` alone.
@@ -66,7 +66,7 @@ pub(crate) async fn drag(caller: Caller, Path(id): Path<String>, request: Reques
     let trailers = takes_trailers(request.headers());
     let id = session_id(caller.client, &id)?;
     let (drag, _parsed) = read_drag(&caller, id, request, |body| DragObject::parse(body, false)).await?;
-    Ok(picture(caller.app.drag(caller.client, id, drag, formats).await?, trailers))
+    Ok(picture(caller.app.warp_session(caller.client, id, drag, formats).await?, trailers))
 }
 
 /// Reads the body of a drag, and reserves the memory of its handles, which wait in the queue.
@@ -76,7 +76,7 @@ pub(super) async fn read_drag(
     request: Request,
     parse: impl Fn(&[u8]) -> Result<DragObject, Problem>,
 ) -> Result<(DragObject, Reservation), Problem> {
-    let limit = drag_limit(columns(&caller.app.session(id).await?.record));
+    let limit = drag_limit(columns(&caller.app.peek_session(id).await?.record));
     let body = json(caller, request, Purpose::Frame, "drag_json_bytes", limit).await?;
     let parsed = reserve_parsed(caller, &body)?;
     Ok((parse(&body)?, parsed))

@@ -19,7 +19,7 @@ use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
 use crate::app::App;
-use crate::app::live_drag::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
+use crate::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
 use crate::app::warp::columns;
 use crate::auth::keys::Credential;
 use crate::config::Config;

@@ -11,8 +11,8 @@ use mlswarp::warp::{OutputSpec, Report};
 use tokio::sync::Semaphore;
 
 use crate::app::App;
-use crate::app::drag::{MeshForm, PosedMesh};
 use crate::app::draw::{Drawn, Picture, Piece};
+use crate::app::session_warp::{MeshForm, PosedMesh};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::observe::Scope;

@@ -93,7 +93,7 @@ pub struct PosedMesh {
 impl App {
     /// Draws one step of a drag.
     /// Errors: Unknown session, superseded, wrong `q`, or too little capacity.
-    pub async fn drag(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
+    pub async fn warp_session(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.admit_newest(client, Arc::clone(&request.record));
         let (record, image, plan) = self.unless_superseded(&request, plan).await?;
@@ -104,7 +104,7 @@ impl App {
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
     /// Errors: Unknown session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
-    pub async fn mesh(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
+    pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, form)).await?;
         self.pose_mesh(plan, drag.q, &request.record, form, self.response_quota(client)).await

@@ -91,7 +91,7 @@ impl App {
     /// Opens a drag of a session.
     /// Errors: Unknown session, or too little capacity.
     pub async fn open_drag(&self, client: Client, id: SessionId, options: DragOptions) -> Result<Drag, Problem> {
-        let record = self.session(id).await?.record;
+        let record = self.peek_session(id).await?.record;
         self.require_running()?;
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
@@ -227,7 +227,7 @@ impl Drag {
     /// Ends the drag if the session has ended. A 503 does not mean that: the store is
     /// unavailable, or another version stored the session.
     pub async fn check_session(&mut self) {
-        if let Err(problem) = self.app.session(self.id).await
+        if let Err(problem) = self.app.peek_session(self.id).await
             && problem.code.status() != 503
         {
             self.is_over = true;
