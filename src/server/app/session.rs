@@ -53,10 +53,11 @@ impl App {
     async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<(Put, Arc<Setup>), Problem> {
         let (record, file, setup) = prepared.into_session(id);
         // Limits the simultaneous transfers, fairly between clients.
-        let _ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.client_sessions.claim(client.tenant(), &record, file.len() as u64)?;
         // If this future is dropped while the store works, the session may have been stored: it stays counted.
         let put = in_stage("store", self.0.store.put(record, file)).await;
+        drop(ticket);
         match &put {
             Ok(_) => self.0.client_sessions.confirm(&claim),
             Err(_) => self.0.client_sessions.undo(claim),

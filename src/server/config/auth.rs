@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::{ArgAction, Args};
 
-use super::option::{Checked, Maybe, report, unless};
+use super::option::{Checked, Maybe, has_mistake, report, unless};
 use crate::auth::cors::Origins;
 use crate::auth::hosts::Hosts;
 use crate::auth::keys::Keys;
@@ -26,7 +26,7 @@ pub struct AuthConfig {
     keys_file: Maybe<PathBuf>,
     /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command
     /// lines.
-    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(Keys::parse))]
+    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(given_keys))]
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
     /// Allow a listen address that other machines can reach without keys. Everybody who reaches it may use the service.
@@ -123,12 +123,20 @@ impl AuthConfig {
 
     /// Reports a listener that other machines can reach without keys, unless it was asked for.
     pub(super) fn check_anonymous(&self, listen: SocketAddr) {
-        if !is_loopback(listen) && self.keys.is_none() && !self.allow_anonymous {
+        // Keys that are given with a mistake were meant.
+        let has_keys = self.keys.is_some() || has_mistake("keys") || has_mistake("keys-file");
+        if !is_loopback(listen) && !has_keys && !self.allow_anonymous {
             let ways = "give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
                         or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)";
             report::<()>("listen", Err(format!("{listen} is not a loopback address and there are no keys; {ways}")));
         }
     }
+}
+
+/// Keys; a text without any is a mistake.
+fn given_keys(text: &str) -> Result<Keys, String> {
+    let keys = Keys::parse(text)?;
+    if keys.is_empty() && !text.trim().is_empty() { Err("there is no key in it".to_owned()) } else { Ok(keys) }
 }
 
 fn is_loopback(listen: SocketAddr) -> bool {
@@ -180,6 +188,9 @@ mod tests {
         }
         let refused = serve(&["--tls-cert", "/nonexistent/cert", "--tls-key", "/nonexistent/key"]).unwrap_err();
         assert!(refused.contains("--tls-cert (MLSWARP_TLS_CERT): /nonexistent/cert: No such file"), "{refused}");
+        for nothing in [",", "# ann 0123456789abcdef"] {
+            assert!(serve(&["--keys", nothing]).unwrap_err().contains("--keys (MLSWARP_KEYS): there is no key in it"));
+        }
         let refused = serve(&["--keys", "ann 0123456789abcdef$"]).unwrap_err();
         assert!(!refused.contains("0123456789"), "{refused}");
         let config = Config::read(["mlswarp", "--keys", "ann 0123456789abcdef"]).unwrap();

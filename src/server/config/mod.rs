@@ -16,7 +16,7 @@ use clap::error::ErrorKind;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
-use option::{Checked, size, take_mistakes, variable, whole};
+use option::{Checked, clear_mistakes, keep_final, size, take_mistakes, variable, whole};
 
 pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
@@ -120,15 +120,16 @@ impl Cli {
     }
 
     fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, clap::Error> {
-        drop(take_mistakes());
-        let mut cli = Self::from_arg_matches(&command.try_get_matches_from(args)?)?;
+        clear_mistakes();
+        let matches = command.clone().try_get_matches_from(args)?;
+        let mut cli = Self::from_arg_matches(&matches)?;
+        keep_final(&matches, &command);
         cli.config.auth.load();
         cli.config.telemetry.check_listen(cli.config.listen);
-        let mut mistakes = take_mistakes();
-        if mistakes.is_empty() && matches!(cli.command, None | Some(Command::Serve)) {
+        if matches!(cli.command, None | Some(Command::Serve)) {
             cli.config.auth.check_anonymous(cli.config.listen);
-            mistakes = take_mistakes();
         }
+        let mistakes = take_mistakes();
         if mistakes.is_empty() {
             return Ok(cli);
         }
@@ -205,6 +206,13 @@ mod tests {
     fn options_may_stand_before_and_after_the_subcommand() {
         assert_eq!(resolve(&["--workers", "30", "serve"]).expect("valid").work.queue(), 120);
         assert_eq!(resolve(&["serve", "--workers", "30"]).expect("valid").work.queue(), 120);
+    }
+
+    #[test]
+    fn only_the_value_that_counts_can_be_wrong() {
+        assert_eq!(resolve(&["--workers", "none", "--workers", "2"]).expect("the last one counts").work.workers, 2);
+        let text = resolve(&["--listen", "0.0.0.0:80", "--workers", "none", "serve"]).expect_err("two mistakes").to_string();
+        assert!(text.contains("--listen") && text.matches("--workers").count() == 1, "{text}");
     }
 
     #[test]

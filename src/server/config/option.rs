@@ -1,12 +1,12 @@
 //! Parsers of option values. clap stops at the first wrong value; [`Checked`] notes each, so that all are reported at once.
 
 use std::cell::RefCell;
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::time::Duration;
 
 use clap::builder::TypedValueParser;
 use clap::error::ErrorKind;
-use clap::{Arg, Command, Error};
+use clap::{Arg, ArgMatches, Command, Error};
 
 /// An optional value that is written as text (`off`, `auto` or nothing stand for `None`); clap takes a plain `Option` for an option
 /// without a default.
@@ -14,7 +14,19 @@ pub(super) type Maybe<T> = Option<T>;
 
 thread_local! {
     /// The mistakes of the command line that this thread is reading.
-    static MISTAKES: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+    static MISTAKES: RefCell<Vec<Mistake>> = const { RefCell::new(Vec::new()) };
+}
+
+#[derive(Clone, Debug)]
+struct Mistake {
+    flag: String,
+    /// The wrong value, which another one may override.
+    value: Option<OsString>,
+    why: String,
+}
+
+fn note(flag: &str, value: Option<&OsStr>, why: String) {
+    MISTAKES.with_borrow_mut(|all| all.push(Mistake { flag: flag.to_owned(), value: value.map(OsStr::to_owned), why }));
 }
 
 /// A clap value parser that notes a mistake and returns the option's default instead.
@@ -30,8 +42,9 @@ where
 
     fn parse_ref(&self, _: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<T, Error> {
         let parse = |value: &OsStr| (self.0)(&value.to_string_lossy());
-        if let Some(parsed) = report(arg.and_then(Arg::get_long).unwrap_or_default(), parse(value)) {
-            return Ok(parsed);
+        match parse(value) {
+            Ok(parsed) => return Ok(parsed),
+            Err(why) => note(arg.and_then(Arg::get_long).unwrap_or_default(), Some(value), why),
         }
         let default = arg.and_then(|arg| arg.get_default_values().first()).ok_or_else(|| Error::new(ErrorKind::InvalidValue))?;
         parse(default).map_err(|mistake| Error::raw(ErrorKind::InvalidValue, mistake))
@@ -40,12 +53,38 @@ where
 
 /// The value; or a note of what is wrong with it.
 pub(super) fn report<T>(flag: &str, value: Result<T, String>) -> Option<T> {
-    value.map_err(|mistake| MISTAKES.with_borrow_mut(|all| all.push(format!("--{flag} ({}): {mistake}", variable(flag))))).ok()
+    value.map_err(|why| note(flag, None, why)).ok()
 }
 
-/// The mistakes since the last call.
+/// Forgets all mistakes.
+pub(super) fn clear_mistakes() {
+    MISTAKES.take();
+}
+
+/// Keeps the mistakes in values that count: clap parses each variable once per subcommand, and values that are overridden.
+pub(super) fn keep_final(matches: &ArgMatches, command: &Command) {
+    let is_final = |mistake: &Mistake, value: &OsStr| {
+        let arg = command.get_arguments().find(|arg| arg.get_long() == Some(&mistake.flag));
+        arg.and_then(|arg| matches.get_raw(arg.get_id().as_str())).is_some_and(|mut raw| raw.any(|raw| raw == value))
+    };
+    MISTAKES.with_borrow_mut(|all| all.retain(|mistake| mistake.value.as_deref().is_none_or(|value| is_final(mistake, value))));
+}
+
+/// Whether a mistake in this option was noted.
+pub(super) fn has_mistake(flag: &str) -> bool {
+    MISTAKES.with_borrow(|all| all.iter().any(|mistake| mistake.flag == flag))
+}
+
+/// Every mistake, once.
 pub(super) fn take_mistakes() -> Vec<String> {
-    MISTAKES.take()
+    let mut texts: Vec<String> = Vec::new();
+    for Mistake { flag, why, .. } in MISTAKES.take() {
+        let text = format!("--{flag} ({}): {why}", variable(&flag));
+        if !texts.contains(&text) {
+            texts.push(text);
+        }
+    }
+    texts
 }
 
 /// The environment variable of an option.

@@ -23,7 +23,7 @@ use reload::Reloader;
 use serve::Connections;
 use signals::Signals;
 
-/// Maximum time for drag sockets to close after the grace, and then for the store and the exporter of traces to finish.
+/// Maximum time for drag sockets to close after the grace, and then for the exporter of traces to finish.
 const FINISH: Duration = Duration::from_secs(3);
 /// Maximum time for all of the shutdown after a second signal.
 const HURRY: Duration = Duration::from_secs(1);
