@@ -4,7 +4,8 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Thread;
 use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -22,7 +23,6 @@ pub(crate) struct WorkerThreads(Arc<WorkerState>);
 #[derive(Default)]
 struct WorkerState {
     queue: Mutex<JobQueue>,
-    work: Condvar,
     /// Number of queued jobs, for polling without the lock.
     waiting: AtomicUsize,
 }
@@ -36,9 +36,8 @@ impl std::fmt::Debug for WorkerState {
 #[derive(Default)]
 struct JobQueue {
     jobs: VecDeque<Job>,
-    /// Idle threads that poll, and those that sleep.
-    polling: usize,
-    asleep: usize,
+    /// Threads that sleep, the last one to fall asleep last. It is woken first: two threads that take turns stay on their processors.
+    asleep: Vec<Thread>,
     is_closed: bool,
 }
 
@@ -62,16 +61,16 @@ impl WorkerThreads {
         self.0.waiting.load(Ordering::Relaxed) > 0
     }
 
-    /// Queues jobs, and wakes threads for those that no polling thread will take. A job that panics ends its thread, so jobs catch panics.
+    /// Queues jobs and wakes as many threads. A job that panics ends its thread, so jobs catch panics.
     pub(crate) fn submit(&self, jobs: impl IntoIterator<Item = Job>) {
         let mut queue = self.0.lock();
+        let before = queue.jobs.len();
         queue.jobs.extend(jobs);
-        let wake = queue.asleep.min(queue.jobs.len().saturating_sub(queue.polling));
+        let rest = queue.asleep.len().saturating_sub(queue.jobs.len() - before);
+        let woken = queue.asleep.split_off(rest);
         self.0.waiting.store(queue.jobs.len(), Ordering::Release);
         drop(queue);
-        for _ in 0..wake {
-            self.0.work.notify_one();
-        }
+        woken.iter().rev().for_each(Thread::unpark);
     }
 }
 
@@ -87,8 +86,9 @@ fn lower_priority(niceness: i32) {
 
 impl Drop for WorkerThreads {
     fn drop(&mut self) {
-        self.0.lock().is_closed = true;
-        self.0.work.notify_all();
+        let mut queue = self.0.lock();
+        queue.is_closed = true;
+        queue.asleep.drain(..).for_each(|thread| thread.unpark());
     }
 }
 
@@ -108,26 +108,24 @@ impl WorkerState {
 
     /// The next job; `None` when the threads are dropped.
     fn next(&self) -> Option<Job> {
-        let mut queue = self.lock();
-        if let Some(job) = self.take(&mut queue) {
-            return Some(job);
-        }
-        queue.polling += 1;
-        drop(queue);
         let began = Instant::now();
-        while began.elapsed() < POLL_TIME {
-            if self.waiting.load(Ordering::Acquire) > 0 {
-                let mut queue = self.lock();
-                if let Some(job) = self.take(&mut queue) {
-                    queue.polling -= 1;
-                    return Some(job);
-                }
+        loop {
+            if self.waiting.load(Ordering::Acquire) > 0
+                && let Some(job) = self.take(&mut self.lock())
+            {
+                return Some(job);
+            }
+            if began.elapsed() >= POLL_TIME {
+                return self.sleep();
             }
             // Other threads may use this processor.
             std::thread::yield_now();
         }
+    }
+
+    fn sleep(&self) -> Option<Job> {
+        let this = std::thread::current();
         let mut queue = self.lock();
-        queue.polling -= 1;
         loop {
             if let Some(job) = self.take(&mut queue) {
                 return Some(job);
@@ -135,9 +133,12 @@ impl WorkerState {
             if queue.is_closed {
                 return None;
             }
-            queue.asleep += 1;
-            queue = self.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
-            queue.asleep -= 1;
+            queue.asleep.push(this.clone());
+            drop(queue);
+            std::thread::park();
+            queue = self.lock();
+            // It is still there if it was not woken by `submit`.
+            queue.asleep.retain(|thread| thread.id() != this.id());
         }
     }
 
