@@ -25,7 +25,7 @@ use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::Scope;
 use crate::observe::scope::stage;
 use crate::observe::stages::{Cost, Timing};
-use crate::pool::{DrawGuard, PoolError, Ticket};
+use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 
 /// How long a helper polls for the first strip. Posing takes less time, unless it is parallel and its helpers start later.
@@ -254,8 +254,6 @@ struct DrawTask {
     ticket: Ticket,
     timing: Timing,
     plan_built: bool,
-    guard: DrawGuard,
-    helpers: usize,
     handoff: HelperHandoff,
     answer: oneshot::Sender<Result<Drawn, Problem>>,
 }
@@ -265,13 +263,12 @@ impl App {
     /// Errors: Wrong `q`, rejected folds, too little memory, or a computation that failed.
     pub(crate) async fn draw(&self, ticket: Ticket, job: DrawJob) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
-        let (guard, helpers) = self.0.pool.begin_drawing();
         let handoff = HelperHandoff::default();
         // A parallel pose wakes its helpers later; only PNG is drawn by several threads.
-        let early = if job.planned.setup.is_wide() || job.output.format != Format::Png { 0 } else { helpers };
+        let early = if job.planned.setup.is_wide() || job.output.format != Format::Png { 0 } else { self.0.pool.helpers() };
         let (app, helped, helpers_ticket) = (self.clone(), Arc::clone(&handoff), ticket.clone());
         let (timing, plan_built) = (job.planned.timing, job.planned.is_built);
-        let task = DrawTask { app, ticket: ticket.clone(), timing, plan_built, guard, helpers, handoff: Arc::clone(&handoff), answer };
+        let task = DrawTask { app, ticket: ticket.clone(), timing, plan_built, handoff: Arc::clone(&handoff), answer };
         let draw = move || {
             task.draw(&job);
             // Releases helpers that still wait.
@@ -328,30 +325,25 @@ impl DrawTask {
         }
         reservation.shrink_to(file.len() as u64);
         let picture = Picture::Whole { bytes: reservation.attach(file), cost: meter.cost() };
-        drop(self.guard);
         let Self { timing, plan_built, answer, .. } = self;
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
     }
 
     fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {
-        let Self { app, ticket, timing, plan_built, guard, helpers, handoff, answer } = self;
+        let Self { app, ticket, timing, plan_built, handoff, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
         let drawn = Drawn { report, etag, extent, format, timing, plan_built, picture: Picture::Strips(strips) };
-        let (end, mut first, mut guard) = (pieces.clone(), Some((answer, drawn)), Some(guard));
-        let sink: Sink = Box::new(move |bytes, is_last| {
-            if is_last {
-                // The client may send its next pose before this thread returns.
-                drop(guard.take());
-            }
+        let (end, mut first) = (pieces.clone(), Some((answer, drawn)));
+        let sink: Sink = Box::new(move |bytes, _| {
             let is_sent = pieces.send(Piece::Bytes(reservation.split(bytes.len() as u64).attach(bytes))).is_ok();
             // The head of the response is sent with the first strip: one wake-up instead of two.
             let is_sent = is_sent && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
             if is_sent { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
-        let helpers = helpers.min(strips.strips() - 1);
+        let helpers = app.0.pool.helpers().min(strips.strips() - 1);
         let drawing = Arc::new(SharedDrawing { strips, _image: image, meter: Meter::new(app.clone()), end });
         let _ = handoff.set(Some(Arc::clone(&drawing)));
         if began.elapsed() >= HELPER_WAIT {

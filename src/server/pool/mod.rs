@@ -5,7 +5,6 @@
 
 mod admission;
 mod queue;
-mod recent_concurrency;
 mod worker_threads;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -19,8 +18,6 @@ use tokio::sync::oneshot;
 pub use admission::Load;
 use admission::{AdmissionPermit, AdmissionQueue};
 pub use queue::QueueKey;
-pub use recent_concurrency::DrawGuard;
-use recent_concurrency::RecentConcurrency;
 use worker_threads::WorkerThreads;
 
 use crate::observe::Scope;
@@ -87,7 +84,6 @@ pub struct Pool {
     transfers: Arc<AdmissionQueue>,
     /// For one parallel computation at a time, while the thread that started it sleeps.
     parallel: Arc<Mutex<ThreadPool>>,
-    recent: RecentConcurrency,
     workers: usize,
 }
 
@@ -153,7 +149,6 @@ impl Pool {
             uploads: class("upload", upload_wait, UPLOAD_NICENESS)?,
             transfers: AdmissionQueue::new(WorkerThreads::default(), MAX_TRANSFERS, queue, upload_wait),
             parallel: Arc::new(Mutex::new(parallel)),
-            recent: RecentConcurrency::default(),
             workers,
         })
     }
@@ -244,10 +239,9 @@ impl Pool {
         }
     }
 
-    /// Begins a drawing; the number is how many helper threads it may use.
-    pub fn begin_drawing(&self) -> (DrawGuard, usize) {
-        let (guard, drawings) = self.recent.begin();
-        (guard, (self.workers / drawings).saturating_sub(1))
+    /// The number of helper threads that a drawing may use.
+    pub(crate) const fn helpers(&self) -> usize {
+        self.workers.saturating_sub(1)
     }
 }
 
