@@ -228,9 +228,9 @@ impl App {
         self.0.setups.clear();
     }
 
-    /// Whether a new client would be served, and whether the store is available; answers within about a second. A service that loses its store stays ready: a
-    /// store is unavailable to all replicas at the same time, and a proxy that removed them all would also end the sessions that continue
-    /// without it. Errors: [`Code::Overloaded`], with the reason.
+    /// Whether a new client would be served, and whether the store is available; answers within about a second. A service that loses its
+    /// store stays ready: a store is unavailable to all replicas at the same time, and a proxy that removed them all would also end the
+    /// sessions that continue without it. Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.require_serving()?;
         if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|class| self.0.pool.is_full(class)) {

@@ -32,7 +32,7 @@ impl Origins {
     }
 }
 
-/// Origins are compared as text, so that a text that a browser never sends is none.
+/// Origins are compared as text, so a text that no browser sends is rejected.
 fn is_origin(text: &str) -> bool {
     let is_plain = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b"-._:[]".contains(&b);
     let (authority, default_port) = match text.split_once("://") {

@@ -175,7 +175,7 @@ mod tests {
         for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80", "localhost:80"] {
             assert!(serve(&["--listen", loopback]).is_ok(), "{loopback}");
         }
-        // Keys with a mistake let nobody in, and only the mistake is told.
+        // Keys with a mistake admit nobody, and only the mistake is reported.
         let refused = serve(&["--listen", "0.0.0.0:80", "--keys", "ann short"]).unwrap_err();
         assert!(refused.contains("--keys (MLSWARP_KEYS): line 1") && !refused.contains("--listen"), "{refused}");
     }

@@ -1,7 +1,7 @@
 //! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
 //!
-//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `reject_if_queue_full` (uploads, before their body is read;
-//! `POST /warp` does this in its handler), and its handler.
+//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `reject_if_queue_full` (uploads, before their body
+//! is read; `POST /warp` does this in its handler), and its handler.
 
 mod accept;
 pub(crate) mod assets;

@@ -1,7 +1,8 @@
 //! Admission and compute threads: `README.md` describes both, with a diagram.
 //!
-//! Async tasks compute nothing but small JSON bodies, and compute threads never wait for a client. A request waits for a [`Ticket`]; everything that computes for
-//! it holds a clone, so that the ticket is returned when the last closure has ended, even if the request's future was dropped before.
+//! Async tasks compute nothing but small JSON bodies, and compute threads never wait for a client. A request waits for a [`Ticket`];
+//! everything that computes for it holds a clone, so that the ticket is returned when the last closure has ended, even if the request's
+//! future was dropped before.
 
 mod admission;
 mod queue;

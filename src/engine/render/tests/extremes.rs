@@ -31,7 +31,7 @@ fn cells_that_cover_one_another_are_not_all_painted() {
     let mut noise = Noise(3);
     let mesh = Mesh::new(grid, (0..grid.len()).map(|_| [1e5 * noise.signed() as f32, 1e5 * noise.signed() as f32]).collect());
     let renderer = Renderer::new(source, &mesh, options(extent(300, 300)));
-    assert!(banded(&renderer, 300).chunks_exact(4).all(|pixel| pixel[3] == 255), "so many cells leave nothing uncovered");
+    assert!(banded(&renderer, 300).chunks_exact(4).all(|pixel| pixel[3] == 255), "this number of cells leaves nothing uncovered");
 }
 
 #[test]

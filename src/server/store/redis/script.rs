@@ -133,7 +133,7 @@ return 2",
 /// A call of one of these scripts.
 pub(crate) type Call = ScriptInvocation<'static>;
 
-/// Reads a sequence number. Empty is none.
+/// Reads a sequence number; an empty text means that there is no number.
 pub(crate) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
     if digits.is_empty() { Ok(None) } else { digits.parse().map(Some).map_err(|_| StoreError::Away) }
 }

@@ -146,7 +146,7 @@ async fn numbers_that_were_given_without_the_server_are_known_to_it_with_the_nex
         assert_eq!(store.touch(a.id, Some(seq)).await.unwrap().seq, Some(seq));
     }
     server.signal("-CONT");
-    assert_eq!(store.peek(a.id).await.unwrap().seq, Some(4), "who looks here is told what is known here");
+    assert_eq!(store.peek(a.id).await.unwrap().seq, Some(4), "this process answers what it knows");
     let told = async {
         while other.peek(a.id).await.unwrap().seq != Some(4) {
             assert_eq!(store.touch(a.id, Some(3)).await.unwrap().seq, Some(4));
