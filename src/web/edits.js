@@ -146,32 +146,6 @@ export function warpOf(document) {
   return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
-/** The document of a warp object; `null` if this page does not support it. */
-export function documentOf(warp) {
-  const places = (h) => (Array.isArray(h) && Array.isArray(h[0]) ? h : [h]);
-  const sound = (list) => Array.isArray(list) && list.every((place) => Array.isArray(place) && place.length === 2 && place.every(Number.isFinite));
-  if (!warp || !Array.isArray(warp.p)) return null;
-  const q = warp.q ?? warp.p;
-  if (!Array.isArray(q) || q.length !== warp.p.length || (warp.units ?? "px") !== "px") return null;
-  const { weights } = warp;
-  if (weights && !(Array.isArray(weights) && weights.length === q.length && weights.every((w) => w > 0))) return null;
-  const handles = warp.p.map((p, i) => ({ id: i + 1, p: places(p), q: places(q[i]), ...(weights && { weight: weights[i] }) }));
-  if (!handles.every((h) => h.p.length && h.p.length === h.q.length && sound(h.p) && sound(h.q))) return null;
-  const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
-  const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;
-  const grid = (warp.grid ?? "auto") === "auto" ? "auto" : warp.grid.cell;
-  const outside = readOutside(warp.output?.outside ?? "transparent");
-  if (method === null || alpha === undefined || outside === null || !(grid === "auto" || grid > 0)) return null;
-  return { handles, method, alpha, grid, outside };
-}
-
-/** The server's form of a colour, or null. */
-function readOutside(told) {
-  if (told === "transparent" || told === "edge") return told;
-  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
-  return colour ? colour + alpha : null;
-}
-
 /** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
   const { p, weights, method, alpha, grid, output } = restOf(document);
