@@ -1,7 +1,9 @@
 // Files with handles: the warp object as JSON. A file that this page cannot use is rejected with its name, the position and what is expected.
 
 import { Problem } from "./api.js";
+import { massOf, near } from "./edits.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
+import { pinOf } from "./twist.js";
 
 /** Largest file, bytes: many times what this page writes. */
 const LARGEST = 2 << 20;
@@ -69,23 +71,31 @@ function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
   demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
   const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
-  const { p, q = p, weights, units = "px", method = "rigid", alpha = null, grid = "auto" } = given;
+  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, grid = "auto" } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
   demand(units === "px", "/units", '"px"');
   demand(weights === undefined || (Array.isArray(weights) && weights.length === p.length && weights.every((w) => w > 0)), "/weights", "a list of one positive number for each handle");
-  const handles = p.map((rest, i) => {
-    const handle = { id: i + 1, p: placesOf(rest, `/p/${i}`), q: placesOf(q[i], `/q/${i}`), ...(weights && { weight: weights[i] }) };
-    demand(handle.q.length === handle.p.length, `/q/${i}`, `a handle of ${handle.p.length} ${handle.p.length === 1 ? "position" : "positions"}, as in p,`);
-    return handle;
+  demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
+  const handles = p.map((handle, i) => {
+    const [rest, posed] = [placesOf(handle, `/p/${i}`), placesOf(q[i], `/q/${i}`)];
+    demand(posed.length === rest.length, `/q/${i}`, `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`);
+    const pin = pinOf(rest, posed, weights?.[i], mass);
+    return { id: i + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
   });
+  // Weights of 1 are only the companions of those of twisted pins.
+  if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
   demand(METHODS.includes(method), "/method", '"rigid", "similarity" or "affine"');
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
   const cell = grid === "auto" ? grid : grid?.cell;
   demand(cell === "auto" || cell > 0, "/grid", '"auto" or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
   demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
-  return { handles, method, alpha, grid: cell, outside };
+  const read = { handles, method, alpha, grid: cell, outside };
+  // A mass that the page would choose itself continues to follow the lines.
+  const usual = massOf(read);
+  const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);
+  return follows ? read : { ...read, mass };
 }
 
 /** The server's form of a colour, or null. */
