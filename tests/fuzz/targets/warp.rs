@@ -26,7 +26,7 @@ pub(super) fn parse(bytes: &[u8]) {
         _ => PointsObject::parse_posed(json).err(),
     };
     if let Some(problem) = refused {
-        assert_is_problem(&problem.to_json(None));
+        assert_is_problem(&problem.to_json("", None));
     }
 }
 
