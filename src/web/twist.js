@@ -2,7 +2,7 @@
 // and turned about the posed one. Its weight times its length is the point mass, so its total weight is that of the point it replaces.
 
 /** Rest length of the segment, as a share of the mean side of the picture: it determines how far a twist reaches. */
-const SHARE = 1 / 12;
+const SHARE = 1 / 8;
 /** The segment reaches this length in equal steps, one for each STEP degrees, so that the first degree does not move the surroundings. */
 const STEPS = 8;
 const STEP = 2;
