@@ -62,7 +62,7 @@ export class ExportDialog {
       this.#attempt(() => this.#download());
     });
     find("curl").addEventListener("click", () => find("form").reportValidity() && this.#attempt(() => this.#copy()));
-    for (const input of document.querySelectorAll("input[name=export-format]")) input.addEventListener("change", () => this.#set({ format: input.value }));
+    for (const format of Object.keys(SIDES)) find(format).addEventListener("change", () => this.#set({ format }));
     find("quality").addEventListener("input", ({ target }) => this.#set({ quality: Number(target.value) }));
     find("compression").addEventListener("change", ({ target }) => this.#set({ compression: target.value }));
     find("background").addEventListener("input", ({ target }) => this.#set({ background: target.value }));
@@ -110,7 +110,7 @@ export class ExportDialog {
     };
   }
 
-  /** A JPEG has no transparency. The colour outside, or white, is its background; here it can be chosen unless the panel sets another outside. */
+  /** A JPEG has no transparency: its background is the colour outside, or white. It can be chosen unless the panel sets another outside. */
   get #hasBackground() {
     return this.#settings.format === "jpeg" && outsideOf(this.store.state.document) === "transparent";
   }
@@ -150,7 +150,8 @@ export class ExportDialog {
     find("background-row").hidden = format !== "jpeg";
     find("background").hidden = !this.#hasBackground;
     find("background").value = background;
-    text("background-note", this.#hasBackground ? EXPORT.background : EXPORT.outside[outsideOf(this.store.state.document) === "edge" ? "edge" : "colour"]);
+    const outside = outsideOf(this.store.state.document);
+    text("background-note", EXPORT.backgrounds[outside.startsWith("#") ? "colour" : outside]);
     text("save", `Download ${EXPORT.names[format]}`);
     find("problem").hidden = valid;
     if (!valid) text("problem", `Enter a width of 1 to ${widest} px.`);

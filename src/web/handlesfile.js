@@ -1,4 +1,5 @@
-// Files with handles: the warp object as JSON. A file that this page cannot use is rejected with its name, the position and what is expected.
+// Files with handles: the warp object as JSON. A file that this page cannot use is rejected with its name, the position and what is
+// expected.
 
 import { Problem } from "./api.js";
 import { massOf, near } from "./edits.js";
@@ -15,7 +16,8 @@ export const isHandles = (file) => file.type === "application/json" || /\.json$/
 export async function readHandles(file) {
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
   const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
-  if (text === null) throw problem(`The file ${file.name} cannot be read${file.size > LARGEST ? ": it is too large for a file of handles" : ""}.`);
+  const reason = file.size > LARGEST ? ": it is too large for a file of handles" : "";
+  if (text === null) throw problem(`The file ${file.name} cannot be read${reason}.`);
   const where = (at) => {
     const { line, column } = lineAndColumn(text, at);
     return `In ${file.name}, line ${line}, column ${column}`;
@@ -26,8 +28,9 @@ export async function readHandles(file) {
     return documentFrom(parsed.value);
   } catch (error) {
     if (error instanceof Broken) throw problem(`${where(error.at)}: ${error.expected} is expected.`);
-    if (error instanceof Unsupported) throw problem(`${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${error.pointer && ` for ${named(error.pointer)}`}.`);
-    throw error;
+    if (!(error instanceof Unsupported)) throw error;
+    const member = error.pointer && ` for ${named(error.pointer)}`;
+    throw problem(`${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`);
   }
 }
 
@@ -75,7 +78,8 @@ function documentFrom(warp) {
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
   demand(units === "px", "/units", '"px"');
-  demand(weights === undefined || (Array.isArray(weights) && weights.length === p.length && weights.every((w) => w > 0)), "/weights", "a list of one positive number for each handle");
+  const areWeights = (list) => Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
+  demand(weights === undefined || areWeights(weights), "/weights", "a list of one positive number for each handle");
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
   const handles = p.map((handle, i) => {
     const [rest, posed] = [placesOf(handle, `/p/${i}`), placesOf(q[i], `/q/${i}`)];

@@ -55,8 +55,9 @@ export class Keeper {
     if (phase === "uploading" || (phase === "empty" && !earlier.length && !later.length)) return;
     const open = this.current();
     const text = (steps) => {
-      const shortened = (picture) => ({ ...picture, past: steps ? picture.past?.slice(-steps) : [], future: picture.future?.slice(0, steps), source: undefined });
-      return JSON.stringify({ ...shortened(open), earlier: earlier.map(shortened), later: later.map(shortened) });
+      const lastly = (past) => (steps ? past?.slice(-steps) : []);
+      const short = (picture) => ({ ...picture, past: lastly(picture.past), future: picture.future?.slice(0, steps), source: undefined });
+      return JSON.stringify({ ...short(open), earlier: earlier.map(short), later: later.map(short) });
     };
     this.kept = keepText(sessionStorage, text) && phase === "open" && open.file !== null;
     keepText(localStorage, text);
@@ -81,8 +82,8 @@ function settled(request) {
 }
 
 /**
- * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those with a key in `needed`. Stores bytes: private
- * windows of WebKit cannot store a Blob.
+ * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those with a key in `needed`. Stores bytes:
+ * private windows of WebKit cannot store a Blob.
  */
 export async function keepFile(blob, name, needed) {
   try {

@@ -54,7 +54,8 @@ export class Keys {
   /** A key that the focused control does not use. */
   #character(event) {
     if (event.key === "Escape") this.actions.escape();
-    else if (event.key.length === 1 && event.key !== " " && this.singleKeys() && this.#single(event.key.toLowerCase(), event.repeat)) event.preventDefault();
+    if (event.key.length > 1 || event.key === " " || !this.singleKeys()) return;
+    if (this.#single(event.key.toLowerCase(), event.repeat)) event.preventDefault();
   }
 
   #take(event, act) {

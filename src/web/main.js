@@ -152,14 +152,15 @@ document.querySelector("h1 a").addEventListener("click", (event) => {
   does.close();
 });
 
-/** The focus never stays on a hidden control: it moves to the picture or, on the start page, to where it was or to the first button. */
+// The focus never stays on a hidden control: it moves to the picture or, on the start page, to where it was or to the first button.
+const staysAt = (node, phase) => node !== document.body && node?.checkVisibility() && (phase !== "open" || node.matches(":focus-visible"));
 let left = null;
 store.subscribe(({ phase }, { phase: before }) => {
   if (phase === before) return;
   const { activeElement } = document;
   if (before === "empty" && phase === "uploading") left = activeElement;
-  if (phase === "uploading" || (activeElement !== document.body && activeElement?.checkVisibility())) return;
-  (phase === "open" ? stage : left?.checkVisibility() && left !== document.body ? left : find("pick")).focus({ preventScroll: true });
+  if (phase === "uploading" || staysAt(activeElement, phase)) return;
+  (phase === "open" ? stage : staysAt(left, phase) ? left : find("pick")).focus({ preventScroll: true });
 });
 
 // Files

@@ -34,7 +34,8 @@ export class Opener {
     const { picture, document, before, past, future } = this.store.state;
     const { session, file } = this.sync;
     if (!picture) return { picture: null };
-    return { picture, document: before ?? document, past, future, session: session.id, borrowed: session.borrowed, file: this.fileKey, link: this.link, source: file };
+    const kept = { file: this.fileKey, source: file, link: this.link };
+    return { picture, document: before ?? document, past, future, session: session.id, borrowed: session.borrowed, ...kept };
   }
 
   /** Opens dropped, pasted or picked files: a picture, handles, or both. */
@@ -71,7 +72,8 @@ export class Opener {
   file(file, name) {
     return this.#attempt(name, async (signal) => {
       if (file.size > this.limits.body) {
-        throw new api.Problem({ code: "too_large", detail: `The file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}.` }, 0);
+        const detail = `The file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}.`;
+        throw new api.Problem({ code: "too_large", detail }, 0);
       }
       await this.#fresh(await copyOf(file), name, emptyDocument(), null, signal);
     });

@@ -14,7 +14,10 @@ export const stepped = ({ earlier, later }, left, back) =>
   back ? { earlier: earlier.slice(0, -1), later: [left, ...later] } : { earlier: withLast(earlier, left), later: later.slice(1) };
 
 /** The history without a picture that cannot be shown any more. */
-export const without = ({ earlier, later }, gone) => ({ earlier: earlier.filter((p) => p !== gone), later: later.filter((p) => p !== gone) });
+export function without({ earlier, later }, gone) {
+  const stays = (picture) => picture !== gone;
+  return { earlier: earlier.filter(stays), later: later.filter(stays) };
+}
 
 /** The keys of the stored files that the history needs. */
 export const filesOf = ({ earlier, later }) => [...earlier, ...later].map((p) => p.file).filter((key) => key !== null && key !== undefined);

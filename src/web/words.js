@@ -101,8 +101,8 @@ export const EXPORT = {
     best: "The smallest file; takes longer to prepare.",
     none: "The largest file.",
   },
-  background: "JPEG has no transparency: transparent pixels get this colour.",
-  outside: {
+  backgrounds: {
+    transparent: "JPEG has no transparency: transparent pixels get this colour.",
     edge: "JPEG has no transparency: transparent pixels become white.",
     colour: "JPEG has no transparency: transparent pixels get the colour chosen for the outside.",
   },
