@@ -32,7 +32,10 @@ export class Panel {
     click("close", does.close);
     click("export-open", does.export);
     click("open-handles", does.pickHandles);
-    click("waiting-drop", () => store.do("waiting", { handles: null }));
+    click("waiting-drop", () => {
+      find("pick").focus({ preventScroll: true }); // this button disappears
+      store.do("waiting", { handles: null });
+    });
     click("mesh", does.mesh);
     click("compare", does.compare);
     click("zoom-in", () => view.zoomTo(view.zoom * 1.25));

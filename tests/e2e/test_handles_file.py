@@ -50,7 +50,7 @@ def test_handles_that_wait_are_for_a_sample_too_or_are_discarded(visit):
     visit.page.wait_for_selector("#waiting")
     visit.page.focus("#waiting-drop")
     visit.keys("Enter")
-    assert not visit.page.locator("#waiting").is_visible()
+    assert not visit.page.locator("#waiting").is_visible() and visit.page.evaluate("document.activeElement.id") == "pick"
     visit.page.set_input_files("#file", [file()])
     visit.page.click("#sample-cat")
     is_posed(visit)

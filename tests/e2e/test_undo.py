@@ -104,6 +104,8 @@ def test_closing_is_taken_back_by_keys_alone(bent):
     bent.body("[data-state=empty]")
     bent.page.click("#undo")
     assert whole(bent) == before
+    # After a click, too, the focus is on the picture: keys work.
+    assert bent.page.evaluate(focused) == "stage"
     # The mark leads to the start page too.
     bent.page.click("h1 a")
     bent.body("[data-state=empty]")
