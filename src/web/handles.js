@@ -52,7 +52,7 @@ export class Handles {
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
     this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
     // A round arrow on a stalk, so that it does not look like a handle.
-    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button" });
+    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection" });
     const turn = ["shade", "glyph"].map((name) => element("path", { class: name, d: "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6" }));
     this.stalk = element("line", { class: "stalk" });
     this.degrees = element("text", { class: "degrees", y: -16, "text-anchor": "middle", "aria-hidden": true });
