@@ -14,6 +14,8 @@ const RING_OFF = 26;
 /** Radius of the ring of a pin, and length of the stalk between a ring and its knob, CSS px. */
 const PIN_RING = { mouse: 30, touch: 40 };
 const STALK = 16;
+const COARSE = matchMedia("(pointer: coarse)");
+const PLATE = 10.5;
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElementNS(SPACE, name);
@@ -50,11 +52,11 @@ export class Handles {
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
     this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
     // A round arrow on a stalk, so that it does not look like a handle.
-    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button" });
+    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection" });
     const turn = ["shade", "glyph"].map((name) => element("path", { class: name, d: "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6" }));
     this.stalk = element("line", { class: "stalk" });
     this.degrees = element("text", { class: "degrees", y: -16, "text-anchor": "middle", "aria-hidden": true });
-    this.knob.append(element("circle", { class: "hit", r: 14 }), element("circle", { class: "halo", r: 12 }), this.stalk, element("circle", { class: "plate", r: 10.5 }), ...turn, this.degrees);
+    this.knob.append(element("circle", { class: "hit", r: COARSE.matches ? 22 : 14 }), element("circle", { class: "halo", r: 12 }), this.stalk, element("circle", { class: "plate", r: PLATE }), ...turn, this.degrees);
     this.draft = element("g", { class: "draft", "aria-hidden": true }, element("polyline", { class: "under" }), element("polyline", { class: "over" }));
     this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
     this.cross = element("path", { id: "cross", class: "cross", d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14", "aria-hidden": true });
@@ -145,7 +147,7 @@ export class Handles {
     const angle = -Math.PI / 4 + (pin ? (((pin.twist?.angle ?? 0) - (pin.twist?.free ?? 0)) * Math.PI) / 180 : (this.turning?.angle ?? 0));
     const knobAt = (r) => [middle[0] + (r + STALK) * Math.cos(angle), middle[1] + (r + STALK) * Math.sin(angle)];
     if (pin) {
-      const r = matchMedia("(pointer: coarse)").matches ? PIN_RING.touch : PIN_RING.mouse;
+      const r = COARSE.matches ? PIN_RING.touch : PIN_RING.mouse;
       return { pin, centre, middle, r, knob: knobAt(r) };
     }
     // Keep the knob inside the stage for large selections.
@@ -160,8 +162,8 @@ export class Handles {
     for (const circle of [this.ringShade, this.ring]) set(circle, { visibility, ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
     set(this.knob, { visibility, tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
     if (!ring) return;
-    const [x, y] = [0, 1].map((axis) => ((ring.middle[axis] - ring.knob[axis]) * STALK) / (ring.r + STALK));
-    set(this.stalk, { x1: x, y1: y, x2: 0, y2: 0 });
+    const [x, y] = [0, 1].map((axis) => (ring.middle[axis] - ring.knob[axis]) / (ring.r + STALK));
+    set(this.stalk, { x1: x * STALK, y1: y * STALK, x2: x * PLATE, y2: y * PLATE });
     const degrees = ring.pin?.twist?.angle;
     set(this.knob, { "aria-label": ring.pin ? `Twist the pin${degrees === undefined ? "" : `, now ${degrees} degrees`}: arrow keys turn it by 1 degree` : "Rotate the selection: arrow keys rotate by 1 degree" });
     const words = degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
@@ -170,8 +172,9 @@ export class Handles {
 
   /** Hides numbers without room. Not during a drag, so that they do not flicker. */
   #thinOut({ selection, document, before, compare, peek }) {
+    if (before || compare || peek) return;
     const key = `${this.view.zoom} ${selection} ${document.handles.length}`;
-    if (before || compare || peek || (key === this.#thinned && (document === this.#thinnedFor || selection.length < 2))) return;
+    if (key === this.#thinned && (document === this.#thinnedFor || selection.length < 2)) return;
     this.#thinned = key;
     this.#thinnedFor = document;
     const chosen = new Set(selection);
