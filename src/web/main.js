@@ -7,10 +7,13 @@ import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
 import { Opener } from "./open.js";
+import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { bentPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
 import { Store } from "./state.js";
+import { strengthOf } from "./strength.js";
+import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
@@ -27,7 +30,8 @@ const sync = new Sync(store, view, wishes.get("socket") !== "off");
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say);
 const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state));
-const pointer = new Pointer(stage, store, view, handles, actions);
+const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked);
+const pointer = new Pointer(stage, store, view, handles, actions, loupe);
 
 /** Announces a text to screen readers; a newer text replaces it. */
 function say(words) {
@@ -73,6 +77,7 @@ const does = {
 };
 
 new Panel(store, sync, view, actions, does);
+new StrengthSlider(find("strength"), find("strength-value"), store, actions);
 new Table(find("handle-table"), store, actions);
 new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
 const keeper = new Keeper(
@@ -106,6 +111,7 @@ function observe() {
     tool: state.tool,
     draft: state.draft.length,
     arm: state.arm,
+    strength: strengthOf(state.document),
     undo: state.past.length,
     redo: state.future.length,
     folds: shown.folds,
@@ -197,8 +203,10 @@ find("theme").addEventListener("click", () => {
 find("help-open").addEventListener("click", does.help);
 find("help-close").addEventListener("click", () => find("help").close());
 find("help").addEventListener("click", (event) => event.target === find("help") && find("help").close());
-find("keys").checked = setting("keys") !== "off";
-find("keys").addEventListener("change", ({ target }) => keepSetting("keys", target.checked ? "on" : "off"));
+for (const [id, name] of [["keys", "keys"], ["loupe-wanted", "loupe"]]) {
+  find(id).checked = setting(name) !== "off";
+  find(id).addEventListener("change", ({ target }) => keepSetting(name, target.checked ? "on" : "off"));
+}
 
 // The key
 

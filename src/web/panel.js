@@ -1,6 +1,7 @@
 // The controls around the picture: they show the state and change it.
 
 import { alphaOf, kindName, outsideOf } from "./edits.js";
+import { canTwist } from "./twist.js";
 import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
@@ -115,7 +116,8 @@ export class Panel {
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
     text("alpha-value", `${alpha}`);
     find("alpha-auto").checked = document.alpha === null;
-    text("alpha-note", focusWords(alpha));
+    const automatic = alphaOf({ ...document, alpha: null });
+    text("alpha-note", `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`);
     const select = find("grid-size");
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
@@ -141,7 +143,8 @@ export class Panel {
     text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
     press("move-to", arm === "move");
     press("select-more", state.more);
-    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2;
+    const pin = selection.length === 1 && canTwist(handles.find((h) => String(h.id) === selection[0]));
+    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < 2;
     text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "point")}`);

@@ -1,6 +1,8 @@
 // The store: document (handles, method, alpha, grid, outside), selection and history. Reducers are pure functions of state and action.
 // Views subscribe.
 
+import { settled } from "./strength.js";
+
 /** Maximum number of undo steps. */
 const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
@@ -74,12 +76,12 @@ const reducers = {
     if (document === state.document) return state;
     const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
     const history = joins ? { future: [] } : remembered(state, state.document);
-    const next = withDocument({ ...state, ...history, tag, tagged: now }, document);
+    const next = withDocument({ ...state, ...history, tag, tagged: now }, settled(document, state.document));
     return select ? { ...next, selection: select } : next;
   },
 
   dragBegin: (state) => ({ ...state, before: state.document, tag: "" }),
-  drag: (state, { document }) => withDocument(state, document),
+  drag: (state, { document }) => withDocument(state, settled(document, state.document)),
   dragEnd: (state) => {
     if (!state.before) return state;
     const history = state.before === state.document ? {} : remembered(state, state.before);

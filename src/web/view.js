@@ -20,6 +20,9 @@ export class View {
   mesh = null;
   folds = 0;
 
+  /** Called after each frame, while the canvas has its content. */
+  drawn = () => {};
+
   #outside = "transparent";
   #folded = [];
   #fitted = true;
@@ -286,9 +289,23 @@ export class View {
     const drawn = lines && (this.#show.lines || this.folds > 0);
     if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
+    this.drawn();
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
+  }
+
+  /** Copies a rectangle of the stage (x, y, width, height; CSS px) as shown to a square canvas. */
+  copyTo(context, [x, y, width, height], side) {
+    const { scale } = this;
+    context.imageSmoothingEnabled = this.zoom < CRISP;
+    if (this.source === "mesh" || this.source === "frame") {
+      context.drawImage(this.live, x * scale, y * scale, width * scale, height * scale, 0, 0, side, side);
+      return;
+    }
+    const factor = side / width;
+    const [left, top] = [this.pan[0] - x, this.pan[1] - y];
+    context.drawImage(this.stage.querySelector("#picture"), left * factor, top * factor, this.zoom * this.size[0] * factor, this.zoom * this.size[1] * factor);
   }
 
   #drawFrame({ zoom, x, y }) {
