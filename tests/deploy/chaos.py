@@ -66,12 +66,12 @@ def check_proxy(check, stack):
     plans, right = [], True
     for hand in HANDS:
         if isinstance(hand, RequestHand):
-            # The session is in the body; the upload reached its replica by the path.
-            body = json.dumps({"session": hand.session.upper(), "q": hand.poses[0]})
-            status, headers, picture = stack.proxy.ask("POST", "/warp", body)
+            # The upload reached its replica by the id as it is written in lower case.
+            path = f"/sessions/{hand.session.upper()}/warp"
+            status, headers, picture = stack.proxy.ask("POST", path, json.dumps({"q": hand.poses[0]}))
             plans.append(headers["Warp-Plan"])
             right = right and status == 200 and picture in hand.looks[0]
-    check("POST /warp goes where the session's upload went", right and set(plans) == {"hit"}, plans)
+    check("a session written in capitals goes where its upload went", right and set(plans) == {"hit"}, plans)
     status, headers, body = stack.proxy.ask("GET", "/metrics")
     told = json.loads(body) if headers["Content-Type"] == "application/problem+json" else {}
     check("the figures of replicas are not for everybody", (status, told.get("code")) == (404, "not_found"), status)

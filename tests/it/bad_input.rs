@@ -25,17 +25,18 @@ async fn parts() {
         assert!(document["detail"].as_str().unwrap().contains('`'), "{name}: {document}");
         server.is_well().await;
     }
-    let raw = |kind: &'static str, body: &'static str| server.post("/warp").header("content-type", kind).body(body).send();
-    for (kind, body) in [
-        ("multipart/form-data", "no boundary"),
-        ("multipart/form-data; boundary=b", ""),
-        ("multipart/form-data; boundary=b", "--b--\r\n"),
-        ("multipart/form-data; boundary=b", "--b\r\nContent-Disposition: form-data; name=\"image\"\r\n\r\nnever ends"),
-        ("application/json", ""),
-        ("application/json", "not JSON"),
-        ("application/json", "[]"),
+    let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
+    let drag = format!("/sessions/{id}/warp");
+    for (path, kind, body) in [
+        ("/warp", "multipart/form-data", "no boundary"),
+        ("/warp", "multipart/form-data; boundary=b", ""),
+        ("/warp", "multipart/form-data; boundary=b", "--b--\r\n"),
+        ("/warp", "multipart/form-data; boundary=b", "--b\r\nContent-Disposition: form-data; name=\"image\"\r\n\r\nnever ends"),
+        (&drag, "application/json", ""),
+        (&drag, "application/json", "not JSON"),
+        (&drag, "application/json", "[]"),
     ] {
-        problem(raw(kind, body).await.unwrap(), 400, "malformed_request").await;
+        problem(server.post(path).header("content-type", kind).body(body).send().await.unwrap(), 400, "malformed_request").await;
         server.is_well().await;
     }
     let swapped = Form::new().part("warp", warp()).part("image", image());
@@ -153,29 +154,24 @@ async fn drags() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2], [9, 9]]})).await;
     let unknown = "11111111-2222-4333-8444-555555555555";
-    let cases: &[(Value, u16, &str)] = &[
-        (json!({"q": [[2, 2], [9, 9]]}), 422, "bad_value"),
-        (json!({"session": id}), 422, "bad_value"),
-        (json!({"session": unknown, "q": [[2, 2], [9, 9]]}), 404, "no_such_session"),
-        (json!({"session": "mine", "q": [[2, 2], [9, 9]]}), 404, "no_such_session"),
-        (json!({"session": id, "q": [[2, 2]]}), 422, "shape_mismatch"),
-        (json!({"session": id, "q": [[2, 2], [9, 1e7]]}), 422, "bad_value"),
-        (json!({"session": id, "q": [[2, 2], [9, 9]], "seq": -1}), 422, "bad_value"),
-        (json!({"session": id, "q": [[2, 2], [9, 9]], "p": []}), 422, "unknown_field"),
-        (json!({"session": id, "q": [[2, 2], [9, 9]], "output": {"width": 0}}), 422, "bad_value"),
+    let cases: &[(&str, Value, u16, &str)] = &[
+        (&id, json!({}), 422, "bad_value"),
+        (unknown, json!({"q": [[2, 2], [9, 9]]}), 404, "no_such_session"),
+        ("mine", json!({"q": [[2, 2], [9, 9]]}), 404, "no_such_session"),
+        (&id, json!({"q": [[2, 2]]}), 422, "shape_mismatch"),
+        (&id, json!({"q": [[2, 2], [9, 1e7]]}), 422, "bad_value"),
+        (&id, json!({"q": [[2, 2], [9, 9]], "seq": -1}), 422, "bad_value"),
+        (&id, json!({"q": [[2, 2], [9, 9]], "p": []}), 422, "unknown_field"),
+        (&id, json!({"q": [[2, 2], [9, 9]], "output": {"width": 0}}), 422, "bad_value"),
     ];
-    for (body, status, code) in cases {
-        problem(server.drag(body).await, *status, code).await;
-        png(server.drag(&json!({"session": id, "q": [[2, 3], [9, 9]]})).await).await;
+    for (session, body, status, code) in cases {
+        problem(server.drag(session, body).await, *status, code).await;
+        png(server.drag(&id, &json!({"q": [[2, 3], [9, 9]]})).await).await;
     }
-    let long = format!("{{\"session\": \"{id}\", \"q\": [[2, 2], [9, 9]] {}}}", " ".repeat((64 << 10) + 200));
-    for (path, body) in
-        [("/warp".to_owned(), long.clone()), (format!("/sessions/{id}/warp"), long.replace(&format!("\"session\": \"{id}\", "), ""))]
-    {
-        let response = server.post(&path).header("content-type", "application/json").body(body).send().await.unwrap();
-        let document = problem(response, 413, "too_large").await;
-        assert_eq!(document["limit"], (64 << 10) + 2 * 64);
-    }
+    let long = format!("{{\"q\": [[2, 2], [9, 9]] {}}}", " ".repeat((64 << 10) + 200));
+    let request = server.post(&format!("/sessions/{id}/warp")).header("content-type", "application/json").body(long);
+    let document = problem(request.send().await.unwrap(), 413, "too_large").await;
+    assert_eq!(document["limit"], (64 << 10) + 2 * 64);
     server.is_well().await;
 }
 

@@ -39,7 +39,7 @@ async fn decoders_agree_on_every_kind_of_answer() {
                     let mut pictures = Vec::new();
                     for compression in ["none", "fast", "best"] {
                         let output = json!({"compression": compression, "outside": outside});
-                        let answer = server.drag(&json!({"session": id, "q": q, "output": output})).await;
+                        let answer = server.drag(&id, &json!({"q": q, "output": output})).await;
                         pictures.push(decoded(&png(answer).await));
                     }
                     let what = format!("{width} x {height} {color:?} {depth:?} {outside}");

@@ -25,7 +25,7 @@ async fn a_hundred_poses_build_one_plan_and_each_equals_the_one_shot_answer() {
     assert_eq!(server.app.counters().plans_built, 1);
     let mut distinct = std::collections::HashSet::new();
     for n in 0..100 {
-        let response = server.drag(&json!({"session": id, "q": posed(n)})).await;
+        let response = server.drag(&id, &json!({"q": posed(n)})).await;
         assert_eq!(header(&response, "warp-plan"), "hit");
         let etag = header(&response, "etag").to_owned();
         let dragged = png(response).await;
@@ -81,14 +81,14 @@ async fn two_pictures_of_one_size_share_one_plan() {
 async fn what_the_caches_dropped_is_rebuilt_from_the_session() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
-    let body = json!({"session": id, "q": posed(1)});
-    let warm = png(server.drag(&body).await).await;
+    let body = json!({"q": posed(1)});
+    let warm = png(server.drag(&id, &body).await).await;
     server.app.clear_caches();
-    let cold = server.drag(&body).await;
+    let cold = server.drag(&id, &body).await;
     assert_eq!(header(&cold, "warp-plan"), "built");
     assert_eq!(png(cold).await, warm);
     assert_eq!(server.app.counters().images_decoded, 2);
-    assert_eq!(header(&server.drag(&body).await, "warp-plan"), "hit");
+    assert_eq!(header(&server.drag(&id, &body).await, "warp-plan"), "hit");
 }
 
 #[tokio::test]
@@ -97,8 +97,8 @@ async fn caches_too_small_for_anything_change_no_picture() {
     let roomy = Server::start(&[]).await;
     let (a, b) = (server.session(&photo(64, 48), &rest()).await, roomy.session(&photo(64, 48), &rest()).await);
     for n in 0..3 {
-        let small = server.drag(&json!({"session": a, "q": posed(n)})).await;
-        assert_eq!(png(small).await, png(roomy.drag(&json!({"session": b, "q": posed(n)})).await).await);
+        let small = server.drag(&a, &json!({"q": posed(n)})).await;
+        assert_eq!(png(small).await, png(roomy.drag(&b, &json!({"q": posed(n)})).await).await);
     }
     assert!(server.app.counters().plans_built > 1 && roomy.app.counters().plans_built == 1);
 }
@@ -109,7 +109,7 @@ async fn an_output_given_with_a_pose_replaces_only_what_it_names() {
     let mut whole = rest();
     whole["output"] = json!({"outside": "#ff0000ff", "filter": "nearest"});
     let id = server.session(&photo(64, 48), &whole).await;
-    let preview = png(server.drag(&json!({"session": id, "q": posed(2), "output": {"width": 32}})).await).await;
+    let preview = png(server.drag(&id, &json!({"q": posed(2), "output": {"width": 32}})).await).await;
     let preview_read = decoded(&preview);
     assert_eq!((preview_read.width, preview_read.height), (32, 24));
     whole["output"]["width"] = json!(32);
@@ -122,7 +122,7 @@ async fn the_first_bytes_of_a_large_picture_leave_before_its_last_strip_is_drawn
     let server = Server::start(&[]).await;
     let large = photo(3840, 2160);
     let id = server.session(&large, &json!({"p": [[100, 100], [3000, 2000]], "output": {"compression": "best"}})).await;
-    let mut response = server.drag(&json!({"session": id, "q": [[140, 130], [2900, 2000]]})).await;
+    let mut response = server.drag(&id, &json!({"q": [[140, 130], [2900, 2000]]})).await;
     assert_eq!(response.status(), 200);
     assert!(response.headers().get("content-length").is_none());
     let first = response.chunk().await.unwrap().unwrap();

@@ -11,7 +11,7 @@ use crate::support::{Server, eventually, photo};
 async fn a_client_that_leaves_during_the_answer_ends_the_work() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(3000, 2000), &json!({"p": [[100, 100]], "output": {"compression": "best"}})).await;
-    let mut response = server.drag(&json!({"session": id, "q": [[140, 130]]})).await;
+    let mut response = server.drag(&id, &json!({"q": [[140, 130]]})).await;
     assert!(response.chunk().await.unwrap().is_some());
     drop(response);
     eventually("the work ends", || server.app.counters().pictures_abandoned == 1 && server.app.pool().running() == 0).await;
@@ -91,11 +91,11 @@ async fn a_client_that_writes_first_reads_its_413() {
 async fn trailers_tell_what_drawing_cost_where_the_client_takes_them() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(800, 600), &json!({"p": [[100, 100]]})).await;
-    let body = json!({"session": id, "q": [[140, 130]]}).to_string();
+    let body = json!({"q": [[140, 130]]}).to_string();
     for (te, told) in [("Connection: close, te\r\nTE: trailers\r\n", true), ("Connection: close\r\n", false)] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
         let head = format!(
-            "POST /warp HTTP/1.1\r\nHost: localhost\r\n{te}Content-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+            "POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\n{te}Content-Type: application/json\r\nContent-Length: {}\r\n\r\n",
             body.len()
         );
         stream.write_all((head + &body).as_bytes()).await.unwrap();

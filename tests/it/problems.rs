@@ -40,9 +40,8 @@ async fn media_types() {
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let text = server.post(&format!("/sessions/{id}/warp")).body("{}").send().await.unwrap();
     problem(text, 415, "unsupported_media_type").await;
-    let with_parameter = server.post("/warp").header("content-type", "Application/JSON; charset=utf-8");
-    let body = json!({"session": id, "q": [[3, 2]]}).to_string();
-    png(with_parameter.body(body).send().await.unwrap()).await;
+    let with_parameter = server.post(&format!("/sessions/{id}/warp")).header("content-type", "Application/JSON; charset=utf-8");
+    png(with_parameter.body(r#"{"q": [[3, 2]]}"#).send().await.unwrap()).await;
 }
 
 #[tokio::test]
@@ -171,7 +170,7 @@ async fn the_page_shows_what_is_said() {
     same("no_such_session", server.get("/sessions/0f8fad5b-d9cb-469f-a165-70867728950e")).await;
     same("method_not_allowed", server.get("/warp")).await;
     same("not_acceptable", server.post("/warp").header("accept", "image/avif").multipart(form(&image, "{}"))).await;
-    same("unsupported_media_type", server.post("/warp").header("content-type", "text/plain").body("hello")).await;
+    same("unsupported_media_type", server.post("/warp").json(&json!({"p": [[1, 1]], "q": [[1, 1]]}))).await;
     same("unsupported_format", server.post("/warp").multipart(form(b"GIF89a\x01\0\x01\0\0\0\0;", "{}"))).await;
     same("bad_image", server.post("/warp").multipart(form(&image[..image.len() / 2], "{}"))).await;
 
@@ -243,8 +242,6 @@ async fn a_mistake_is_told_so_that_it_can_be_mended() {
     let animation =
         bombs::png(&[(b"IHDR", bombs::ihdr(16, 12)), (b"acTL", vec![0, 0, 0, 3, 0, 0, 0, 0]), (b"IDAT", bombs::deflated_zeros(600))]);
     said(&animation, "{}", &["an animation of 3 frames; at most 1"]).await;
-    let json: Value = server.drag(&json!({"p": [[1, 1]], "q": [[1, 1]]})).await.json().await.unwrap();
-    assert!(json["detail"].as_str().unwrap().contains("multipart/form-data"), "{json}");
 }
 
 #[test]

@@ -50,7 +50,7 @@ async fn a_deleted_session_is_gone() {
     let never = format!("/sessions/{}", uuid::Uuid::new_v4());
     problem(server.client.delete(server.url(&never)).send().await.unwrap(), 404, "no_such_session").await;
     problem(server.get(&path).send().await.unwrap(), 404, "no_such_session").await;
-    problem(server.drag(&json!({"session": id, "q": [[3, 2]]})).await, 404, "no_such_session").await;
+    problem(server.drag(&id, &json!({"q": [[3, 2]]})).await, 404, "no_such_session").await;
     server.is_well().await;
 }
 
@@ -92,16 +92,16 @@ async fn points_out_of_range_are_refused_and_change_nothing_for_others() {
 async fn an_idle_session_expires_is_told_so_and_then_forgotten() {
     let server = Server::start(&["--session-idle", "400ms"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
-    let body = json!({"session": id, "q": [[3, 2]]});
+    let body = json!({"q": [[3, 2]]});
     for _ in 0..4 {
         tokio::time::sleep(Duration::from_millis(150)).await;
-        png(server.drag(&body).await).await;
+        png(server.drag(&id, &body).await).await;
     }
     tokio::time::sleep(Duration::from_millis(500)).await;
-    problem(server.drag(&body).await, 410, "session_expired").await;
+    problem(server.drag(&id, &body).await, 410, "session_expired").await;
     problem(server.get(&format!("/sessions/{id}")).send().await.unwrap(), 410, "session_expired").await;
     tokio::time::sleep(Duration::from_millis(500)).await;
-    problem(server.drag(&body).await, 404, "no_such_session").await;
+    problem(server.drag(&id, &body).await, 404, "no_such_session").await;
     server.is_well().await;
 }
 
@@ -117,7 +117,7 @@ async fn a_lower_seq_is_superseded_and_an_equal_one_is_a_retry() {
     problem(send(6).await.unwrap(), 409, "superseded").await;
     assert_eq!(server.app.counters().pictures_begun, begun, "nothing was drawn");
     png(send(8).await.unwrap()).await;
-    let unnumbered = server.drag(&json!({"session": id, "q": [[3, 2]]})).await;
+    let unnumbered = server.drag(&id, &json!({"q": [[3, 2]]})).await;
     png(unnumbered).await;
     let read: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
     assert_eq!(read["seq"], 8);
@@ -131,7 +131,7 @@ async fn a_full_store_refuses_newcomers_and_serves_the_living() {
     assert!(refused.headers().get("retry-after").is_some());
     let document = problem(refused, 503, "overloaded").await;
     assert_eq!((&document["limit_name"], &document["limit"]), (&json!("sessions"), &json!(1)));
-    png(server.drag(&json!({"session": id, "q": [[3, 2]]})).await).await;
+    png(server.drag(&id, &json!({"q": [[3, 2]]})).await).await;
 }
 
 #[tokio::test]

@@ -186,11 +186,7 @@ async fn step(day: &Day, dice: &mut Dice) {
             let body = text(&drag, dice);
             drop(day.note("POST /sessions/{id}/warp", json_post(&format!("/sessions/{id}/warp"), body).await).await);
         }
-        10 => {
-            let body = text(&json!({"session": id, "q": posed(dice)}), dice);
-            drop(day.note("POST /warp, session", json_post("/warp", body).await).await);
-        }
-        11 => {
+        10..=11 => {
             let body = text(&json!({"q": posed(dice)}), dice);
             drop(day.note("POST /sessions/{id}/mesh", json_post(&format!("/sessions/{id}/mesh"), body).await).await);
         }

@@ -162,17 +162,17 @@ async fn warm_sessions_go_on_while_redis_is_away() {
     let mut redis = Redis::start(&[]);
     let server = Server::start(&["--store", &redis.address()]).await;
     let (warm, cold) = (server.session(&photo(40, 30), &json!({"p": [[5, 5]]})).await, NAME);
-    png(server.drag(&json!({"session": warm, "q": [[6, 6]]})).await).await;
+    png(server.drag(&warm, &json!({"q": [[6, 6]]})).await).await;
     redis.kill();
     for seq in 1..5 {
-        png(server.drag(&json!({"session": warm, "q": [[6, 7]], "seq": seq})).await).await;
+        png(server.drag(&warm, &json!({"q": [[6, 7]], "seq": seq})).await).await;
     }
-    problem(server.drag(&json!({"session": warm, "q": [[6, 7]], "seq": 2})).await, 409, "superseded").await;
+    problem(server.drag(&warm, &json!({"q": [[6, 7]], "seq": 2})).await, 409, "superseded").await;
     for (path, body) in [("mesh", json!({"q": [[6, 6]]})), ("points", json!({"q": [[6, 6]], "points": [[1, 1]]}))] {
         assert_eq!(server.post(&format!("/sessions/{warm}/{path}")).json(&body).send().await.unwrap().status(), 200);
     }
     assert_eq!(server.get(&format!("/sessions/{warm}")).send().await.unwrap().status(), 200);
-    refused(server.drag(&json!({"session": cold, "q": [[6, 6]]})).await).await;
+    refused(server.drag(cold, &json!({"q": [[6, 6]]})).await).await;
     refused(server.upload("/sessions", &photo(20, 20), &json!({"p": []})).await).await;
     refused(server.client.delete(server.url(&format!("/sessions/{warm}"))).send().await.unwrap()).await;
     // All replicas have lost it: none is better than another, and this one still serves who is here.
@@ -194,7 +194,7 @@ async fn warm_sessions_go_on_while_redis_is_away() {
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     assert!(server.get("/metrics").send().await.unwrap().text().await.unwrap().contains("mlswarp_store_up 1\n"));
-    problem(server.drag(&json!({"session": warm, "q": [[6, 6]]})).await, 404, "no_such_session").await;
+    problem(server.drag(&warm, &json!({"q": [[6, 6]]})).await, 404, "no_such_session").await;
     server.session(&photo(40, 30), &json!({"p": [[5, 5]]})).await;
 }
 
@@ -203,25 +203,25 @@ async fn two_replicas_on_one_redis_are_one_service() {
     let redis = Redis::start(&[]);
     let (a, b) = (Server::start(&["--store", &redis.address()]).await, Server::start(&["--store", &redis.address()]).await);
     assert_eq!(put(&a, &photo(40, 30)).await, 201);
-    let drag = json!({"session": NAME, "q": [[8, 6]], "seq": 4});
-    let (first, second) = (png(a.drag(&drag).await).await, png(b.drag(&drag).await).await);
+    let drag = json!({"q": [[8, 6]], "seq": 4});
+    let (first, second) = (png(a.drag(NAME, &drag).await).await, png(b.drag(NAME, &drag).await).await);
     // Each has built the table once: one when the session was made, the other when it was used there.
     for server in [&a, &b] {
         let text = server.get("/metrics").send().await.unwrap().text().await.unwrap();
         assert!(text.contains("mlswarp_cache_builds_total{cache=\"plans\"} 1\n"), "{text}");
     }
     assert!(first == second, "the same picture from either");
-    problem(a.drag(&json!({"session": NAME, "q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;
-    problem(b.drag(&json!({"session": NAME, "q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;
+    problem(a.drag(NAME, &json!({"q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;
+    problem(b.drag(NAME, &json!({"q": [[8, 6]], "seq": 3})).await, 409, "superseded").await;
 
     let handles = b.client.put(b.url(&format!("/sessions/{NAME}/handles"))).json(&json!({"p": [[5, 5], [9, 9]]})).send();
     assert_eq!(handles.await.unwrap().status(), 200);
-    problem(a.drag(&json!({"session": NAME, "q": [[8, 6]]})).await, 422, "shape_mismatch").await;
-    png(a.drag(&json!({"session": NAME, "q": [[8, 6], [9, 9]]})).await).await;
+    problem(a.drag(NAME, &json!({"q": [[8, 6]]})).await, 422, "shape_mismatch").await;
+    png(a.drag(NAME, &json!({"q": [[8, 6], [9, 9]]})).await).await;
 
     assert_eq!(put(&b, &photo(50, 20)).await, 200);
-    let fresh = png(a.drag(&json!({"session": NAME, "q": [[8, 6]], "seq": 0})).await).await;
+    let fresh = png(a.drag(NAME, &json!({"q": [[8, 6]], "seq": 0})).await).await;
     assert_eq!(crate::support::picture::decoded(&fresh).width, 50);
     assert_eq!(a.client.delete(a.url(&format!("/sessions/{NAME}"))).send().await.unwrap().status(), 204);
-    problem(b.drag(&json!({"session": NAME, "q": [[8, 6]]})).await, 404, "no_such_session").await;
+    problem(b.drag(NAME, &json!({"q": [[8, 6]]})).await, 404, "no_such_session").await;
 }

@@ -1,7 +1,7 @@
 //! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
 //!
 //! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `reject_if_queue_full` (uploads, before their body
-//! is read; `POST /warp` does this in its handler), and its handler.
+//! is read), and its handler.
 
 mod accept;
 pub(crate) mod assets;
@@ -33,7 +33,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     let metrics_access = if app.config().auth.open_metrics { Open } else { Keyed };
     let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), reject_if_queue_full));
     vec![
-        ("/warp", Keyed, post(routes::warp::warp)),
+        ("/warp", Keyed, uploads(post(routes::warp::warp))),
         ("/sessions", Keyed, uploads(post(routes::sessions::create))),
         ("/sessions/{id}", Keyed, get(routes::sessions::read).delete(routes::sessions::delete).merge(uploads(put(routes::sessions::put)))),
         ("/sessions/{id}/handles", Keyed, uploads(put(routes::sessions::handles))),

@@ -31,14 +31,16 @@ pub(crate) struct Upload {
     pub(crate) warp: Bytes,
 }
 
-pub(crate) fn is_multipart(request: &Request) -> bool {
-    media_type(request.headers()).as_deref() == Some("multipart/form-data")
-}
-
 /// Reads both parts. The limit of the whole body is checked before; `warp` has a limit of its own.
 pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload, Problem> {
-    if !is_multipart(&request) {
-        return Err(Problem::new(Code::UnsupportedMediaType, "this route takes multipart/form-data with the parts `image` and `warp`"));
+    if media_type(request.headers()).as_deref() != Some("multipart/form-data") {
+        let detail = format!(
+            "{} {} takes multipart/form-data with the parts `image` and `warp`; to warp the picture of a session, send JSON to POST \
+             /sessions/{{id}}/warp",
+            request.method(),
+            request.uri().path()
+        );
+        return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);

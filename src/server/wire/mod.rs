@@ -70,11 +70,9 @@ impl WarpObject {
     }
 }
 
-/// One step of a drag: `{"session"?, "q", "seq"?, "output"?}`.
+/// One step of a drag: `{"q", "seq"?, "output"?}`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DragObject {
-    /// Given with `POST /warp`, absent on `/sessions/{id}/warp`.
-    pub(crate) session: Option<String>,
     pub(crate) q: Vec<Handle>,
     pub(crate) seq: Option<u64>,
     /// Replaces fields of the session's output.
@@ -82,33 +80,21 @@ pub struct DragObject {
 }
 
 impl DragObject {
-    /// Reads the object. `session`: the field is required; otherwise it is unknown.
-    pub fn parse(json: &[u8], session: bool) -> Result<Self, Problem> {
-        const SESSION: &str = "the id of a session";
+    /// Reads the object.
+    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        if !session {
-            return Self::read(&root, None, root.fields(&["q", "seq", "output"])?);
-        }
-        let [session, q, seq, output] = root.fields(&["session", "q", "seq", "output"]).map_err(|mut problem| {
-            if problem.code == Code::UnknownField {
-                problem.detail.push_str("; a picture and its handles `p` are sent as multipart/form-data");
-            }
-            problem
-        })?;
-        let session = session.ok_or_else(|| root.missing("session", SESSION))?.string(SESSION)?;
-        Self::read(&root, Some(session), [q, seq, output])
+        Self::read(&root, root.fields(&["q", "seq", "output"])?)
     }
 
     /// Reads the object of a request for the mesh: `q` and `seq`.
     pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, seq] = root.fields(&["q", "seq"])?;
-        Self::read(&root, None, [q, seq, None])
+        Self::read(&root, [q, seq, None])
     }
 
-    fn read(root: &Node<'_, '_>, session: Option<String>, [q, seq, output]: [Option<Node<'_, '_>>; 3]) -> Result<Self, Problem> {
+    fn read(root: &Node<'_, '_>, [q, seq, output]: [Option<Node<'_, '_>>; 3]) -> Result<Self, Problem> {
         Ok(Self {
-            session,
             q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),

@@ -34,7 +34,7 @@ pub(super) fn post(bytes: &[u8]) {
     let Some((route, body)) = bytes.split_first() else { return };
     let (method, path) = [
         ("POST", "/warp"),
-        ("POST", "/warp"),
+        ("POST", "/sessions/11111111-2222-4333-8444-555555555555/warp"),
         ("PUT", "/sessions/11111111-2222-4333-8444-555555555555"),
         ("PUT", "/sessions/11111111-2222-4333-8444-555555555555/handles"),
     ][usize::from(route % 4)];

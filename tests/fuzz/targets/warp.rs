@@ -20,9 +20,8 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
     let refused = match route % 6 {
-        0 | 1 => WarpObject::parse(json).and_then(|object| warped(&object)).err(),
-        2 => DragObject::parse(json, true).err(),
-        3 => DragObject::parse(json, false).err(),
+        0..=2 => WarpObject::parse(json).and_then(|object| warped(&object)).err(),
+        3 => DragObject::parse(json).err(),
         4 => PointsObject::parse(json).and_then(|object| mapped(&object)).err(),
         _ => PointsObject::parse_posed(json).err(),
     };

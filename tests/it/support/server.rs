@@ -67,8 +67,8 @@ impl Server {
         response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
     }
 
-    pub(crate) async fn drag(&self, body: &Value) -> Response {
-        self.post("/warp").json(body).send().await.unwrap()
+    pub(crate) async fn drag(&self, id: &str, body: &Value) -> Response {
+        self.post(&format!("/sessions/{id}/warp")).json(body).send().await.unwrap()
     }
 
     /// A request that must succeed, whatever happened before.

@@ -183,13 +183,11 @@ fn enums_list_what_this_version_has() {
 fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     let (warp, drag) = (component(&document, "WarpObject"), component(&document, "Drag"));
-    let (session_drag, points, posed) =
-        (component(&document, "SessionDrag"), component(&document, "Points"), component(&document, "PosedPoints"));
+    let (points, posed) = (component(&document, "Points"), component(&document, "PosedPoints"));
     type Parse = fn(&[u8]) -> bool;
-    let parsers: [(&Validator, Parse, &str); 5] = [
+    let parsers: [(&Validator, Parse, &str); 4] = [
         (&warp, |b| WarpObject::parse(b).is_ok(), ""),
-        (&drag, |b| DragObject::parse(b, false).is_ok(), "\"q\": []"),
-        (&session_drag, |b| DragObject::parse(b, true).is_ok(), "\"q\": [], \"session\": \"s\""),
+        (&drag, |b| DragObject::parse(b).is_ok(), "\"q\": []"),
         (&points, |b| PointsObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         (&posed, |b| PointsObject::parse_posed(b).is_ok(), "\"q\": []"),
     ];
@@ -263,8 +261,6 @@ fn schemas_and_parsers_agree_on_a_table() {
         "seq: 1e3",
         "seq: 18446744073709551615",
         "seq: null",
-        "session: \"x\"",
-        "session: 1",
         "extent: [4, 3]",
         "extent: [0, 3]",
         "extent: [4]",
@@ -294,7 +290,7 @@ fn schemas_and_parsers_agree_on_a_table() {
             accepted += usize::from(schema.is_valid(&json));
         }
     }
-    assert!(accepted > 80, "{accepted}");
+    assert!(accepted > 70, "{accepted}");
 }
 
 proptest! {

@@ -123,7 +123,7 @@ fn malformed_is_400_before_any_meaning() {
         ("{\"\\ud800\": 1}", M, None, None),
     ];
     check(WarpObject::parse, table);
-    check(|b| DragObject::parse(b, false), &table[..16]);
+    check(DragObject::parse, &table[..16]);
     check(PointsObject::parse, &table[..16]);
     check(PointsObject::parse_posed, &table[..16]);
     assert_eq!(WarpObject::parse(b"{\"p\": \xff}").unwrap_err().code, M);
@@ -168,7 +168,7 @@ fn handles_name_pointer_and_index() {
         ("{\"weights\": [1, 1e309]}", N, Some("/weights/1"), Some(1)),
     ];
     check(WarpObject::parse, table);
-    check(|b| DragObject::parse(b, false), &[("{\"q\": [[0, 1], [1e999, 0]]}", N, Some("/q/1/0"), Some(1))]);
+    check(DragObject::parse, &[("{\"q\": [[0, 1], [1e999, 0]]}", N, Some("/q/1/0"), Some(1))]);
 }
 
 #[test]
@@ -186,14 +186,13 @@ fn unknown_fields_are_named_with_what_is_known() {
         ("{\"P\": []}", U, Some("/P"), None),
         ("{\"\": []}", U, Some("/"), None),
         ("{\"a/b~c\": [1e999]}", U, Some("/a~1b~0c"), None),
-        ("{\"session\": \"x\"}", U, Some("/session"), None),
+        ("{\"seq\": 1}", U, Some("/seq"), None),
         ("{\"extent\": [1, 1]}", U, Some("/extent"), None),
         ("{\"output\": {\"depth\": 3}}", U, Some("/output/depth"), None),
         ("{\"grid\": {\"cells\": 3}}", U, Some("/grid/cells"), None),
     ];
     check(WarpObject::parse, table);
-    check(|b| DragObject::parse(b, false), &[("{\"q\": [], \"session\": \"x\"}", U, Some("/session"), None)]);
-    check(|b| DragObject::parse(b, true), &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
+    check(DragObject::parse, &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
     check(PointsObject::parse_posed, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
     assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known: `cell`, `columns`, `rows`");
 }
@@ -225,7 +224,7 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
         ("{\"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None),
     ];
     check(WarpObject::parse, table);
-    check(|b| DragObject::parse(b, false), &[("{\"q\": [], \"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None)]);
+    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None)]);
     assert_eq!(detail("{\"method\": \"tps\"}"), "not supported by this version: `tps`; supported: `rigid`, `similarity`, `affine`");
 }
 
@@ -298,14 +297,13 @@ fn numbers_of_the_wrong_kind_are_bad_values() {
 
 #[test]
 fn drag_reads_its_fields() {
-    let drag =
-        DragObject::parse(b"{\"session\": \"abc\", \"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}", true).unwrap();
+    let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
-    assert_eq!(drag, DragObject { session: Some("abc".to_owned()), q: vec![point(1.0, 2.0)], seq: Some((1 << 53) + 1), output });
-    let drag = DragObject::parse(b"{\"q\": []}", false).unwrap();
-    assert_eq!(drag, DragObject { session: None, q: vec![], seq: None, output: OutputPatch::default() });
+    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], seq: Some((1 << 53) + 1), output });
+    let drag = DragObject::parse(b"{\"q\": []}").unwrap();
+    assert_eq!(drag, DragObject { q: vec![], seq: None, output: OutputPatch::default() });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
-        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes(), false).unwrap().seq, Some(seq));
+        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
     }
 }
 
@@ -313,7 +311,7 @@ fn drag_reads_its_fields() {
 fn drag_refuses() {
     use Code::{BadValue as B, NotFinite as N};
     check(
-        |b| DragObject::parse(b, false),
+        DragObject::parse,
         &[
             ("{}", B, Some("/q"), None),
             ("{\"q\": null}", B, Some("/q"), None),
@@ -325,14 +323,6 @@ fn drag_refuses() {
             ("{\"q\": [], \"seq\": 1e999}", N, Some("/seq"), None),
             ("{\"q\": [], \"output\": {\"width\": null}}", B, Some("/output/width"), None),
             ("{\"q\": [], \"output\": null}", B, Some("/output"), None),
-        ],
-    );
-    check(
-        |b| DragObject::parse(b, true),
-        &[
-            ("{\"q\": []}", B, Some("/session"), None),
-            ("{\"q\": [], \"session\": 5}", B, Some("/session"), None),
-            ("{\"q\": [], \"session\": null}", B, Some("/session"), None),
         ],
     );
 }
@@ -479,11 +469,7 @@ fn near_miss() -> impl Strategy<Value = Value> {
     ];
     scalar.prop_recursive(5, 48, 4, |inner| {
         let name = prop::sample::select(
-            rest::FIELDS_WITH_POINTS
-                .iter()
-                .chain(&["session", "seq", "cell", "columns", "rows", "width", "format", "x"])
-                .copied()
-                .collect::<Vec<_>>(),
+            rest::FIELDS_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
         );
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
@@ -495,8 +481,7 @@ fn near_miss() -> impl Strategy<Value = Value> {
 fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
     let problems = [
         WarpObject::parse(text).err(),
-        DragObject::parse(text, false).err(),
-        DragObject::parse(text, true).err(),
+        DragObject::parse(text).err(),
         PointsObject::parse(text).err(),
         PointsObject::parse_posed(text).err(),
     ];
