@@ -87,7 +87,7 @@ def environment(name, folder):
 
 def firefox(name, folder):
     options = webdriver.FirefoxOptions()
-    options.binary_location = program("firefox")
+    options.binary_location = program("firefox-esr")
     preferences = {
         "browser.download.folderList": 2,
         "browser.download.dir": str(folder / "downloads"),
