@@ -23,7 +23,7 @@ from support import DEADLINE, KEPT, Look
 GECKODRIVER = "0.37.1"
 SIZE = (1280, 900)
 
-# Records the errors of a page after it has loaded, and where its pictures come from.
+# Records the errors of a page after it has loaded, and the sources of its pictures (`data-source`).
 LISTEN = """
 window.troubles = [];
 window.sources = [];
@@ -122,6 +122,15 @@ class Drive:
         self.driver.get(address)
         self.until("the page has started", lambda data: data.get("webgl"))
         self.driver.execute_script(LISTEN)
+
+    def begin(self, server):
+        """Opens the page without a picture."""
+        # The page of a picture would store it again when it is left.
+        self.driver.get(f"{server.address}/problems/timeout")
+        self.driver.execute_script("localStorage.clear(); sessionStorage.clear()")
+        self.go(f"{server.address}/")
+        data = self.data
+        assert (data["state"], data["webgl"]) == ("empty", "webgl2"), data
 
     def recorded(self, what):
         """`troubles` or `sources` since the page has loaded."""
