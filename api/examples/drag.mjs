@@ -62,12 +62,12 @@ form.set("image", new Blob([await readFile(picture)]));
 form.set("warp", JSON.stringify({ p: rest }));
 const answer = await fetch(`${server}/sessions`, { method: "POST", body: form });
 if (!answer.ok) throw new Error(await answer.text());
-const session = answer.headers.get("Location");
+const session = new URL(answer.headers.get("Location"), answer.url).href;
 
 // From here on, only q is sent. If the socket closes or is silent, opens another one, which begins with the last pose sent.
 async function drag() {
   for (;;) {
-    const socket = new WebSocket(`${server.replace("http", "ws")}${session}/drag?frames=png&width=auto&report=true`);
+    const socket = new WebSocket(`${session.replace("http", "ws")}/drag?frames=png&width=auto&report=true`);
     socket.on("open", () => move(socket, rest));
     const last = await watch(socket);
     if (last) return last;
@@ -76,4 +76,4 @@ async function drag() {
   }
 }
 await writeFile(out, await drag());
-await fetch(`${server}${session}`, { method: "DELETE" });
+await fetch(session, { method: "DELETE" });

@@ -70,9 +70,10 @@ async def main(picture, out, server="http://127.0.0.1:8080"):
         # Upload the image once, with the handles at rest.
         rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]]
         parts = {"files": {"image": Path(picture).read_bytes()}, "data": {"warp": json.dumps({"p": rest})}}
-        session = (await http.post("/sessions", **parts)).raise_for_status().headers["Location"]
+        answer = (await http.post("/sessions", **parts)).raise_for_status()
+        session = str(answer.url.join(answer.headers["Location"]))
         # From here on, only q is sent.
-        Path(out).write_bytes(await drag(f"{server}{session}/drag?frames=png&width=auto&report=true", rest))
+        Path(out).write_bytes(await drag(f"{session}/drag?frames=png&width=auto&report=true", rest))
         await http.delete(session)
 
 
