@@ -28,6 +28,7 @@ mod metrics;
 mod mutation;
 mod offline;
 mod openapi;
+mod openapi_examples;
 mod oracle;
 mod overload;
 mod page;
