@@ -172,7 +172,7 @@ async fn warm_sessions_go_on_while_redis_is_away() {
         assert_eq!(server.post(&format!("/sessions/{warm}/{path}")).json(&body).send().await.unwrap().status(), 200);
     }
     assert_eq!(server.get(&format!("/sessions/{warm}")).send().await.unwrap().status(), 200);
-    refused(server.drag(&cold, &json!({"q": [[6, 6]]})).await).await;
+    refused(server.drag(cold, &json!({"q": [[6, 6]]})).await).await;
     refused(server.upload("/sessions", &photo(20, 20), &json!({"p": []})).await).await;
     refused(server.client.delete(server.url(&format!("/sessions/{warm}"))).send().await.unwrap()).await;
     // All replicas have lost it: none is better than another, and this one still serves who is here.
