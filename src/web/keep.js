@@ -78,12 +78,13 @@ function settled(request) {
   });
 }
 
-/** Stores a file; returns its key, or null if the browser refuses. */
+/** Stores a file; returns its key, or null if the browser refuses. Stores bytes: private windows of WebKit cannot store a Blob. */
 export async function keepFile(blob, name) {
   try {
+    const bytes = await blob.arrayBuffer();
     const opened = await database();
     const files = opened.transaction("files", "readwrite").objectStore("files");
-    const key = await settled(files.add({ blob, name }));
+    const key = await settled(files.add({ bytes, type: blob.type, name }));
     const keys = await settled(files.getAllKeys());
     for (const old of keys.slice(0, -FILES)) files.delete(old);
     opened.close();
@@ -99,7 +100,8 @@ export async function keptFile(key) {
     const opened = await database();
     const found = await settled(opened.transaction("files").objectStore("files").get(key));
     opened.close();
-    return found ?? null;
+    // Earlier versions of the page stored a Blob.
+    return found ? { blob: found.blob ?? new Blob([found.bytes], { type: found.type }), name: found.name } : null;
   } catch {
     return null;
   }

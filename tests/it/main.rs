@@ -34,6 +34,7 @@ mod oracle;
 mod overload;
 mod page;
 mod problems;
+mod public_path;
 mod request_ids;
 mod revisions;
 mod sessions;

@@ -73,10 +73,10 @@ impl Problem {
         self.code.status()
     }
 
-    /// The document; with the id of the request if there is one.
-    pub fn to_json(&self, request_id: Option<&str>) -> Value {
+    /// The document; with the id of the request if there is one. `public_path` precedes the path of the problem type.
+    pub fn to_json(&self, public_path: &str, request_id: Option<&str>) -> Value {
         let fields = [
-            ("type", Some(self.code.type_uri().into())),
+            ("type", Some(format!("{public_path}{}", self.code.type_uri()).into())),
             ("title", Some(self.code.title().into())),
             ("status", Some(self.status().into())),
             ("detail", Some(self.detail.as_str().into())),
@@ -113,7 +113,7 @@ mod tests {
     #[test]
     fn document_has_only_the_fields_that_apply() {
         assert_eq!(
-            Problem::new(Code::NoSuchSession, "no such session: abc").to_json(None),
+            Problem::new(Code::NoSuchSession, "no such session: abc").to_json("", None),
             json!({"type": "/problems/no_such_session", "title": "No such session", "status": 404,
                    "detail": "no such session: abc", "code": "no_such_session"})
         );
@@ -123,8 +123,8 @@ mod tests {
     fn document_names_place_limit_and_request() {
         let problem = Problem::new(Code::TooLarge, "too much").pointer("/p").handle(3).limit("handle_columns", 10, 11).retry_after(2);
         assert_eq!(
-            problem.to_json(Some("r-1")),
-            json!({"type": "/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",
+            problem.to_json("/tools/warp", Some("r-1")),
+            json!({"type": "/tools/warp/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",
                    "pointer": "/p", "handle": 3, "limit_name": "handle_columns", "limit": 10, "actual": 11, "retry_after": 2,
                    "request_id": "r-1"})
         );

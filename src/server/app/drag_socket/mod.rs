@@ -161,7 +161,7 @@ impl Drag {
     /// Sends a problem document.
     pub fn send_problem(&mut self, seq: Option<u64>, problem: &Problem) {
         // The id of the request that opened the socket.
-        let mut document = problem.to_json(Scope::current().id());
+        let mut document = problem.to_json(&self.app.config().public_path, Scope::current().id());
         if let (Some(seq), Some(members)) = (seq, document.as_object_mut()) {
             members.insert("seq".to_owned(), seq.into());
         }

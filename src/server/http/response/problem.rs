@@ -15,7 +15,7 @@ impl IntoResponse for Problem {
 }
 
 /// Writes the problem document of a response that is not a success. Errors without a problem, such as axum's, get the one of their status.
-pub(crate) fn finish(response: Response, request_id: &str) -> Response {
+pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) -> Response {
     let status = response.status();
     if !status.is_client_error() && !status.is_server_error() {
         return response;
@@ -29,7 +29,7 @@ pub(crate) fn finish(response: Response, request_id: &str) -> Response {
     head.headers.remove(CONTENT_LENGTH);
     head.headers.insert(CONTENT_TYPE, HeaderValue::from_static(Problem::MEDIA_TYPE));
     head.headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    Response::from_parts(head, problem.to_json(Some(request_id)).to_string().into())
+    Response::from_parts(head, problem.to_json(public_path, Some(request_id)).to_string().into())
 }
 
 /// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.

@@ -8,6 +8,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use mlswarp::warp::Setup;
 
+use crate::app::App;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::json_text;
@@ -28,7 +29,7 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
     let (session, setup) = caller.app.create_session(caller.client, upload.image, upload.warp).await?;
-    Ok(created(&session, object(held, &session, &setup)))
+    Ok(created(&caller, &session, object(held, &session, &setup)))
 }
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
@@ -39,7 +40,7 @@ pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request
     let held = reserve_object(&caller, &upload.warp)?;
     let (put, setup) = caller.app.put_session(caller.client, id, upload.image, upload.warp).await?;
     Ok(match put {
-        Put::Created(session) => created(&session, object(held, &session, &setup)),
+        Put::Created(session) => created(&caller, &session, object(held, &session, &setup)),
         Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
     })
 }
@@ -67,12 +68,13 @@ pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<Sta
     Ok(StatusCode::NO_CONTENT)
 }
 
-fn created(session: &Session, object: Response) -> Response {
-    (StatusCode::CREATED, [(LOCATION, location(session.record.id))], object).into_response()
+fn created(caller: &Caller, session: &Session, object: Response) -> Response {
+    (StatusCode::CREATED, [(LOCATION, location(&caller.app, session.record.id))], object).into_response()
 }
 
-pub(super) fn location(id: SessionId) -> HeaderValue {
-    HeaderValue::try_from(format!("/sessions/{id}")).expect("a UUID is visible ASCII")
+/// The path of a session as clients see it.
+pub(super) fn location(app: &App, id: SessionId) -> HeaderValue {
+    HeaderValue::try_from(format!("{}/sessions/{id}", app.config().public_path)).expect("a public path and a UUID are visible ASCII")
 }
 
 /// The session that a path names. A text that is no id names no session.

@@ -34,7 +34,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let mut response = picture(drawn, trailers);
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
-        response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(id))]);
+        response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);
     }
     Ok(response)
 }
