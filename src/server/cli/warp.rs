@@ -30,7 +30,7 @@ fn run_with_problem(config: &Config, image: &Path, warp: &Path, out: &Path) -> R
     let patch = WarpPatch::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
     // The file name takes the place of `Accept`.
     let format = patch.output.format.or_else(|| format_of(out));
-    let mut object = patch.merge_onto(WarpObject::default());
+    let mut object = patch.into_object()?;
     object.output.format = format.unwrap_or(object.output.format);
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;
