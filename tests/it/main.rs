@@ -26,6 +26,7 @@ mod leaving;
 mod metrics;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;
+mod nulls;
 mod offline;
 mod openapi;
 mod oracle;

@@ -142,7 +142,7 @@ impl<'j> Node<'j, '_> {
         serde_json::from_str(self.text).map_err(|e| self.not_json(&e))
     }
 
-    /// The values of the `known` fields, in that order; other fields are refused.
+    /// The values of the `known` fields, in that order. A field with the value `null` is absent; other fields are refused.
     pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         if self.kind() != Kind::Object {
             return Err(self.wrong_kind("an object"));
@@ -164,7 +164,8 @@ impl<'j> Node<'j, '_> {
             let pointer = format!("{}/{name}", self.at);
             return Err(Problem::new(Code::MalformedRequest, format!("field given twice: `{name}`")).pointer(pointer));
         }
-        unknown.map_or(Ok(values), |name| Err(self.unknown(&name, known)))
+        let given = values.map(|value| value.filter(|node| node.kind() != Kind::Null));
+        unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.

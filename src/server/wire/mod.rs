@@ -2,7 +2,7 @@
 //!
 //! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what a set of handles means. Text that is
 //! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
-//! pointer.
+//! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
 mod enum_name;
 pub mod formats;
