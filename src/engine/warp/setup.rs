@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::digest::Collector;
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError, Warning, plausibility};
+use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
     self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
 };

@@ -40,8 +40,7 @@ impl OutputPatch {
     }
 
     pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [format, quality_, compression, width, filter, outside_, canvas] =
-            node.fields(&fields::OUTPUT)?;
+        let [format, quality_, compression, width, filter, outside_, canvas] = node.fields(&fields::OUTPUT)?;
         optional(canvas, enum_name::<Canvas>)?;
         Ok(Self {
             format: optional(format, enum_name)?,
