@@ -29,6 +29,7 @@ mod mutation;
 mod nulls;
 mod offline;
 mod openapi;
+mod openapi_examples;
 mod oracle;
 mod overload;
 mod page;
