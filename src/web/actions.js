@@ -6,8 +6,9 @@ import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
 import { count, places } from "./words.js";
 
 export class Actions {
-  constructor(store, sync, view, handles, say) {
-    Object.assign(this, { store, sync, view, handles, say });
+  /** `step`: undo (true) or redo of what is more than an edit: opening or closing a picture. */
+  constructor(store, sync, view, handles, say, step) {
+    Object.assign(this, { store, sync, view, handles, say, step });
   }
 
   get state() {
@@ -165,6 +166,9 @@ export class Actions {
   }
 
   undo(back) {
+    const { past, future, before, phase } = this.state;
+    if (before || phase === "uploading") return;
+    if (!(back ? past : future).length) return this.step(back);
     this.store.do(back ? "undo" : "redo");
     this.say(back ? "Undone" : "Redone");
   }

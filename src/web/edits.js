@@ -1,7 +1,7 @@
 // Edits of a document: pure functions that return a new document, or the same one if nothing changes. Positions are [x, y] in picture px,
 // rounded to 0.01, so that the table shows the values that are sent.
 
-import { LEAST_ALPHA, pinOf, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
+import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
 export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
@@ -140,14 +140,14 @@ export function withTwist(document, index, degrees, free, size) {
 export const wire = (document, which) => document.handles.map((h) => (h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which]));
 
 /** The mass of a point, px, if the set has segments; the server's default is the mean length of the segments. */
-function massOf({ handles, mass }) {
+export function massOf({ handles, mass }) {
   if (mass !== undefined) return mass;
   const lengths = handles.flatMap((h) => h.p.slice(1).map((place, k) => Math.hypot(place[0] - h.p[k][0], place[1] - h.p[k][1])));
   if (lengths.length) return lengths.reduce((sum, length) => sum + length, 0) / lengths.length;
   return handles.some((h) => h.twist) ? 1 : undefined;
 }
 
-const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
+export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
 const isTwisted = ({ handles }) => handles.some((h) => h.twist);
 export const mayTwist = (document) => alphaOf(document) >= LEAST_ALPHA;
 
@@ -183,44 +183,6 @@ export function warpOf(document) {
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
   const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(output.outside !== "transparent" && { output }) };
   return { ...rest, ...chosen, q: wire(document, "q") };
-}
-
-/** The document of a warp object; `null` if this page does not support it. */
-export function documentOf(warp) {
-  const places = (h) => (Array.isArray(h) && Array.isArray(h[0]) ? h : [h]);
-  const sound = (list) => Array.isArray(list) && list.every((place) => Array.isArray(place) && place.length === 2 && place.every(Number.isFinite));
-  if (!warp || !Array.isArray(warp.p)) return null;
-  const q = warp.q ?? warp.p;
-  if (!Array.isArray(q) || q.length !== warp.p.length || (warp.units ?? "px") !== "px") return null;
-  const { weights } = warp;
-  if (weights && !(Array.isArray(weights) && weights.length === q.length && weights.every((w) => w > 0))) return null;
-  const mass = warp.point_mass ?? undefined;
-  if (mass !== undefined && !(mass > 0)) return null;
-  const handles = warp.p.map((rest, i) => {
-    const [p, posed] = [places(rest), places(q[i])];
-    const pin = sound(p) && sound(posed) ? pinOf(p, posed, weights?.[i], mass) : null;
-    return { id: i + 1, ...(pin ?? { p, q: posed, ...(weights && { weight: weights[i] }) }) };
-  });
-  // Weights of 1 are only the companions of those of twisted pins.
-  if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
-  if (!handles.every((h) => h.p.length && h.p.length === h.q.length && sound(h.p) && sound(h.q))) return null;
-  const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
-  const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;
-  const grid = (warp.grid ?? "auto") === "auto" ? "auto" : warp.grid.cell;
-  const outside = readOutside(warp.output?.outside ?? "transparent");
-  if (method === null || alpha === undefined || outside === null || !(grid === "auto" || grid > 0)) return null;
-  const read = { handles, method, alpha, grid, outside };
-  // A mass that the page would choose itself continues to follow the lines.
-  const usual = massOf(read);
-  const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);
-  return follows ? read : { ...read, mass };
-}
-
-/** The server's form of a colour, or null. */
-function readOutside(told) {
-  if (told === "transparent" || told === "edge") return told;
-  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
-  return colour ? colour + alpha : null;
 }
 
 /** Whether a session has the same rest handles and parameters as a document. */

@@ -88,6 +88,17 @@ export class View {
     this.#fitted = true;
   }
 
+  /** Shows no picture. */
+  clear() {
+    for (const id of ["original", "picture"]) this.#swap(Object.assign(new Image(), { id, alt: "", draggable: false }));
+    this.#frame?.close();
+    this.#frame = null;
+    this.#setMesh(null);
+    this.size = null;
+    this.source = "none";
+    this.invalidate();
+  }
+
   /** Loads a picture into a hidden element. */
   async #load(id, blob, alt) {
     const image = new Image();
@@ -270,6 +281,8 @@ export class View {
     divider.hidden = !(this.size && compare && !peek);
     divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
     divider.style.height = `${height * this.zoom}px`;
+    // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of the divider.
+    this.lines.canvas.style.clipPath = compare ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)` : "none";
     this.stage.querySelector("#picture").style.visibility = this.source === "png" || this.source === "source" ? "visible" : "hidden";
   }
 
@@ -285,8 +298,7 @@ export class View {
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
-    const lines = this.mesh && !this.#show.peek && !this.#show.compare;
-    const drawn = lines && (this.#show.lines || this.folds > 0);
+    const drawn = this.mesh && !this.#show.peek && (this.#show.lines || this.folds > 0);
     if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     this.drawn();
