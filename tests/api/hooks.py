@@ -1,4 +1,5 @@
-"""Images for the generated requests: the small files of tests/fuzz/seeds, two of them damaged, and bytes that are not an image."""
+"""Images for the generated requests: the small files of tests/fuzz/seeds, two of them damaged, and bytes that are not an image. Requests in
+which the value of a field is `null` are left out: the schemas call them invalid, and the server takes them (tests/it/nulls.rs)."""
 
 from pathlib import Path
 
@@ -11,3 +12,14 @@ DAMAGED = [REAL[0][:-20], REAL[-1][:100], b"GIF89a\x01\0\x01\0", b""]
 
 # Sixteen valid files per invalid one: most requests should pass the image check.
 schemathesis.openapi.format("binary", strategies.sampled_from(REAL + DAMAGED))
+
+
+def has_null_field(value):
+    if isinstance(value, dict):
+        return any(inner is None or has_null_field(inner) for inner in value.values())
+    return isinstance(value, list) and any(map(has_null_field, value))
+
+
+@schemathesis.hook
+def filter_body(context, body):
+    return not has_null_field(body)

@@ -26,8 +26,10 @@ mod leaving;
 mod metrics;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;
+mod nulls;
 mod offline;
 mod openapi;
+mod openapi_examples;
 mod oracle;
 mod overload;
 mod page;

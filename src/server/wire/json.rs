@@ -10,10 +10,9 @@ use std::fmt;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
+use super::suggest;
+use crate::problem::words::{LONGEST_QUOTE, list, quote};
 use crate::problem::{Code, Problem};
-
-/// Longest name or value of the client that a problem quotes, characters.
-const LONGEST_QUOTE: usize = 60;
 
 /// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
 #[derive(Clone, Copy)]
@@ -114,7 +113,16 @@ impl<'j> Node<'j, '_> {
     }
 
     pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
-        self.unexpected(expected, self.kind().name())
+        let hint = if self.is_quoted_value() { "; remove the quotes" } else { "" };
+        self.unexpected(expected, format_args!("{}{hint}", self.kind().name()))
+    }
+
+    /// Whether this is a string that contains a number or the beginning of an array or object.
+    fn is_quoted_value(&self) -> bool {
+        let Some(inside) = self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) else { return false };
+        let inside = inside.trim();
+        let is_number = |text: &str| text.len() <= LONGEST_QUOTE && text.parse::<f64>().is_ok_and(f64::is_finite);
+        inside.starts_with(['[', '{']) || is_number(inside)
     }
 
     pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
@@ -122,7 +130,8 @@ impl<'j> Node<'j, '_> {
     }
 
     fn unknown(&self, name: &str, known: &[&str]) -> Problem {
-        let detail = format!("unknown field: {}; known: {}", quote(name), list(known));
+        let hint = suggest::field(name, known).map_or_else(String::new, |hint| format!("; {hint}"));
+        let detail = format!("unknown field: {}{hint}; known fields: {}", quote(name), list(known));
         if name.chars().nth(LONGEST_QUOTE).is_some() {
             return self.problem(Code::UnknownField, detail);
         }
@@ -142,7 +151,7 @@ impl<'j> Node<'j, '_> {
         serde_json::from_str(self.text).map_err(|e| self.not_json(&e))
     }
 
-    /// The values of the `known` fields, in that order; other fields are refused.
+    /// The values of the `known` fields, in that order. A field with the value `null` is absent; other fields are refused.
     pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         if self.kind() != Kind::Object {
             return Err(self.wrong_kind("an object"));
@@ -164,7 +173,8 @@ impl<'j> Node<'j, '_> {
             let pointer = format!("{}/{name}", self.at);
             return Err(Problem::new(Code::MalformedRequest, format!("field given twice: `{name}`")).pointer(pointer));
         }
-        unknown.map_or(Ok(values), |name| Err(self.unknown(&name, known)))
+        let given = values.map(|value| value.filter(|node| node.kind() != Kind::Null));
+        unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.
@@ -199,19 +209,6 @@ impl<'j> Node<'j, '_> {
     fn not_json(&self, error: &serde_json::Error) -> Problem {
         self.problem(Code::MalformedRequest, format!("not JSON: {error}"))
     }
-}
-
-/// A name or value of the client, shortened for a sentence.
-pub(crate) fn quote(text: &str) -> String {
-    match text.char_indices().nth(LONGEST_QUOTE) {
-        Some((end, _)) => format!("`{}...`", &text[..end]),
-        None => format!("`{text}`"),
-    }
-}
-
-/// Names in backticks, with commas.
-pub(crate) fn list(names: &[&str]) -> String {
-    names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 
 /// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end.

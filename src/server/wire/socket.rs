@@ -103,12 +103,16 @@ mod tests {
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
         assert_eq!(q.read(), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
+        assert_eq!(read(r#"{"ack": 7, "seq": null, "q": null}"#), Ok(DragMessage::Ack(7)));
+        assert_eq!(read(r#"{"seq": 7, "q": [], "ack": null}"#), read(r#"{"seq": 7, "q": []}"#));
         for (text, seq, code, pointer) in [
             ("{", None, Code::MalformedRequest, None),
             ("[]", None, Code::MalformedRequest, None),
             ("{}", None, Code::BadValue, Some("/seq")),
             (r#"{"q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": 3}"#, Some(3), Code::BadValue, Some("/q")),
+            (r#"{"seq": 3, "q": null, "ack": null}"#, Some(3), Code::BadValue, Some("/q")),
+            (r#"{"seq": null, "q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": -1, "q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": 3, "q": [], "output": {}}"#, None, Code::UnknownField, Some("/output")),
             (r#"{"seq": 3, "ack": 3}"#, Some(3), Code::BadValue, Some("/ack")),

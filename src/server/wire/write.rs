@@ -8,7 +8,6 @@ use mlswarp::warp::{GridSpec, OutputSpec};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::AsJson;
-use super::enum_name::{Canvas, EnumName};
 
 impl Serialize for AsJson<&Handle> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
@@ -64,7 +63,6 @@ impl Serialize for AsJson<&OutputSpec> {
         }
         object.serialize_entry("filter", &AsJson(filter))?;
         object.serialize_entry("outside", &AsJson(outside))?;
-        object.serialize_entry("canvas", Canvas::Same.as_str())?;
         object.end()
     }
 }

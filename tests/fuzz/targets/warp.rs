@@ -1,6 +1,7 @@
 //! Any bytes as the JSON of each route. The first byte chooses the route. What is read is warped, on a small picture and behind small limits;
-//! what is refused is refused by a whole problem document.
+//! what is refused is refused by a whole problem document. Fields whose value is `null` change nothing.
 
+use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
@@ -8,9 +9,14 @@ use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp, WarpError};
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{DragObject, PointsObject, WarpObject};
 
+use serde_json::{Map, Value};
+
 use super::assert_is_problem;
 
 const LIMITS: Limits = Limits { image: ImageLimits { max_pixels: 1 << 14, max_side: 1 << 9 }, columns: 64, plan_bytes: 1 << 20 };
+
+static DOCUMENT: LazyLock<Value> =
+    LazyLock::new(|| serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON"));
 
 static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
     let file = include_bytes!("../seeds/image/png-6-8");
@@ -20,14 +26,31 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
     let refused = match route % 6 {
-        0..=2 => WarpObject::parse(json).and_then(|object| warped(&object)).err(),
-        3 => DragObject::parse(json).err(),
-        4 => PointsObject::parse(json).and_then(|object| mapped(&object)).err(),
-        _ => PointsObject::parse_posed(json).err(),
+        0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
+        3 => as_with_nulls("Drag", json, DragObject::parse).err(),
+        4 => as_with_nulls("Points", json, PointsObject::parse).and_then(|object| mapped(&object)).err(),
+        _ => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
     }
+}
+
+/// What the text is read as, which must not change when the fields of the schema that it does not have are added as `null`.
+fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8]) -> Result<T, Problem>) -> Result<T, Problem> {
+    let read = parse(json);
+    if let Ok(given) = serde_json::from_slice::<Map<String, Value>>(json) {
+        let end = json.iter().rposition(|byte| *byte == b'}').expect("the end of an object");
+        let known = DOCUMENT["components"]["schemas"][schema]["properties"].as_object().expect("a schema of an object");
+        let mut more = json[..end].to_vec();
+        for (n, name) in known.keys().filter(|name| !given.contains_key(*name)).enumerate() {
+            let comma = if n > 0 || !given.is_empty() { "," } else { "" };
+            more.extend_from_slice(format!("{comma}\"{name}\":null").as_bytes());
+        }
+        more.push(b'}');
+        assert_eq!(parse(&more), read, "{}", String::from_utf8_lossy(&more));
+    }
+    read
 }
 
 fn warped(object: &WarpObject) -> Result<(), Problem> {

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::{warp_object, written};
-use crate::wire::enum_name::{Canvas, EnumName, Metric};
+use crate::wire::enum_name::EnumName;
 use crate::wire::*;
 
 fn document() -> Value {
@@ -172,11 +172,19 @@ fn enums_list_what_this_version_has() {
     words::<Method>("/Method");
     words::<Units>("/Units");
     words::<Folds>("/Folds");
-    words::<Metric>("/Metric");
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
     words::<Format>("/Output/properties/format");
-    words::<Canvas>("/Output/properties/canvas");
+}
+
+/// `null` as the value of a field is absence, which the document says in words: a schema with `null` everywhere makes clumsy clients.
+fn without_nulls(value: Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            fields.into_iter().filter(|(_, value)| !value.is_null()).map(|(name, value)| (name, without_nulls(value))).collect()
+        }
+        other => other,
+    }
 }
 
 #[test]
@@ -199,11 +207,9 @@ fn schemas_and_parsers_agree_on_a_table() {
         "p: [[1, 2, 3]]",
         "p: [[1]]",
         "p: [[]]",
-        "p: null",
         "p: [1]",
         "p: [[1, [2, 3]]]",
         "q: [[1, 2]]",
-        "q: null",
         "weights: [1, 2]",
         "weights: [null]",
         "method: \"affine\"",
@@ -226,10 +232,11 @@ fn schemas_and_parsers_agree_on_a_table() {
         "grid: {\"columns\": 4294967295, \"rows\": 4294967296}",
         "folds: \"reject\"",
         "folds: \"remove\"",
-        "metric: \"euclidean\"",
         "metric: \"geodesic\"",
         "output: {}",
         "output: null",
+        "points: [null]",
+        "grid: {\"cell\": 2, \"columns\": null, \"rows\": null}",
         "output: {\"format\": \"png\"}",
         "output: {\"format\": \"jpeg\", \"quality\": 100}",
         "output: {\"format\": \"webp\"}",
@@ -252,7 +259,6 @@ fn schemas_and_parsers_agree_on_a_table() {
         "output: {\"outside\": \"#AbCdEf\"}",
         "output: {\"outside\": \"#00000000\"}",
         "output: {\"outside\": \"#0000000\"}",
-        "output: {\"canvas\": \"same\"}",
         "output: {\"canvas\": \"fit\"}",
         "output: {\"x\": 1}",
         "seq: 0",
@@ -260,7 +266,6 @@ fn schemas_and_parsers_agree_on_a_table() {
         "seq: 1.5",
         "seq: 1e3",
         "seq: 18446744073709551615",
-        "seq: null",
         "extent: [4, 3]",
         "extent: [0, 3]",
         "extent: [4]",
@@ -271,7 +276,6 @@ fn schemas_and_parsers_agree_on_a_table() {
         "points: [[[1, 2], [3, 4]]]",
         "polygons: []",
         "boxes: []",
-        "inverse: false",
         "inverse: true",
         "inverse: 0",
         "refine: false",
@@ -285,7 +289,7 @@ fn schemas_and_parsers_agree_on_a_table() {
             let kept = base.split(", \"").filter(|b| !b.is_empty() && !b.trim_start_matches('"').starts_with(&format!("{name}\"")));
             let kept: Vec<String> = kept.map(|b| if b.starts_with('"') { b.to_owned() } else { format!("\"{b}") }).collect();
             let text = format!("{{{}}}", kept.into_iter().chain([format!("\"{name}\": {value}")]).collect::<Vec<_>>().join(", "));
-            let json: Value = serde_json::from_str(&text).expect(&text);
+            let json = without_nulls(serde_json::from_str(&text).expect(&text));
             assert_eq!(schema.is_valid(&json), parse(text.as_bytes()), "{text}");
             accepted += usize::from(schema.is_valid(&json));
         }
