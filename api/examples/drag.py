@@ -1,21 +1,38 @@
 """Drags one handle of an image along a circle, as a user would, and saves the last frame.
 
     pip install httpx websockets        (Python 3.11 or later)
-    python drag.py IMAGE OUT.png [http://127.0.0.1:8080]
+    python drag.py IMAGE OUT.png [http://127.0.0.1:8080] [--key KEY]
+
+A server with keys needs one: --key, or the variable MLSWARP_KEY, which no other user of the machine can see.
 """
 
+import argparse
 import asyncio
 import json
 import math
+import os
 import sys
 from pathlib import Path
 
 import httpx
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 STEPS = 120
 PATIENCE = 5.0  # seconds without a message, after which the socket is given up
+
+
+def failure(status, body):
+    """What the server says about a request that failed: a problem document (RFC 9457)."""
+    try:
+        problem = json.loads(body)
+        return f"{problem['code']}: {problem['detail']}"
+    except (ValueError, TypeError, KeyError):
+        return f"the server answered {status}: {body[:200]!r}"  # something else is there, for example a proxy
+
+
+def checked(answer):
+    return answer if answer.is_success else sys.exit(failure(answer.status_code, answer.content))
 
 
 def pose(rest, step):
@@ -39,7 +56,7 @@ async def watch(socket):
         if isinstance(message, str):
             report = json.loads(message)  # the report of the next frame; the first message is the grid
             if "code" in report:
-                raise RuntimeError(f"{report['code']}: {report['detail']}")
+                sys.exit(failure(None, message))
             continue
         seq, picture = int.from_bytes(message[:8], "little"), message[8:]
         await socket.send(json.dumps({"ack": seq}))
@@ -48,32 +65,49 @@ async def watch(socket):
             return picture
 
 
-async def drag(address, rest):
+async def drag(address, headers, rest):
     """If the socket closes or is silent, opens another one, which begins with the last pose sent."""
     hand = {"seq": 0}
-    while True:
+    for _ in range(20):
         try:
-            async with connect(address.replace("http", "ws", 1), max_size=None, open_timeout=PATIENCE, close_timeout=1) as socket:
+            url = address.replace("http", "ws", 1)
+            async with connect(url, additional_headers=headers, max_size=None, open_timeout=PATIENCE, close_timeout=1) as socket:
                 moving = asyncio.create_task(move(socket, rest, hand))
                 try:
                     return await watch(socket)
                 finally:
                     moving.cancel()
                     await asyncio.gather(moving, return_exceptions=True)
-        except (ConnectionClosed, TimeoutError) as gone:
+        except InvalidStatus as refused:
+            sys.exit(failure(refused.response.status_code, refused.response.body))
+        except (ConnectionClosed, OSError) as gone:  # a TimeoutError is an OSError
             print(f"reconnecting: {gone!r}")
             await asyncio.sleep(0.2)
+    sys.exit("the server does not answer any more")
 
 
-async def main(picture, out, server="http://127.0.0.1:8080"):
-    async with httpx.AsyncClient(base_url=server) as http:
+async def main(image, out, server, key):
+    headers = {"Authorization": f"Bearer {key}"} if key else {}
+    async with httpx.AsyncClient(base_url=server, headers=headers) as http:
         # Upload the image once, with the handles at rest.
         rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]]
-        parts = {"files": {"image": Path(picture).read_bytes()}, "data": {"warp": json.dumps({"p": rest})}}
-        session = (await http.post("/sessions", **parts)).raise_for_status().headers["Location"]
+        parts = {"files": {"image": image.read_bytes()}, "data": {"warp": json.dumps({"p": rest})}}
+        answer = checked(await http.post("/sessions", **parts))
+        session = str(answer.url.join(answer.headers["Location"]))
         # From here on, only q is sent.
-        Path(out).write_bytes(await drag(f"{server}{session}/drag?frames=png&width=auto&report=true", rest))
+        out.write_bytes(await drag(f"{session}/drag?frames=png&width=auto&report=true", headers, rest))
         await http.delete(session)
 
 
-asyncio.run(main(*sys.argv[1:]))
+options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+options.add_argument("image", type=Path)
+options.add_argument("out", type=Path)
+options.add_argument("server", nargs="?", default="http://127.0.0.1:8080", type=lambda url: url.rstrip("/"))
+options.add_argument("--key", default=os.environ.get("MLSWARP_KEY"))
+given = options.parse_args()
+try:
+    asyncio.run(main(**vars(given)))
+except (httpx.TransportError, httpx.InvalidURL) as error:
+    sys.exit(f"cannot reach {given.server}: {error}")
+except OSError as error:  # a file
+    sys.exit(str(error))

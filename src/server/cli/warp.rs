@@ -30,7 +30,7 @@ fn run_with_problem(config: &Config, image: &Path, warp: &Path, out: &Path) -> R
     // The file name takes the place of `Accept`.
     let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
     let file = read("image", image, config.max_body_bytes)?;
-    let mut object = patch.merge_onto(WarpObject::default());
+    let mut object = patch.into_object()?;
     object.output.format = format;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;

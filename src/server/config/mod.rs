@@ -99,9 +99,11 @@ pub struct Config {
     /// Address and port of the service.
     #[arg(long, help_heading = None, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
     pub listen: SocketAddr,
-    /// Workers, queues and memory.
-    #[command(flatten)]
-    pub work: WorkConfig,
+    /// Path at which a reverse proxy publishes the service, such as /tools/warp. The proxy removes it from requests; the server puts it
+    /// before the paths in responses: Location, the type of problems, and the servers of /openapi.json.
+    #[arg(long, help_heading = None, value_name = "PATH", default_value = "", hide_default_value = true)]
+    #[arg(value_parser = Checked(public_path))]
+    pub public_path: String,
     /// Maximum size of a request body.
     #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = Checked(size))]
     pub max_body_bytes: u64,
@@ -120,6 +122,9 @@ pub struct Config {
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
+    /// Workers, queues and memory.
+    #[command(flatten)]
+    pub work: WorkConfig,
     /// The session store.
     #[command(flatten)]
     pub store: StoreConfig,
@@ -225,6 +230,18 @@ fn address(text: &str) -> Result<SocketAddr, String> {
         .map_err(|_| format!("`{text}` is not an address and port such as 127.0.0.1:8080, 0.0.0.0:80 or [::]:8080"))
 }
 
+/// A path without its last slash; the root is empty.
+fn public_path(text: &str) -> Result<String, String> {
+    let path = text.strip_suffix('/').unwrap_or(text);
+    let is_segment = |segment: &str| {
+        let is_plain = segment.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._~".contains(&b));
+        is_plain && !["", ".", ".."].contains(&segment)
+    };
+    let is_path = path.strip_prefix('/').is_some_and(|segments| segments.split('/').all(is_segment));
+    let wrong = || format!("`{text}` is not a path such as /tools/warp, of letters, digits and -._~");
+    if path.is_empty() || is_path { Ok(path.to_owned()) } else { Err(wrong()) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -247,6 +264,19 @@ mod tests {
             (std::time::Duration::from_millis(200), std::time::Duration::from_secs(5))
         );
         assert_eq!(config.store.session_idle, std::time::Duration::from_secs(900));
+    }
+
+    #[test]
+    fn a_public_path_is_plain_and_has_no_slash_at_its_end() {
+        for (given, path) in [("", ""), ("/", ""), ("/warp", "/warp"), ("/tools/warp/", "/tools/warp"), ("/~a/b.c-d_e", "/~a/b.c-d_e")] {
+            assert_eq!(resolve(&["--public-path", given]).unwrap().public_path, path, "{given}");
+        }
+        for wrong in
+            ["warp", "//", "//host/warp", "/a//b", "/a/../b", "/.", "/a b", "/a%2fb", "/a?b", "/a\nb", "https://host/warp", "/\u{e4}"]
+        {
+            let told = resolve(&["--public-path", wrong]).unwrap_err().to_string();
+            assert!(told.contains("--public-path (MLSWARP_PUBLIC_PATH)"), "{wrong:?}: {told}");
+        }
     }
 
     #[test]

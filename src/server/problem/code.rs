@@ -27,7 +27,7 @@ macro_rules! codes {
                 match self { $(Self::$variant => $title,)* }
             }
 
-            /// The problem type, a URI reference: `/problems/<code>`.
+            /// The problem type, a URI reference: `/problems/<code>`, which `Problem::to_json` puts after the public path.
             pub const fn type_uri(self) -> &'static str {
                 match self { $(Self::$variant => concat!("/problems/", $name),)* }
             }

@@ -5,6 +5,7 @@
 
 mod code;
 mod from;
+pub(crate) mod words;
 
 use std::fmt;
 
@@ -31,6 +32,8 @@ pub struct Problem {
     pub actual: Option<Value>,
     /// Seconds after which the request may be repeated.
     pub retry_after: Option<u32>,
+    /// A member that only one code has: its name and its value.
+    pub extra: Option<Box<(&'static str, Value)>>,
 }
 
 impl Problem {
@@ -39,7 +42,17 @@ impl Problem {
 
     /// A problem with a code and a sentence.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        Self { code, detail: detail.into(), pointer: None, handle: None, what: None, limit: None, actual: None, retry_after: None }
+        Self {
+            code,
+            detail: detail.into(),
+            pointer: None,
+            handle: None,
+            what: None,
+            limit: None,
+            actual: None,
+            retry_after: None,
+            extra: None,
+        }
     }
 
     pub(crate) fn pointer(mut self, pointer: impl Into<String>) -> Self {
@@ -68,15 +81,20 @@ impl Problem {
         self
     }
 
+    pub(crate) fn extra(mut self, name: &'static str, value: impl Into<Value>) -> Self {
+        self.extra = Some(Box::new((name, value.into())));
+        self
+    }
+
     /// The HTTP status.
     pub const fn status(&self) -> u16 {
         self.code.status()
     }
 
-    /// The document; with the id of the request if there is one.
-    pub fn to_json(&self, request_id: Option<&str>) -> Value {
+    /// The document; with the id of the request if there is one. `public_path` precedes the path of the problem type.
+    pub fn to_json(&self, public_path: &str, request_id: Option<&str>) -> Value {
         let fields = [
-            ("type", Some(self.code.type_uri().into())),
+            ("type", Some(format!("{public_path}{}", self.code.type_uri()).into())),
             ("title", Some(self.code.title().into())),
             ("status", Some(self.status().into())),
             ("detail", Some(self.detail.as_str().into())),
@@ -87,6 +105,7 @@ impl Problem {
             ("limit", self.limit.clone()),
             ("actual", self.actual.clone()),
             ("retry_after", self.retry_after.map(Value::from)),
+            self.extra.as_deref().map_or(("", None), |(name, value)| (*name, Some(value.clone()))),
             ("request_id", request_id.map(Value::from)),
         ];
         fields.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
@@ -113,7 +132,7 @@ mod tests {
     #[test]
     fn document_has_only_the_fields_that_apply() {
         assert_eq!(
-            Problem::new(Code::NoSuchSession, "no such session: abc").to_json(None),
+            Problem::new(Code::NoSuchSession, "no such session: abc").to_json("", None),
             json!({"type": "/problems/no_such_session", "title": "No such session", "status": 404,
                    "detail": "no such session: abc", "code": "no_such_session"})
         );
@@ -123,8 +142,8 @@ mod tests {
     fn document_names_place_limit_and_request() {
         let problem = Problem::new(Code::TooLarge, "too much").pointer("/p").handle(3).limit("handle_columns", 10, 11).retry_after(2);
         assert_eq!(
-            problem.to_json(Some("r-1")),
-            json!({"type": "/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",
+            problem.to_json("/tools/warp", Some("r-1")),
+            json!({"type": "/tools/warp/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",
                    "pointer": "/p", "handle": 3, "limit_name": "handle_columns", "limit": 10, "actual": 11, "retry_after": 2,
                    "request_id": "r-1"})
         );

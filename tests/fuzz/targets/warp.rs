@@ -32,7 +32,7 @@ pub(super) fn parse(bytes: &[u8]) {
         _ => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
     };
     if let Some(problem) = refused {
-        assert_is_problem(&problem.to_json(None));
+        assert_is_problem(&problem.to_json("", None));
     }
 }
 

@@ -97,7 +97,7 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
             app.metrics().refused(problem);
             problem.code
         });
-        let mut response = finish(response, &id);
+        let mut response = finish(response, &app.config().public_path, &id);
         // tower-http answers a preflight with 200.
         if method == Method::OPTIONS && response.status() == StatusCode::OK {
             *response.status_mut() = StatusCode::NO_CONTENT;

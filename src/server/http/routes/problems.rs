@@ -2,17 +2,18 @@
 //! paragraphs, code, bold and blocks of JSON.
 
 use std::fmt::Write as _;
-use std::sync::LazyLock;
 
-use axum::extract::Path;
+use axum::extract::{Path, State};
 use axum::http::header::VARY;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use serde_json::{Value, json};
 
+use crate::app::App;
 use crate::http::accept;
 use crate::http::assets::{Asset, HTML};
+use crate::problem::words::{did_you_mean, nearest, quote};
 use crate::problem::{Code, Problem};
 
 const TEXT: &str = include_str!("../../../../api/problems.md");
@@ -24,23 +25,26 @@ const BLOCK: &str = "```";
 /// The media types of a section; the first is the default.
 const FORMS: [&str; 3] = ["text/html", JSON, Problem::MEDIA_TYPE];
 
-static SECTIONS: LazyLock<Vec<(Code, [Asset; 3])>> = LazyLock::new(|| Code::ALL.iter().map(|&code| (code, forms(code))).collect());
-
 /// One section.
-pub(crate) async fn section(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    let Some((_, forms)) = SECTIONS.iter().find(|(code, _)| code.as_str() == name) else {
-        return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {name}")));
+pub(crate) async fn section(State(app): State<App>, Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    let Some(&code) = Code::ALL.iter().find(|code| code.as_str() == name) else {
+        let meant = nearest(&name, Code::ALL.iter().map(|code| code.as_str()));
+        return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {}{}", quote(&name), did_you_mean(meant))));
     };
-    let form = accept::choose(&headers, FORMS)?;
-    Ok(([(VARY, HeaderValue::from_static("accept"))], forms[form].response(&headers)).into_response())
+    let form = FORMS[accept::choose(&headers, FORMS)?];
+    Ok(([(VARY, HeaderValue::from_static("accept"))], asset(code, form, &app.config().public_path).response(&headers)).into_response())
 }
 
-fn forms(code: Code) -> [Asset; 3] {
+fn asset(code: Code, form: &'static str, public_path: &str) -> Asset {
     let section = TEXT.split("\n## ").find_map(|section| section.strip_prefix(code.as_str())?.strip_prefix('\n'));
     let section = section.expect("every code has a section, and a test reads it").trim();
-    let page = PAGE.replace("{title}", code.title()).replace("{code}", code.as_str()).replace("{section}", &html(section));
-    let json = Bytes::from(document(code, section).to_string());
-    [Asset::new(HTML, Bytes::from(page)), Asset::new(JSON, json.clone()), Asset::new(Problem::MEDIA_TYPE, json)]
+    // Of the example.
+    let section = &section.replace(code.type_uri(), &format!("{public_path}{}", code.type_uri()));
+    if form == FORMS[0] {
+        let page = PAGE.replace("{title}", code.title()).replace("{code}", code.as_str()).replace("{section}", &html(section));
+        return Asset::new(HTML, Bytes::from(page));
+    }
+    Asset::new(form, Bytes::from(document(code, section).to_string()))
 }
 
 /// The paragraphs and blocks of code of a section.
@@ -88,7 +92,7 @@ fn document(code: Code, section: &str) -> Value {
     let description: Vec<String> = paragraphs().filter(|text| !text.starts_with(ADVICE)).collect();
     let advice: Vec<String> = paragraphs().filter_map(|text| text.strip_prefix(ADVICE).map(str::to_owned)).collect();
     json!({
-        "type": code.type_uri(),
+        "type": &example["type"],
         "title": code.title(),
         "status": code.status(),
         "code": code.as_str(),
@@ -104,7 +108,8 @@ mod tests {
 
     #[test]
     fn every_section_is_written_whole_and_uses_no_other_markup() {
-        for (code, [page, json, problem]) in SECTIONS.iter() {
+        for &code in Code::ALL {
+            let [page, json, problem] = FORMS.map(|form| asset(code, form, ""));
             let page = std::str::from_utf8(&page.bytes).unwrap();
             let (_, main) = page.split_once("<main class=\"problem\">").unwrap();
             assert!(main.contains(&format!("<h1>{}</h1>", code.title())) && main.contains("<strong>What to do.</strong>"), "{page}");

@@ -1,5 +1,7 @@
 //! Health, metrics and the OpenAPI document. None of them waits for the queue.
 
+use std::borrow::Cow;
+
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
@@ -9,7 +11,9 @@ use crate::app::{App, Ready};
 use crate::http::response;
 use crate::problem::Problem;
 
-const OPENAPI: &str = include_str!("../../../../api/openapi.json");
+pub(super) const OPENAPI: &str = include_str!("../../../../api/openapi.json");
+/// The address of the service in the document.
+const SERVERS: &str = r#""servers": [{"url": "/"}]"#;
 
 /// `GET /healthz`: the process is alive.
 pub(crate) async fn healthz() -> Response {
@@ -31,7 +35,22 @@ pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     (headers, app.metrics_text())
 }
 
-/// `GET /openapi.json`.
-pub(crate) async fn openapi() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-cache")], OPENAPI)
+/// `GET /openapi.json`, with the public path as the address of the service.
+pub(crate) async fn openapi(State(app): State<App>) -> impl IntoResponse {
+    let document = match app.config().public_path.as_str() {
+        "" => Cow::Borrowed(OPENAPI),
+        path => OPENAPI.replacen(SERVERS, &SERVERS.replace('/', path), 1).into(),
+    };
+    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-cache")], document)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_document_has_one_address_of_the_service() {
+        assert_eq!(OPENAPI.matches(SERVERS).count(), 1);
+        assert_eq!(OPENAPI.matches("\"servers\"").count(), 1);
+    }
 }

@@ -153,8 +153,8 @@ fn problems_are_valid_documents() {
     let schema = component(&document, "Problem");
     for code in Code::ALL {
         let full = Problem::new(*code, "x").pointer("/p/0").handle(0).limit("bytes", 1, 2.5).retry_after(1);
-        assert!(schema.is_valid(&full.to_json(Some("id"))), "{code:?}");
-        assert!(schema.is_valid(&Problem::new(*code, "x").to_json(None)), "{code:?}");
+        assert!(schema.is_valid(&full.to_json("", Some("id"))), "{code:?}");
+        assert!(schema.is_valid(&Problem::new(*code, "x").to_json("/tools/warp", None)), "{code:?}");
     }
     assert!(!schema.is_valid(&json!({"code": "internal"})));
 }
