@@ -39,9 +39,9 @@ function failure(status, body) {
   return `the server answered ${status}: ${String(body).slice(0, 200)}`;
 }
 
-async function request(path, options) {
+async function request(address, options) {
   const unreachable = ({ message, cause }) => fail(`cannot reach ${server}: ${cause?.message || cause?.code || message}`);
-  const answer = await fetch(`${server}${path}`, { ...options, headers }).catch(unreachable);
+  const answer = await fetch(address, { ...options, headers }).catch(unreachable);
   return answer.ok ? answer : fail(failure(answer.status, await answer.text()));
 }
 
@@ -89,7 +89,7 @@ function watch(socket) {
 // If the socket closes or is silent, opens another one, which begins with the last pose sent.
 async function drag(session, rest) {
   for (let tries = 0; tries < 20; tries++) {
-    const socket = new WebSocket(`${server.replace("http", "ws")}${session}/drag?frames=png&width=auto&report=true`, { headers });
+    const socket = new WebSocket(`${session.replace("http", "ws")}/drag?frames=png&width=auto&report=true`, { headers });
     socket.on("open", () => move(socket, rest));
     const last = await watch(socket);
     if (last) return last;
@@ -104,7 +104,8 @@ const rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]];
 const form = new FormData();
 form.set("image", new Blob([await readFile(picture).catch((error) => fail(error.message))]));
 form.set("warp", JSON.stringify({ p: rest }));
-const session = (await request("/sessions", { method: "POST", body: form })).headers.get("Location");
+const answer = await request(`${server}/sessions`, { method: "POST", body: form });
+const session = new URL(answer.headers.get("Location"), answer.url).href;
 // From here on, only q is sent.
 await writeFile(out, await drag(session, rest));
 await request(session, { method: "DELETE" });

@@ -92,9 +92,10 @@ async def main(image, out, server, key):
         # Upload the image once, with the handles at rest.
         rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]]
         parts = {"files": {"image": image.read_bytes()}, "data": {"warp": json.dumps({"p": rest})}}
-        session = checked(await http.post("/sessions", **parts)).headers["Location"]
+        answer = checked(await http.post("/sessions", **parts))
+        session = str(answer.url.join(answer.headers["Location"]))
         # From here on, only q is sent.
-        out.write_bytes(await drag(f"{server}{session}/drag?frames=png&width=auto&report=true", headers, rest))
+        out.write_bytes(await drag(f"{session}/drag?frames=png&width=auto&report=true", headers, rest))
         await http.delete(session)
 
 

@@ -2,11 +2,13 @@
 
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
+import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
 import { count, places } from "./words.js";
 
 export class Actions {
-  constructor(store, sync, view, handles, say) {
-    Object.assign(this, { store, sync, view, handles, say });
+  /** `step`: undo (true) or redo of what is more than an edit: opening or closing a picture. */
+  constructor(store, sync, view, handles, say, step) {
+    Object.assign(this, { store, sync, view, handles, say, step });
   }
 
   get state() {
@@ -32,11 +34,12 @@ export class Actions {
     const made = edits.added(this.state.document, posed.map((place) => this.restOf(place)), posed);
     this.store.do("draft", { places: [] });
     if (!made) return this.say("A line needs two different points");
-    this.edit(made.document, { select: [made.key] });
+    const document = this.#keepFocus(made.document);
+    this.edit(document, { select: [made.key] });
     const index = this.state.document.handles.length - 1;
     const handle = this.state.document.handles[index];
     this.handles.focus(index);
-    this.say(`${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}`);
+    this.say(`${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}${this.#focusKept(document === made.document)}`);
   }
 
   /** A click on the picture that hits no handle. */
@@ -71,8 +74,45 @@ export class Actions {
     this.sayWhere();
   }
 
+  /** Says what `#keepFocus` has done. */
+  #focusKept(unchanged) {
+    return unchanged ? "" : `. Focus stays at ${edits.alphaOf(this.state.document)}, so that the other handles keep their effect`;
+  }
+
+  #keepFocus(next) {
+    return edits.keepingFocus(this.state.document, next);
+  }
+
+  /** How a pin is turned and scaled by the other handles alone, if it is not twisted. */
+  freeOf({ p }) {
+    return freeTurn(this.sync.mesh, p[0], longest(this.view.size) / 8);
+  }
+
+  /** The document with a pin turned by degrees, to a multiple of `step`; undefined, with a message, if the focus does not permit it. */
+  twistedBy(document, index, by, free, step = 0) {
+    if (!edits.mayTwist(document)) return this.say("To twist a pin, set the focus to 0.5 or more");
+    const from = document.handles[index].twist?.angle ?? free.angle;
+    const angle = step ? Math.round((from + by) / step) * step : from + by;
+    return edits.withTwist(document, index, angle, free, this.view.size);
+  }
+
+  /** Twists a pin to an angle, in degrees; null removes the twist. */
+  twistTo(index, angle) {
+    const { document } = this.state;
+    if (angle !== null && !edits.mayTwist(document)) return this.say("To twist a pin, set the focus to 0.5 or more");
+    this.edit(edits.withTwist(document, index, angle, this.freeOf(document.handles[index]), this.view.size));
+    this.sayTwist(index);
+  }
+
   rotate(degrees) {
     const { document, selection } = this.state;
+    const index = selection.length === 1 ? document.handles.findIndex((h) => String(h.id) === selection[0]) : -1;
+    if (canTwist(document.handles[index])) {
+      const next = this.twistedBy(document, index, degrees, this.freeOf(document.handles[index]));
+      if (!next) return;
+      this.edit(next, { tag: `rotate ${selection}` });
+      return this.sayTwist(index);
+    }
     const posed = edits.posedPlaces(document, selection);
     if (posed.length < 2) return;
     this.edit(edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180), { tag: `rotate ${selection}` });
@@ -83,8 +123,9 @@ export class Actions {
     const { document } = this.state;
     const next = edits.removed(document, selection);
     const gone = document.handles.length - next.handles.length;
-    this.edit(next, { select: [] });
-    this.say(gone ? `${count(gone, "handle")} deleted` : "Point of the path deleted");
+    const kept = this.#keepFocus(next);
+    this.edit(kept, { select: [] });
+    this.say(gone ? `${count(gone, "handle")} deleted${this.#focusKept(kept === next)}` : "Point of the path deleted");
     if (!globalThis.document.activeElement?.isConnected || globalThis.document.activeElement === globalThis.document.body) this.view.stage.focus({ preventScroll: true });
   }
 
@@ -119,11 +160,15 @@ export class Actions {
     const { document } = this.state;
     if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places))) return this.say("The border is already pinned");
     const made = edits.added(document, places, places);
-    this.edit(made.document, { select: [] });
-    this.say("The border is pinned");
+    const next = this.#keepFocus(made.document);
+    this.edit(next, { select: [] });
+    this.say(`The border is pinned${this.#focusKept(next === made.document)}`);
   }
 
   undo(back) {
+    const { past, future, before, phase } = this.state;
+    if (before || phase === "uploading") return;
+    if (!(back ? past : future).length) return this.step(back);
     this.store.do(back ? "undo" : "redo");
     this.say(back ? "Undone" : "Redone");
   }
@@ -145,6 +190,11 @@ export class Actions {
     const key = keyOf(handle, vertex);
     if (adds || this.state.more) this.store.do("toggle", { key });
     else this.store.do("select", { keys: [key] });
+  }
+
+  sayTwist(index) {
+    const angle = angleOf(this.state.document.handles[index]);
+    this.say(angle === null ? `Point ${index + 1} is not twisted` : `Point ${index + 1} twisted to ${angle} degrees`);
   }
 
   sayWhere() {

@@ -109,7 +109,7 @@ export async function mesh(id, body, signal) {
 /** A picture, and the figures in its headers. */
 export async function picture(id, body, signal) {
   const begun = performance.now();
-  const response = await ask("POST", `${session(id)}/warp`, { json: body, accept: "image/png", signal });
+  const response = await ask("POST", `${session(id)}/warp`, { json: body, accept: `image/${body.output?.format ?? "png"}`, signal });
   const blob = await read(response, "blob");
   return { blob, report: { ...reportOf(response, blob.size), trip: performance.now() - begun } };
 }

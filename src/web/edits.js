@@ -1,6 +1,8 @@
 // Edits of a document: pure functions that return a new document, or the same one if nothing changes. Positions are [x, y] in picture px,
 // rounded to 0.01, so that the table shows the values that are sent.
 
+import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
+
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
 export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
 
@@ -54,7 +56,12 @@ export const translated = (document, selection, dx, dy) => moved(document, selec
 
 export function rotated(document, selection, [cx, cy], angle) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
-  return moved(document, selection, ([x, y]) => [cx + (x - cx) * cos - (y - cy) * sin, cy + (x - cx) * sin + (y - cy) * cos]);
+  const next = moved(document, selection, ([x, y]) => [cx + (x - cx) * cos - (y - cy) * sin, cy + (x - cx) * sin + (y - cy) * cos]);
+  // Twisted pins turn with their surroundings.
+  const turns = (handle) => handle.twist && selection.includes(String(handle.id));
+  if (!next.handles.some(turns)) return next;
+  const turn = (handle) => (turns(handle) ? turned(handle, handle.twist.angle + (angle * 180) / Math.PI) : handle);
+  return { ...next, handles: next.handles.map(turn) };
 }
 
 /** Centre and radius of the circle around positions. */
@@ -70,9 +77,9 @@ export function putBack(document, selection) {
   let changed = false;
   const handles = document.handles.map((handle) => {
     const mine = places.get(handle.id);
-    if (!mine || [...mine].every((k) => same(handle.p[k], handle.q[k]))) return handle;
+    if (!mine || (!handle.twist && [...mine].every((k) => same(handle.p[k], handle.q[k])))) return handle;
     changed = true;
-    return { ...handle, q: handle.q.map((place, k) => (mine.has(k) ? handle.p[k] : place)) };
+    return { ...untwisted(handle), q: handle.q.map((place, k) => (mine.has(k) ? handle.p[k] : place)) };
   });
   return changed ? { ...document, handles } : document;
 }
@@ -122,11 +129,37 @@ export function borderPath(width, height) {
   return [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
 }
 
-/** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions. */
-export const wire = (document, which) => document.handles.map((h) => (h[which].length === 1 ? h[which][0] : h[which]));
+/** Turns a pin to an angle, in degrees; `free`: its angle and scale without a twist. An angle of null removes the twist. */
+export function withTwist(document, index, degrees, free, size) {
+  const old = document.handles[index];
+  const next = degrees !== null ? turned(old, degrees, free, size) : old.twist ? untwisted(old) : old;
+  return next === old ? document : { ...document, handles: document.handles.with(index, next) };
+}
+
+/** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted pin is a short segment. */
+export const wire = (document, which) => document.handles.map((h) => (h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which]));
+
+/** The mass of a point, px, if the set has segments; the server's default is the mean length of the segments. */
+export function massOf({ handles, mass }) {
+  if (mass !== undefined) return mass;
+  const lengths = handles.flatMap((h) => h.p.slice(1).map((place, k) => Math.hypot(place[0] - h.p[k][0], place[1] - h.p[k][1])));
+  if (lengths.length) return lengths.reduce((sum, length) => sum + length, 0) / lengths.length;
+  return handles.some((h) => h.twist) ? 1 : undefined;
+}
+
+export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
+const isTwisted = ({ handles }) => handles.some((h) => h.twist);
+export const mayTwist = (document) => alphaOf(document) >= LEAST_ALPHA;
 
 /** Alpha; the server's default is 2 with any line, otherwise 1. */
 export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
+
+/** `after`, with the focus of `before` if another automatic one would move handles that are posed. */
+export function keepingFocus(before, after) {
+  if (after.alpha !== null || alphaOf(before) === alphaOf(after)) return after;
+  const isPosed = (h) => h.twist || h.p.some((place, k) => !same(place, h.q[k]));
+  return after.handles.some((h) => before.handles.includes(h) && isPosed(h)) ? { ...after, alpha: alphaOf(before) } : after;
+}
 
 /** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
@@ -134,48 +167,30 @@ export const outsideOf = ({ outside }) => outside ?? "transparent";
 /** The session's part of a warp object. Alpha and outside are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
-  const weights = handles.some((h) => h.weight !== undefined) ? { weights: handles.map((h) => h.weight ?? 1) } : {};
+  const mass = massOf(document);
+  const weight = (h) => (h.twist ? segmentWeight(h, mass) : (h.weight ?? 1));
+  const weights = handles.some((h) => h.weight !== undefined || h.twist) ? { weights: handles.map(weight) } : {};
+  const point_mass = mass === undefined ? {} : { point_mass: mass };
   const output = { outside: outsideOf(document) };
-  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), grid: grid === "auto" ? grid : { cell: grid }, output };
+  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), ...point_mass, grid: grid === "auto" ? grid : { cell: grid }, output };
 }
 
 /** The complete warp object, for export. */
 export function warpOf(document) {
-  const { alpha, output, ...rest } = restOf(document);
-  const chosen = { ...(document.alpha !== null && { alpha }), ...(output.outside !== "transparent" && { output }) };
+  const { alpha, output, point_mass, ...rest } = restOf(document);
+  // With twisted pins the server's defaults, which count segments, would be others.
+  const twisted = isTwisted(document);
+  const mass = twisted || document.mass !== undefined ? { point_mass } : {};
+  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(output.outside !== "transparent" && { output }) };
   return { ...rest, ...chosen, q: wire(document, "q") };
-}
-
-/** The document of a warp object; `null` if this page does not support it. */
-export function documentOf(warp) {
-  const places = (h) => (Array.isArray(h) && Array.isArray(h[0]) ? h : [h]);
-  const sound = (list) => Array.isArray(list) && list.every((place) => Array.isArray(place) && place.length === 2 && place.every(Number.isFinite));
-  if (!warp || !Array.isArray(warp.p)) return null;
-  const q = warp.q ?? warp.p;
-  if (!Array.isArray(q) || q.length !== warp.p.length || (warp.units ?? "px") !== "px") return null;
-  const { weights } = warp;
-  if (weights && !(Array.isArray(weights) && weights.length === q.length && weights.every((w) => w > 0))) return null;
-  const handles = warp.p.map((p, i) => ({ id: i + 1, p: places(p), q: places(q[i]), ...(weights && { weight: weights[i] }) }));
-  if (!handles.every((h) => h.p.length && h.p.length === h.q.length && sound(h.p) && sound(h.q))) return null;
-  const method = ["rigid", "similarity", "affine"].includes(warp.method ?? "rigid") ? (warp.method ?? "rigid") : null;
-  const alpha = warp.alpha === undefined || warp.alpha === null ? null : Number.isFinite(warp.alpha) ? warp.alpha : undefined;
-  const grid = (warp.grid ?? "auto") === "auto" ? "auto" : warp.grid.cell;
-  const outside = readOutside(warp.output?.outside ?? "transparent");
-  if (method === null || alpha === undefined || outside === null || !(grid === "auto" || grid > 0)) return null;
-  return { handles, method, alpha, grid, outside };
-}
-
-/** The server's form of a colour, or null. */
-function readOutside(told) {
-  if (told === "transparent" || told === "edge") return told;
-  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
-  return colour ? colour + alpha : null;
 }
 
 /** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
-  const { p, weights, method, alpha, grid, output } = restOf(document);
+  const { p, weights, method, alpha, grid, output, point_mass: mass } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
   const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid], [object.output.outside, output.outside]];
-  return object.units === "px" && pairs.every(([a, b]) => same(a, b));
+  // The server reports the mass of sets with points and segments only.
+  const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
+  return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));
 }

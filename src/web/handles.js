@@ -2,6 +2,8 @@
 // picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom.
 
 import { circleOf, kindName, kindOf, posedPlaces } from "./edits.js";
+import { withRoom } from "./numbers.js";
+import { canTwist } from "./twist.js";
 import { marked, places as placesWords } from "./words.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
@@ -9,6 +11,11 @@ const SPACE = "http://www.w3.org/2000/svg";
 export const REACH = { mouse: 12, pen: 14, touch: 22 };
 /** Distance of the selection ring from the vertices, CSS px. */
 const RING_OFF = 26;
+/** Radius of the ring of a pin, and length of the stalk between a ring and its knob, CSS px. */
+const PIN_RING = { mouse: 30, touch: 40 };
+const STALK = 16;
+const COARSE = matchMedia("(pointer: coarse)");
+const PLATE = 10.5;
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElementNS(SPACE, name);
@@ -36,18 +43,25 @@ export class Handles {
   pointer = null;
 
   #drawn = new Map(); // handle id to its nodes
+  #thinned = "";
+  #thinnedFor = null;
 
   constructor(svg, store, view) {
     Object.assign(this, { svg, store, view });
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
-    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection: arrow keys rotate by 1 degree" });
-    this.knob.append(element("circle", { class: "hit", r: 14 }), element("circle", { class: "halo", r: 11 }), element("circle", { class: "dot", r: 6.5 }));
+    this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
+    // A round arrow on a stalk, so that it does not look like a handle.
+    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection" });
+    const turn = ["shade", "glyph"].map((name) => element("path", { class: name, d: "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6" }));
+    this.stalk = element("line", { class: "stalk" });
+    this.degrees = element("text", { class: "degrees", y: -16, "text-anchor": "middle", "aria-hidden": true });
+    this.knob.append(element("circle", { class: "hit", r: COARSE.matches ? 22 : 14 }), element("circle", { class: "halo", r: 12 }), this.stalk, element("circle", { class: "plate", r: PLATE }), ...turn, this.degrees);
     this.draft = element("g", { class: "draft", "aria-hidden": true }, element("polyline", { class: "under" }), element("polyline", { class: "over" }));
     this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
     this.cross = element("path", { id: "cross", class: "cross", d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14", "aria-hidden": true });
     this.body = element("g");
-    svg.replaceChildren(this.ghosts, this.body, this.ring, this.knob, this.draft, this.frame, this.cross);
+    svg.replaceChildren(this.ghosts, this.body, this.ringShade, this.ring, this.knob, this.draft, this.frame, this.cross);
     store.subscribe(() => this.draw());
     view.subscribe(() => this.draw());
   }
@@ -69,6 +83,7 @@ export class Handles {
       if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
     });
+    this.#thinOut(state);
     this.#drawRing(state);
     this.#drawDraft(state);
     this.#drawMarks(state);
@@ -120,24 +135,67 @@ export class Handles {
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
   }
 
-  /** Circle around a selection with two or more vertices, stage px; otherwise null. */
+  /** Circle around a selected pin, or around a selection with two or more vertices, stage px; otherwise null. */
   ringAt() {
-    const { document, selection, draft } = this.store.state;
-    const places = posedPlaces(document, selection);
-    if (places.length < 2 || draft.length) return null;
+    const { document, selection, draft, arm } = this.store.state;
+    if (draft.length || arm) return null;
+    const pin = this.#pin(this.store.state);
+    const places = pin ? pin.q : posedPlaces(document, selection);
+    if (!places.length || (places.length < 2 && !pin)) return null;
     const { centre, radius } = this.turning ?? circleOf(places);
     const middle = this.view.toStage(centre);
-    const angle = -Math.PI / 4 + (this.turning?.angle ?? 0);
+    const angle = -Math.PI / 4 + (pin ? (((pin.twist?.angle ?? 0) - (pin.twist?.free ?? 0)) * Math.PI) / 180 : (this.turning?.angle ?? 0));
+    const knobAt = (r) => [middle[0] + (r + STALK) * Math.cos(angle), middle[1] + (r + STALK) * Math.sin(angle)];
+    if (pin) {
+      const r = COARSE.matches ? PIN_RING.touch : PIN_RING.mouse;
+      return { pin, centre, middle, r, knob: knobAt(r) };
+    }
     // Keep the knob inside the stage for large selections.
-    const room = [Math.cos(angle), Math.sin(angle)].map((way, axis) => ((way > 0 ? this.view.stageSize[axis] - RING_OFF : RING_OFF) - middle[axis]) / way);
+    const room = [Math.cos(angle), Math.sin(angle)].map((way, axis) => ((way > 0 ? this.view.stageSize[axis] - RING_OFF - STALK : RING_OFF + STALK) - middle[axis]) / way);
     const r = Math.max(RING_OFF, Math.min(radius * this.view.zoom + RING_OFF, ...room));
-    return { centre, middle, r, knob: [middle[0] + r * Math.cos(angle), middle[1] + r * Math.sin(angle)] };
+    return { pin: null, centre, middle, r, knob: knobAt(r) };
   }
 
-  #drawRing() {
+  #drawRing({ before }) {
     const ring = this.ringAt();
-    set(this.ring, { visibility: ring ? "visible" : "hidden", ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
-    set(this.knob, { visibility: ring ? "visible" : "hidden", tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
+    const visibility = ring ? "visible" : "hidden";
+    for (const circle of [this.ringShade, this.ring]) set(circle, { visibility, ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
+    set(this.knob, { visibility, tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
+    if (!ring) return;
+    const [x, y] = [0, 1].map((axis) => (ring.middle[axis] - ring.knob[axis]) / (ring.r + STALK));
+    set(this.stalk, { x1: x * STALK, y1: y * STALK, x2: x * PLATE, y2: y * PLATE });
+    const degrees = ring.pin?.twist?.angle;
+    set(this.knob, { "aria-label": ring.pin ? `Twist the pin${degrees === undefined ? "" : `, now ${degrees} degrees`}: arrow keys turn it by 1 degree` : "Rotate the selection: arrow keys rotate by 1 degree" });
+    const words = degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
+    if (this.degrees.textContent !== words) this.degrees.textContent = words;
+  }
+
+  /** Hides numbers without room. Not during a drag, so that they do not flicker. */
+  #thinOut({ selection, document, before, compare, peek }) {
+    if (before || compare || peek) return;
+    const key = `${this.view.zoom} ${selection} ${document.handles.length}`;
+    if (key === this.#thinned && (document === this.#thinnedFor || selection.length < 2)) return;
+    this.#thinned = key;
+    this.#thinnedFor = document;
+    const chosen = new Set(selection);
+    const marks = [];
+    const nodes = [];
+    for (const handle of document.handles) {
+      const drawn = this.#drawn.get(handle.id);
+      handle.q.forEach((place, k) => {
+        const node = drawn.places[k] ?? drawn.whole;
+        nodes.push(node);
+        marks.push([...this.view.toStage(place), node.lastChild.textContent, chosen.has(String(handle.id)) || chosen.has(`${handle.id}.${k}`)]);
+      });
+    }
+    const room = withRoom(marks);
+    nodes.forEach((node, k) => set(node, { class: marks[k][3] && !room.has(k) ? "crowded" : null }));
+  }
+
+  /** The pin of a selection that is a single point, or null. */
+  #pin({ document, selection }) {
+    const handle = selection.length === 1 && document.handles.find((h) => String(h.id) === selection[0]);
+    return handle && canTwist(handle) ? handle : null;
   }
 
   #drawDraft({ draft, cross }) {
@@ -167,7 +225,7 @@ export class Handles {
   hit([x, y], kind) {
     const ring = this.ringAt();
     const reach = REACH[kind] ?? REACH.mouse;
-    if (ring && Math.hypot(ring.knob[0] - x, ring.knob[1] - y) <= Math.max(14, reach)) return { knob: true };
+    const fromKnob = ring ? Math.hypot(ring.knob[0] - x, ring.knob[1] - y) : Infinity;
     const { handles } = this.store.state.document;
     let [best, least] = [null, Infinity];
     handles.forEach((handle, index) => {
@@ -177,6 +235,8 @@ export class Handles {
         if (away <= reach && away <= least) [best, least] = [{ handle, index, vertex: handle.p.length === 1 ? null : vertex }, away];
       });
     });
+    // Between a pin's knob and another handle, the nearer one.
+    if (fromKnob <= Math.max(14, reach) && (fromKnob <= least || !ring.pin)) return { knob: true, pin: ring.pin };
     if (best) return best;
     least = reach;
     handles.forEach((handle, index) => {

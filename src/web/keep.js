@@ -3,7 +3,7 @@
 
 const KEY = "mlswarp";
 const STEPS = 50;
-/** Number of stored files: those of the last pictures. */
+/** Number of stored files: those of the last pictures, besides the ones that the undo history needs. */
 const FILES = 4;
 
 /** Storage may be disabled or full: then nothing is stored, and the page continues. */
@@ -38,11 +38,11 @@ export class Keeper {
   kept = false;
   #timer = 0;
 
-  /** `whole`: returns the session state to store, or null. */
-  constructor(store, whole, told) {
-    Object.assign(this, { whole, told });
+  /** `current`: returns the open picture (Opener). */
+  constructor(store, current, told) {
+    Object.assign(this, { current, told });
     store.subscribe((state, previous) => {
-      if (state.document === previous.document && state.picture === previous.picture && state.past === previous.past) return;
+      if (["document", "picture", "past", "earlier", "later"].every((name) => state[name] === previous[name])) return;
       clearTimeout(this.#timer);
       this.#timer = setTimeout(() => this.save(store.state), state.before ? 1000 : 100);
     });
@@ -51,12 +51,15 @@ export class Keeper {
 
   save(state) {
     clearTimeout(this.#timer);
-    const more = state.phase === "open" ? this.whole() : null;
-    if (!more) return;
-    const document = state.before ?? state.document;
-    const text = (steps) =>
-      JSON.stringify({ ...more, picture: state.picture, document, past: steps ? state.past.slice(-steps) : [], future: state.future.slice(0, steps) });
-    this.kept = keepText(sessionStorage, text) && more.file !== null;
+    const { phase, earlier, later } = state;
+    if (phase === "uploading" || (phase === "empty" && !earlier.length && !later.length)) return;
+    const open = this.current();
+    const text = (steps) => {
+      const lastly = (past) => (steps ? past?.slice(-steps) : []);
+      const short = (picture) => ({ ...picture, past: lastly(picture.past), future: picture.future?.slice(0, steps), source: undefined });
+      return JSON.stringify({ ...short(open), earlier: earlier.map(short), later: later.map(short) });
+    };
+    this.kept = keepText(sessionStorage, text) && phase === "open" && open.file !== null;
     keepText(localStorage, text);
     this.told();
   }
@@ -78,15 +81,18 @@ function settled(request) {
   });
 }
 
-/** Stores a file; returns its key, or null if the browser refuses. Stores bytes: private windows of WebKit cannot store a Blob. */
-export async function keepFile(blob, name) {
+/**
+ * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those with a key in `needed`. Stores bytes:
+ * private windows of WebKit cannot store a Blob.
+ */
+export async function keepFile(blob, name, needed) {
   try {
     const bytes = await blob.arrayBuffer();
     const opened = await database();
     const files = opened.transaction("files", "readwrite").objectStore("files");
     const key = await settled(files.add({ bytes, type: blob.type, name }));
     const keys = await settled(files.getAllKeys());
-    for (const old of keys.slice(0, -FILES)) files.delete(old);
+    for (const old of keys.slice(0, -FILES).filter((old) => !needed.includes(old))) files.delete(old);
     opened.close();
     return key;
   } catch {

@@ -1,5 +1,5 @@
-// The keyboard. Keys with Ctrl work everywhere except in text fields. Single keys work with the focus in the stage or nowhere, and can be
-// switched off.
+// The keyboard. Keys with Ctrl and characters work everywhere except in text fields and lists; characters can be switched off. Arrows,
+// Enter, Space and Delete work with the focus in the stage or nowhere.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const NUDGE = [1, 10];
@@ -34,21 +34,28 @@ export class Keys {
     if (text) return;
     const inStage = this.stage.contains(event.target);
     const free = inStage || event.target === document.body || event.target === document.documentElement;
-    if (!free) return event.key === "Escape" && open && this.actions.escape();
     if (event.key === "?" && this.singleKeys()) return this.#take(event, this.does.help);
     if (!open) return;
+    if (!free) return this.#character(event);
     if (this.#moving(event, inStage) || this.#acting(event, inStage)) event.preventDefault();
   }
 
   #command(event, open) {
     const key = event.key.toLowerCase();
     if (key === "o") this.does.pick();
-    else if (!open) return false;
     else if (key === "z") this.actions.undo(!event.shiftKey);
     else if (key === "y") this.actions.undo(false);
+    else if (!open) return false;
     else if (key === "a") this.actions.selectAll();
     else return false;
     return true;
+  }
+
+  /** A key that the focused control does not use. */
+  #character(event) {
+    if (event.key === "Escape") this.actions.escape();
+    if (event.key.length > 1 || event.key === " " || !this.singleKeys()) return;
+    if (this.#single(event.key.toLowerCase(), event.repeat)) event.preventDefault();
   }
 
   #take(event, act) {
@@ -145,6 +152,7 @@ export class Keys {
       r: () => selected && actions.putBack(),
       "[": () => actions.rotate(-TURN),
       "]": () => actions.rotate(TURN),
+      e: () => does.export(),
       g: () => does.mesh(),
       c: () => does.compare(),
       b: () => repeat || this.store.do("show", { what: { peek: true } }),

@@ -3,14 +3,18 @@
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
 import { outsideOf } from "./edits.js";
+import { ExportDialog } from "./export.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
 import { Opener } from "./open.js";
+import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { bentPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
-import { Store } from "./state.js";
+import { Store, steps } from "./state.js";
+import { strengthOf } from "./strength.js";
+import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
@@ -25,9 +29,11 @@ const store = new Store();
 const view = new View(stage, wishes.get("webgl") !== "off");
 const sync = new Sync(store, view, wishes.get("socket") !== "off");
 const handles = new Handles(find("handles"), store, view);
-const actions = new Actions(store, sync, view, handles, say);
-const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state));
-const pointer = new Pointer(stage, store, view, handles, actions);
+const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back));
+const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state), toast);
+const exporting = new ExportDialog(store, sync, limits, toast);
+const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked);
+const pointer = new Pointer(stage, store, view, handles, actions, loupe);
 
 /** Announces a text to screen readers; a newer text replaces it. */
 function say(words) {
@@ -46,9 +52,19 @@ function toast(words) {
 const KEYS = new Set(["unauthorized", "forbidden"]);
 const RETRIES = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
+const PICTURES = "image/png,image/jpeg,image/webp,.png,.jpg,.jpeg,.webp,";
+const HANDLES = "application/json,.json";
+/** Opens the browser's file chooser. */
+function choose(accept) {
+  Object.assign(find("file"), { accept }).click();
+}
+
 /** Actions shared by buttons and keys. */
 const does = {
-  pick: () => find("file").click(),
+  pick: () => choose(PICTURES + HANDLES),
+  pickHandles: () => choose(HANDLES),
+  close: () => opener.close(),
+  export: () => exporting.show(),
   help: () => find("help").showModal(),
   key: () => showKey(),
   tool: (tool) => store.do("tool", { tool }),
@@ -60,26 +76,23 @@ const does = {
   mending: ({ code, opening }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
     if (KEYS.has(code)) return "Enter a key";
-    if (RETRIES.has(code) && !opening) return "Try again";
+    if (RETRIES.has(code)) return "Try again";
     return !opening && store.state.past.length ? "Undo" : null;
   },
   mend: (problem) => {
     const action = does.mending(problem);
     if (action === "Open a picture") does.pick();
     else if (action === "Enter a key") does.key();
-    else if (action === "Try again") sync.retry();
+    else if (action === "Try again") (problem.opening ? opener : sync).retry();
     else actions.undo(true);
   },
 };
 
 new Panel(store, sync, view, actions, does);
+new StrengthSlider(find("strength"), find("strength-value"), store, actions);
 new Table(find("handle-table"), store, actions);
 new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
-const keeper = new Keeper(
-  store,
-  () => sync.session && { session: sync.session.id, borrowed: sync.session.borrowed, file: opener.fileKey, link: opener.link },
-  observe,
-);
+const keeper = new Keeper(store, () => opener.current, observe);
 
 // Passes the state to the view.
 store.subscribe((state, previous) => {
@@ -106,8 +119,8 @@ function observe() {
     tool: state.tool,
     draft: state.draft.length,
     arm: state.arm,
-    undo: state.past.length,
-    redo: state.future.length,
+    strength: strengthOf(state.document),
+    ...steps(state),
     folds: shown.folds,
     zoom: view.zoom,
     pan: view.pan.map((c) => c.toFixed(2)).join(),
@@ -122,15 +135,33 @@ store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
-// After a click, a tool returns the focus to the stage, so that shortcuts work. Keyboard focus stays.
-for (const bar of document.querySelectorAll("#work > .tools, #work > .zoom, #selection, #draft, #undo, #redo")) {
-  const giveBack = () => bar.contains(document.activeElement) && stage.focus({ preventScroll: true });
+// After a click, a tool or a button returns the focus to the stage, so that the arrow keys work. Keyboard focus stays.
+for (const bar of document.querySelectorAll("body > header, #work > .tools, #work > .zoom, #selection, #draft, #panel .buttons")) {
+  const giveBack = () => bar.contains(document.activeElement) && store.state.phase === "open" && stage.focus({ preventScroll: true });
   bar.addEventListener("click", ({ detail }) => {
     if (detail === 0) return;
     giveBack();
     setTimeout(giveBack); // a label focuses its radio button after this
+    document.querySelector("dialog[open]")?.addEventListener("close", giveBack, { once: true });
   });
 }
+// The mark leads to the start page, like "Close".
+document.querySelector("h1 a").addEventListener("click", (event) => {
+  if (event.ctrlKey || event.metaKey || event.shiftKey || store.state.phase !== "open") return;
+  event.preventDefault();
+  does.close();
+});
+
+// The focus never stays on a hidden control: it moves to the picture or, on the start page, to where it was or to the first button.
+const staysAt = (node, phase) => node !== document.body && node?.checkVisibility() && (phase !== "open" || node.matches(":focus-visible"));
+let left = null;
+store.subscribe(({ phase }, { phase: before }) => {
+  if (phase === before) return;
+  const { activeElement } = document;
+  if (before === "empty" && phase === "uploading") left = activeElement;
+  if (phase === "uploading" || staysAt(activeElement, phase)) return;
+  (phase === "open" ? stage : staysAt(left, phase) ? left : find("pick")).focus({ preventScroll: true });
+});
 
 // Files
 
@@ -197,8 +228,10 @@ find("theme").addEventListener("click", () => {
 find("help-open").addEventListener("click", does.help);
 find("help-close").addEventListener("click", () => find("help").close());
 find("help").addEventListener("click", (event) => event.target === find("help") && find("help").close());
-find("keys").checked = setting("keys") !== "off";
-find("keys").addEventListener("change", ({ target }) => keepSetting("keys", target.checked ? "on" : "off"));
+for (const [id, name] of [["keys", "keys"], ["loupe-wanted", "loupe"]]) {
+  find(id).checked = setting(name) !== "off";
+  find(id).addEventListener("change", ({ target }) => keepSetting(name, target.checked ? "on" : "off"));
+}
 
 // The key
 
@@ -210,17 +243,19 @@ function showKey() {
   find("key-wrong").hidden = true;
   find("key").showModal();
 }
-/** Uses a key and retries a request that was rejected without it. */
-function takeKey(key, remember) {
+/** Uses a key and retries a request that was rejected without it. Only the server knows whether it accepts the key. */
+async function takeKey(key, remember) {
   useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  toast(key === null ? "Key removed" : "Key saved in this browser");
-  if (key === null || !KEYS.has(problem?.code)) return;
-  if (problem.opening) {
-    store.do("problem", { problem: null });
-    opener.retry();
-  } else sync.retry();
+  if (key === null || !KEYS.has(problem?.code)) return toast(key === null ? "Key removed" : "Key saved in this browser");
+  store.do("problem", { problem: null });
+  if (problem.opening) await opener.retry();
+  else {
+    sync.retry();
+    await sync.settled();
+  }
+  if (!store.state.problem) toast("The server accepts the key");
 }
 find("key-open").addEventListener("click", does.key);
 find("key-close").addEventListener("click", () => find("key").close());
@@ -244,7 +279,7 @@ function begin() {
   const before = kept();
   const link = readLink(location.hash) && location.hash;
   if (link && before?.link !== link) opener.openLink(link);
-  else if (before?.picture) opener.restore(before).then(() => store.state.phase === "empty" && forget());
+  else if (before) opener.restore(before).then(() => store.state.problem?.code === "session_expired" && forget());
 }
 addEventListener("hashchange", () => readLink(location.hash) && location.hash !== opener.link && opener.openLink(location.hash));
 observe();

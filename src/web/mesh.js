@@ -29,6 +29,16 @@ export class Mesh {
     return [this.posed(i, j), this.posed(i + 1, j), this.posed(i + 1, j + 1), this.posed(i, j + 1)];
   }
 
+  /** The posed position of a rest position, or null outside of the picture. */
+  forward(x, y) {
+    const { columns, rows, cell, width, height } = this.grid;
+    if (!(x >= 0 && y >= 0 && x <= width && y <= height)) return null;
+    const [i, j] = [Math.min(columns - 2, Math.floor(x / cell[0])), Math.min(rows - 2, Math.floor(y / cell[1]))];
+    const [s, t] = [(x - this.restX(i)) / (this.restX(i + 1) - this.restX(i)), (y - this.restY(j)) / (this.restY(j + 1) - this.restY(j))];
+    const [a, b, c, d] = this.corners(i, j);
+    return [0, 1].map((k) => (1 - t) * ((1 - s) * a[k] + s * b[k]) + t * ((1 - s) * d[k] + s * c[k]));
+  }
+
   /** The source position of (x, y). Outside the posed picture, uses the displacement of the nearest vertex. */
   inverse(x, y) {
     const { columns, rows } = this.grid;

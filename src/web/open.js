@@ -1,12 +1,16 @@
-// Opens a picture: a file (dropped, pasted, picked), a sample, a link, or the state before a reload.
+// Opens a picture: a file (dropped, pasted, picked), a sample, a link, or a kept one (undo, reload). Closes it.
 
 import * as api from "./api.js";
-import { alphaOf, documentOf, restOf, sameRest } from "./edits.js";
+import { alphaOf, restOf, sameRest } from "./edits.js";
+import { documentOf, isHandles, readHandles } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
+import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { SAMPLES } from "./samples.js";
-import { emptyDocument } from "./state.js";
 import { readLink } from "./share.js";
-import { bytes } from "./words.js";
+import { emptyDocument } from "./state.js";
+import { bytes, count } from "./words.js";
+
+const LOST = new Set(["no_such_session", "session_expired"]);
 
 export class Opener {
   /** Key of the file in IndexedDB, and the link that opened this tab. */
@@ -16,41 +20,60 @@ export class Opener {
   #cancel = null;
   #tried = null;
 
-  /** `told` is called when a file has been stored. */
-  constructor(store, sync, view, actions, limits, told) {
-    Object.assign(this, { store, sync, view, actions, limits, told });
+  /** `told` is called when a file has been stored; `toast` shows a message for a short time. */
+  constructor(store, sync, view, actions, limits, told, toast) {
+    Object.assign(this, { store, sync, view, actions, limits, told, toast });
   }
 
   cancel() {
     this.#cancel?.abort();
   }
 
-  /** Opens dropped, pasted or picked files. */
+  /** The open picture with everything that is needed to show it again. */
+  get current() {
+    const { picture, document, before, past, future } = this.store.state;
+    const { session, file } = this.sync;
+    if (!picture) return { picture: null };
+    const kept = { file: this.fileKey, source: file, link: this.link };
+    return { picture, document: before ?? document, past, future, session: session.id, borrowed: session.borrowed, ...kept };
+  }
+
+  /** Opens dropped, pasted or picked files: a picture, handles, or both. */
   async files(list) {
     const files = [...list];
     const isPicture = (f) => f.type.startsWith("image/") || /\.(png|jpe?g|webp)$/i.test(f.name);
     const picture = files.find(isPicture);
-    const handles = files.find((f) => f.type === "application/json" || /\.json$/i.test(f.name));
-    if (picture) return this.file(picture, picture.name || "pasted.png");
-    if (handles && this.store.state.phase === "open") return this.#takeHandles(handles);
-    if (files.length) this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
+    const handles = files.find(isHandles);
+    if (handles && !(await this.#takeHandles(handles, Boolean(picture)))) return;
+    if (picture) await this.file(picture, picture.name || "pasted.png");
+    else if (files.length && !handles) this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
   }
 
-  async #takeHandles(file) {
-    let warp = null;
+  /** Uses handles of a file: now if a picture is open, otherwise (or if one comes with them) on the next picture. */
+  async #takeHandles(file, waits) {
+    let document;
     try {
-      warp = documentOf(JSON.parse(await file.text()));
-    } catch {
-      // Reported below, like every other invalid warp object.
+      document = await readHandles(file);
+    } catch (problem) {
+      this.#refuse(problem);
+      return false;
     }
-    if (warp) this.actions.edit(warp, { select: [] });
-    else this.#refuse(new api.Problem({ code: "bad_value", detail: `the file ${file.name} has no handles that this page supports` }, 0));
+    const handles = { name: file.name, document };
+    if (this.store.state.phase === "open" && !waits) this.#useHandles(handles);
+    else this.store.do("waiting", { handles });
+    return true;
+  }
+
+  #useHandles({ name, document }) {
+    this.actions.edit(document, { select: [] });
+    this.toast(`${count(document.handles.length, "handle")} from ${name}`);
   }
 
   file(file, name) {
     return this.#attempt(name, async (signal) => {
       if (file.size > this.limits.body) {
-        throw new api.Problem({ code: "too_large", detail: `the file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}` }, 413);
+        const detail = `The file ${name} has ${bytes(file.size)}; the maximum is ${bytes(this.limits.body)}.`;
+        throw new api.Problem({ code: "too_large", detail }, 0);
       }
       await this.#fresh(await copyOf(file), name, emptyDocument(), null, signal);
     });
@@ -67,9 +90,10 @@ export class Opener {
 
   async #fresh(blob, name, document, sample, signal) {
     const object = await this.#upload(blob, name, document, signal);
-    await this.#use(object, document, { blob, name }, { picture: { name, sample } }, signal);
-    this.link = null;
-    this.told();
+    const { waiting } = this.store.state;
+    const left = await this.#use(object, document, { blob, name }, { picture: { name, sample } }, signal);
+    if (waiting) this.#useHandles(waiting);
+    else if (left.document?.handles.length) this.toast(`${name} opened. Undo brings back ${left.picture.name}`);
   }
 
   #upload(blob, name, document, signal) {
@@ -106,8 +130,11 @@ export class Opener {
     if (!(error instanceof api.Problem) && error?.name !== "EncodingError") throw error;
   }
 
-  /** Shows a session and its document. If `file` is null, the texture comes from the session. */
-  async #use(object, document, file, { picture, past, future, borrowed = false, fileKey }, signal) {
+  /**
+   * Shows a session and its document; returns the picture that was open. If `file` is null, the texture comes from the session. `history`
+   * makes the history of pictures from the state and the picture that was open.
+   */
+  async #use(object, document, file, { picture, past, future, borrowed = false, fileKey, link = null, history = replaced }, signal) {
     const { width, height } = object.image;
     const source = file ?? { blob: await this.#identity(object, signal), name: picture.name };
     try {
@@ -117,12 +144,21 @@ export class Opener {
       // The browser cannot decode the file, but the server can: show the server's PNG.
       await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
     }
+    const left = this.current;
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
-    this.store.do("opened", { picture: { ...picture, width, height }, document, past, future });
+    this.store.do("opened", { picture: { ...picture, width, height }, document, past, future, ...history(this.store.state, left) });
     this.view.resized(); // only now the stage is visible and has a size
+    this.#leaveLink(link);
     this.fileKey = fileKey ?? null;
-    this.fileKey ??= await keepFile(source.blob, source.name);
+    this.fileKey ??= await keepFile(source.blob, source.name, filesOf(this.store.state));
     this.told();
+    return left;
+  }
+
+  /** A link in the address would open again at the next reload. */
+  #leaveLink(link) {
+    this.link = link;
+    if (!link && readLink(location.hash)) globalThis.history.replaceState(null, "", location.pathname + location.search);
   }
 
   /** The unchanged picture of the session: q = p. */
@@ -139,26 +175,60 @@ export class Opener {
       signal.throwIfAborted();
       const document = documentOf(warp ?? warpOfSession(object));
       if (!document) throw new api.Problem({ code: "bad_link" }, 0);
-      await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true }, signal);
-      this.link = hash;
-      this.told();
+      await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true, link: hash }, signal);
     });
   }
 
-  /** Restores the stored state: with its session if it exists, otherwise with a new session from the stored file. */
-  restore(kept) {
+  /** Closes the picture; undo brings it back. */
+  close() {
+    const { state } = this.store;
+    if (state.phase !== "open") return;
+    this.#showStart(replaced(state, this.current));
+    this.toast(`${state.picture.name} closed. Undo brings it back`);
+  }
+
+  #showStart(history) {
+    this.sync.end();
+    this.view.clear();
+    this.store.do("opened", { picture: null, ...history });
+    this.#leaveLink(null);
+    this.fileKey = null;
+    this.told();
+  }
+
+  /** Undo (`back`) or redo of opening or closing a picture. */
+  async step(back) {
+    const { state } = this.store;
+    const next = back ? state.earlier.at(-1) : state.later[0];
+    if (!next || state.phase === "uploading") return;
+    const history = (now, left) => stepped(now, left, back);
+    if (!next.picture) return this.#showStart(history(state, this.current));
+    await this.#again(next, history);
+    if (!this.store.state.problem) this.toast(`${next.picture.name} is open again`);
+  }
+
+  /** Restores the stored state after a reload. */
+  async restore(kept) {
+    const history = { earlier: kept.earlier ?? [], later: kept.later ?? [] };
+    if (kept.picture) await this.#again(kept, () => history);
+    else if (history.earlier.length) this.store.do("opened", { picture: null, ...history });
+  }
+
+  /** Shows a kept picture: with its session if it exists, otherwise with a new session from the kept file. */
+  #again(kept, history) {
     return this.#attempt(kept.picture.name, async (signal) => {
-      const file = await keptFile(kept.file);
+      const file = kept.source ?? (await keptFile(kept.file));
       let object = await api.readSession(kept.session).catch((problem) => {
-        if (problem.code === "no_such_session" || problem.code === "session_expired") return null;
+        if (LOST.has(problem.code)) return null;
         throw problem;
       });
-      if (!object && !file) throw new api.Problem({ code: "session_expired" }, 410);
+      if (!object && !file) {
+        this.store.do("history", without(this.store.state, kept));
+        throw new api.Problem({ code: "session_expired" }, 410);
+      }
       const borrowed = kept.borrowed && Boolean(object);
       object ??= await this.#upload(file.blob, file.name, kept.document, signal);
-      await this.#use(object, kept.document, file, { ...kept, borrowed, fileKey: file ? kept.file : null }, signal);
-      this.link = kept.link;
-      this.told();
+      await this.#use(object, kept.document, file, { ...kept, borrowed, fileKey: file ? kept.file : null, history }, signal);
     });
   }
 }
@@ -173,8 +243,8 @@ async function copyOf(file) {
 }
 
 /** The warp object of a link without handles: those of the session, at rest. An alpha equal to the default counts as automatic. */
-function warpOfSession({ p, weights, method, alpha, units, grid, output }) {
-  const warp = { p, weights, method, units, grid: grid.requested, output };
+function warpOfSession({ p, weights, method, alpha, point_mass, units, grid, output }) {
+  const warp = { p, weights, method, point_mass, units, grid: grid.requested, output };
   const usual = documentOf(warp);
   return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
 }

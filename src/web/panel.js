@@ -1,7 +1,9 @@
 // The controls around the picture: they show the state and change it.
 
 import { alphaOf, kindName, outsideOf } from "./edits.js";
-import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords } from "./words.js";
+import { steps } from "./state.js";
+import { canTwist } from "./twist.js";
+import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -25,8 +27,15 @@ export class Panel {
     const state = () => store.state;
     click("undo", () => actions.undo(true));
     click("redo", () => actions.undo(false));
-    click("new", does.pick);
+    click("open", does.pick);
     click("pick", does.pick);
+    click("close", does.close);
+    click("export-open", does.export);
+    click("open-handles", does.pickHandles);
+    click("waiting-drop", () => {
+      find("pick").focus({ preventScroll: true }); // this button disappears
+      store.do("waiting", { handles: null });
+    });
     click("mesh", does.mesh);
     click("compare", does.compare);
     click("zoom-in", () => view.zoomTo(view.zoom * 1.25));
@@ -93,8 +102,12 @@ export class Panel {
     this.#drawProblem(state.problem);
     text("title", state.picture ? `${state.picture.name}` : "");
     document.title = state.picture ? `${state.picture.name} – mlswarp` : "mlswarp";
-    find("undo").disabled = !state.past.length;
-    find("redo").disabled = !state.future.length;
+    const { undo, redo } = steps(state);
+    find("history").hidden = !open && !undo && !redo;
+    find("undo").disabled = !undo;
+    find("redo").disabled = !redo;
+    find("waiting").hidden = !state.waiting;
+    if (state.waiting) text("waiting-text", waitingWords(state.waiting));
     const none = !state.document.handles.length;
     find("handles-none").hidden = !none;
     for (const id of ["select-all", "put-back-all", "clear"]) find(id).disabled = none;
@@ -115,7 +128,8 @@ export class Panel {
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
     text("alpha-value", `${alpha}`);
     find("alpha-auto").checked = document.alpha === null;
-    text("alpha-note", focusWords(alpha));
+    const automatic = alphaOf({ ...document, alpha: null });
+    text("alpha-note", `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`);
     const select = find("grid-size");
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
@@ -141,7 +155,8 @@ export class Panel {
     text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
     press("move-to", arm === "move");
     press("select-more", state.more);
-    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2;
+    const pin = selection.length === 1 && canTwist(handles.find((h) => String(h.id) === selection[0]));
+    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < 2;
     text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "point")}`);
@@ -215,13 +230,8 @@ export class Panel {
   }
 }
 
-/** A short form of the same figures, under the picture. */
-function statusWords({ report, rate, source, warnings }) {
-  if (!report) return "";
-  const server = Object.values(report.timing).reduce((sum, n) => sum + n, 0);
-  const speed = source === "png" ? `Picture in ${ms(report.trip)}, ${bytes(report.size)}` : rate ? `${Math.round(rate)} frames/s, server ${ms(server)}` : `Server ${ms(server)}`;
-  return [speed, ...warnings.map((w) => WARNINGS[w]).filter(Boolean)].join(". ");
-}
+/** The warnings about the shown picture, under it. */
+const statusWords = ({ warnings }) => warnings.map((w) => WARNINGS[w]).filter(Boolean).join(" ");
 
 /** The hint for the current state: a key of HINTS, or null. */
 function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before }) {

@@ -22,8 +22,8 @@ export class Pointer {
   #pinch = null;
   #lastClick = { time: 0, at: [0, 0] };
 
-  constructor(stage, store, view, handles, actions) {
-    Object.assign(this, { stage, store, view, handles, actions });
+  constructor(stage, store, view, handles, actions, loupe) {
+    Object.assign(this, { stage, store, view, handles, actions, loupe });
     stage.addEventListener("pointerdown", (event) => this.#down(event));
     stage.addEventListener("pointermove", (event) => this.#move(event));
     stage.addEventListener("pointerup", (event) => this.#up(event));
@@ -79,8 +79,9 @@ export class Pointer {
     if (state.compare) return this.#comparing();
     if (state.arm || state.draft.length) return this.#placing(kind);
     const hit = this.handles.hit(at, kind);
+    if (hit?.pin) return this.#twisting(hit.pin);
     if (hit?.knob) return this.#turning();
-    if (hit) return this.#dragging(hit, event.shiftKey);
+    if (hit) return this.#dragging(hit, event.shiftKey, kind);
     if (event.shiftKey || state.tool === "point") return this.#marquee(event.shiftKey);
     return this.#placing(kind, state.tool === "line");
   }
@@ -123,6 +124,7 @@ export class Pointer {
 
   #end() {
     this.#gesture = null;
+    this.loupe.hide();
     this.handles.marquee = null;
     this.handles.turning = null;
     this.handles.draw();
@@ -131,7 +133,7 @@ export class Pointer {
 
   // Gestures
 
-  #dragging(hit, adds) {
+  #dragging(hit, adds, kind) {
     const key = keyOf(hit.handle, hit.vertex);
     const selected = () => this.store.state.selection.includes(key) || this.store.state.selection.includes(String(hit.handle.id));
     let before;
@@ -146,6 +148,8 @@ export class Pointer {
       move: (at) => {
         const [dx, dy] = at.map((c, axis) => (c - this.#gesture.begun[axis]) / this.view.zoom);
         this.store.do("drag", { document: translated(before, this.store.state.selection, dx, dy) });
+        const dragged = this.store.state.document.handles[hit.index];
+        this.loupe.show(hit.vertex === null && dragged.q.length > 1 ? this.view.toPicture(at) : dragged.q[hit.vertex ?? 0], at, kind);
       },
       end: () => {
         this.store.do("dragEnd");
@@ -153,6 +157,33 @@ export class Pointer {
       },
       cancel: () => this.store.do("dragCancel"),
       click: () => this.actions.choose(hit, adds),
+    };
+  }
+
+  /** Turns a pin about itself. Turns are counted from the angle that it has, or had without a twist. */
+  #twisting(pin) {
+    const { document } = this.store.state;
+    const index = document.handles.indexOf(pin);
+    const free = this.actions.freeOf(pin); // before the twist changes the mesh
+    const middle = this.view.toStage(pin.q[0]);
+    const angleOf = (at) => (Math.atan2(at[1] - middle[1], at[0] - middle[0]) * 180) / Math.PI;
+    return {
+      still: 1,
+      press: () => this.handles.knob.focus({ preventScroll: true }),
+      begin: () => {
+        this.store.do("dragBegin");
+        this.stage.dataset.gesture = "drag";
+      },
+      move: (at, { shiftKey }) => {
+        const by = angleOf(at) - angleOf(this.#gesture.begun);
+        const next = this.actions.twistedBy(document, index, by, free, shiftKey ? 15 : 0);
+        if (next) this.store.do("drag", { document: next });
+      },
+      end: () => {
+        this.store.do("dragEnd");
+        this.actions.sayTwist(index);
+      },
+      cancel: () => this.store.do("dragCancel"),
     };
   }
 

@@ -5,7 +5,7 @@ import * as api from "./api.js";
 import { warpOf, wire } from "./edits.js";
 
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
-export const pictureName = (name) => `${stem(name)}-bent.png`;
+export const pictureName = (name, format = "png") => `${stem(name)}-bent.${format === "jpeg" ? "jpg" : format}`;
 export const handlesName = (name) => `${stem(name)}-handles.json`;
 
 export function save(blob, name) {
@@ -16,12 +16,14 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-/** The PNG of the current document: the shown one, otherwise requested from the server. */
-export async function bentPicture(sync, store) {
+/** The picture of the current document: the shown PNG, otherwise requested from the server. `output`: fields that differ from its defaults. */
+export async function bentPicture(sync, store, output = {}, signal = undefined) {
   await sync.settled();
+  signal?.throwIfAborted();
   const { revision, document } = store.state;
-  if (sync.png?.revision === revision) return sync.png.blob;
-  return (await api.picture(sync.session.id, { q: wire(document, "q") })).blob;
+  const usual = !Object.keys(output).length;
+  if (usual && sync.png?.revision === revision) return sync.png.blob;
+  return (await api.picture(sync.session.id, { q: wire(document, "q"), ...(!usual && { output }) }, signal)).blob;
 }
 
 /** The warp object as JSON, with one handle per line. */
@@ -38,14 +40,16 @@ const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.re
 /** A file name in a form field of curl: quoted if it has special characters; `-` alone would be standard input. */
 const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
 
-/** A curl command with the same result as "Download PNG". It reads the key from a variable; the copied text never contains it. */
-export function curlLine(sync, { picture, document: bent }) {
+/** A curl command with the same result as "Download PNG", or as the export with `output`. It reads the key from a variable; the copied text never contains it. */
+export function curlLine(sync, { picture, document: bent }, output = {}) {
   const address = (path) => new URL(path, document.baseURI).href;
-  const out = quoted(pictureName(picture.name));
-  const warp = quoted(JSON.stringify(warpOf(bent)));
+  const out = quoted(pictureName(picture.name, output.format));
+  const object = warpOf(bent);
+  const chosen = Object.keys(output).length ? { output: { ...object.output, ...output } } : {};
+  const warp = quoted(JSON.stringify({ ...object, ...chosen }));
   const key = hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "";
   if (picture.linked) {
-    const body = quoted(JSON.stringify({ q: wire(bent, "q") }));
+    const body = quoted(JSON.stringify({ q: wire(bent, "q"), ...(chosen.output && { output }) }));
     return `curl -sS ${address(`sessions/${sync.session.id}/warp`)} -o ${out}${key} -H 'Content-Type: application/json' -d ${body}`;
   }
   const form = (file) => `curl -sS ${address("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}`;

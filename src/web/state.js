@@ -1,6 +1,8 @@
 // The store: document (handles, method, alpha, grid, outside), selection and history. Reducers are pure functions of state and action.
 // Views subscribe.
 
+import { settled } from "./strength.js";
+
 /** Maximum number of undo steps. */
 const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
@@ -23,6 +25,9 @@ const initialState = () => ({
   before: null, // the document at the start of a drag
   past: [],
   future: [],
+  earlier: [], // pictures that undo brings back, oldest first (pictures.js)
+  later: [], // pictures that redo brings back, next one first
+  waiting: null, // handles of a file that wait for their picture: { name, document }
   tag: "",
   tagged: 0,
   problem: null,
@@ -49,37 +54,41 @@ function withDocument(state, document) {
   return { ...state, document, selection, revision: state.revision + 1, problem: null };
 }
 
-const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [] });
+const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [], later: [] });
 
 const reducers = {
   uploading: (state, { name }) => ({ ...state, phase: "uploading", progress: 0, uploadName: name, problem: null }),
   progress: (state, { percent }) => ({ ...state, progress: percent }),
   uploadEnded: (state) => ({ ...state, phase: state.picture ? "open" : "empty" }),
 
-  /** Opens another picture, with its handles and history. */
-  opened: (state, { picture, document, past = [], future = [] }) => ({
+  /** Opens another picture, with its handles and history; `picture` null closes the open one. */
+  opened: (state, { picture, document = emptyDocument(), past = [], future = [], earlier, later }) => ({
     ...initialState(),
-    phase: "open",
+    phase: picture ? "open" : "empty",
     picture,
     document,
     past,
     future,
+    earlier,
+    later,
     revision: state.revision + 1,
     tool: state.tool,
     meshShown: state.meshShown,
   }),
+  history: (state, { earlier, later }) => ({ ...state, earlier, later }),
+  waiting: (state, { handles }) => ({ ...state, waiting: handles, problem: null }),
 
   /** One undo step. Quick successive steps with one tag are merged. */
   edit: (state, { document, select, tag = "", now = 0 }) => {
     if (document === state.document) return state;
     const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
-    const history = joins ? { future: [] } : remembered(state, state.document);
-    const next = withDocument({ ...state, ...history, tag, tagged: now }, document);
+    const history = joins ? { future: [], later: [] } : remembered(state, state.document);
+    const next = withDocument({ ...state, ...history, tag, tagged: now }, settled(document, state.document));
     return select ? { ...next, selection: select } : next;
   },
 
   dragBegin: (state) => ({ ...state, before: state.document, tag: "" }),
-  drag: (state, { document }) => withDocument(state, document),
+  drag: (state, { document }) => withDocument(state, settled(document, state.document)),
   dragEnd: (state) => {
     if (!state.before) return state;
     const history = state.before === state.document ? {} : remembered(state, state.before);
@@ -117,6 +126,12 @@ const reducers = {
   problem: (state, { problem }) => ({ ...state, problem }),
   show: (state, { what }) => ({ ...state, ...what }),
 };
+
+/** Steps that undo and redo can take: those of the open picture and of the other ones, and one for each change of the picture. */
+export function steps({ past, future, earlier, later }) {
+  const all = (own, others, which) => others.reduce((sum, picture) => sum + 1 + (picture[which]?.length ?? 0), own.length);
+  return { undo: all(past, earlier, "past"), redo: all(future, later, "future") };
+}
 
 function reduce(state, action) {
   return reducers[action.type](state, action);

@@ -11,6 +11,9 @@ const REST = 150;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
+/** What is shown before the first response. */
+const NOTHING = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+
 export class Sync {
   /** The session: { id, grid, rest (JSON that it was created with), setup (the server's form), borrowed (from a link of another user) }. */
   session = null;
@@ -19,7 +22,7 @@ export class Sync {
   mesh = null;
   /** The shown PNG of the server: { blob, revision }. */
   png = null;
-  shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+  shown = { ...NOTHING };
 
   #running = false;
   #again = false; // changed since the last step began
@@ -72,10 +75,19 @@ export class Sync {
     this.file = file;
     this.mesh = Mesh.identity(object.image.width, object.image.height);
     this.png = null;
-    this.shown = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+    this.shown = { ...NOTHING };
     this.#settled = this.#sent = this.#meshRevision = this.#refused = -1;
     this.#stalled = false;
     this.#adopt(object, rest, borrowed);
+  }
+
+  /** Ends the work on the picture, before it is closed in the store. The session stays on the server, so that undo is quick. */
+  end() {
+    this.#cancel?.abort();
+    this.session = this.file = this.mesh = this.png = null;
+    this.shown = { ...NOTHING };
+    this.live.close();
+    this.#tell();
   }
 
   #adopt(object, rest, borrowed = false) {

@@ -1,7 +1,11 @@
 // The table of handles: every coordinate of p and q can be edited.
 
 import { kindName, withNumber } from "./edits.js";
+import { angleOf } from "./twist.js";
 import { marked } from "./words.js";
+
+/** The number of an input; null: a pin that is not twisted. */
+const valueOf = (handle, vertex, { dataset }) => (dataset.which === "twist" ? angleOf(handle) : handle[dataset.which][vertex][Number(dataset.axis)]);
 
 export class Table {
   #shape = null;
@@ -12,6 +16,7 @@ export class Table {
     this.#body = table.tBodies[0];
     table.addEventListener("change", (event) => this.#changed(event.target));
     table.addEventListener("focusin", (event) => this.#entered(event));
+    table.addEventListener("focusout", () => this.#fill(this.store.state));
     table.addEventListener("keydown", (event) => event.key === "Enter" && event.target.matches("input") && this.#changed(event.target));
     store.subscribe((state, previous) => this.#draw(state, previous));
   }
@@ -42,6 +47,11 @@ export class Table {
     choose.addEventListener("click", (event) => this.actions.choose({ handle: this.store.state.document.handles[index], vertex: single ? null : vertex }, event.shiftKey));
     head.append(choose);
     row.append(head);
+    const cell = (input) => {
+      const made = document.createElement("td");
+      made.append(input);
+      row.append(made);
+    };
     for (const which of ["p", "q"]) {
       for (const axis of [0, 1]) {
         const input = document.createElement("input");
@@ -49,10 +59,15 @@ export class Table {
         Object.assign(input.dataset, { which, axis });
         const place = single ? "" : ` point ${vertex + 1}`;
         input.setAttribute("aria-label", `Handle ${index + 1}${place} ${which === "p" ? "rest" : "posed"} ${"xy"[axis]}`);
-        const cell = document.createElement("td");
-        cell.append(input);
-        row.append(cell);
+        cell(input);
       }
+    }
+    if (single) {
+      const input = document.createElement("input");
+      Object.assign(input, { type: "number", step: "any", min: -180, max: 180, id: `twist-${index}` });
+      input.dataset.which = "twist";
+      input.setAttribute("aria-label", `Handle ${index + 1} twist, degrees`);
+      cell(input);
     }
     return row;
   }
@@ -65,8 +80,10 @@ export class Table {
       row.classList.toggle("selected", selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`));
       row.toggleAttribute("data-fault", marks.includes(index));
       for (const input of row.querySelectorAll("input")) {
-        const value = String(handle[input.dataset.which][vertex][Number(input.dataset.axis)]);
-        if (input.value !== value) input.value = value;
+        const value = valueOf(handle, vertex, input);
+        // Rounded, so that it fits the cell; in full while it is edited.
+        const words = value === null ? "" : String(input === globalThis.document.activeElement ? value : Math.round(value * 10) / 10);
+        if (input.value !== words) input.value = words;
       }
     }
   }
@@ -80,7 +97,8 @@ export class Table {
     const { index, vertex } = this.#where(input.closest("tr"));
     const { document } = this.store.state;
     const value = input.value.trim() === "" ? NaN : Number(input.value);
-    if (Number.isFinite(value)) this.actions.edit(withNumber(document, input.dataset.which, index, vertex, Number(input.dataset.axis), value));
+    if (input.dataset.which === "twist") this.actions.twistTo(index, Number.isFinite(value) ? value : null);
+    else if (Number.isFinite(value)) this.actions.edit(withNumber(document, input.dataset.which, index, vertex, Number(input.dataset.axis), value));
     // Show the accepted value: the input may have been rejected or rounded.
     this.#fill(this.store.state);
   }
@@ -88,9 +106,11 @@ export class Table {
   /** Selects the handle of the focused input. */
   #entered({ target }) {
     if (!target.matches("input")) return;
-    target.select();
     const { index, vertex } = this.#where(target.closest("tr"));
     const handle = this.store.state.document.handles[index];
+    const value = valueOf(handle, vertex, target);
+    if (value !== null) target.value = value;
+    target.select();
     const key = handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
     const { selection } = this.store.state;
     if (!selection.includes(key) && !selection.includes(String(handle.id))) this.store.do("select", { keys: [key] });

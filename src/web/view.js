@@ -20,6 +20,9 @@ export class View {
   mesh = null;
   folds = 0;
 
+  /** Called after each frame, while the canvas has its content. */
+  drawn = () => {};
+
   #outside = "transparent";
   #folded = [];
   #fitted = true;
@@ -83,6 +86,17 @@ export class View {
     if (texture) this.painter.setSource(texture, width, height);
     this.source = "source";
     this.#fitted = true;
+  }
+
+  /** Shows no picture. */
+  clear() {
+    for (const id of ["original", "picture"]) this.#swap(Object.assign(new Image(), { id, alt: "", draggable: false }));
+    this.#frame?.close();
+    this.#frame = null;
+    this.#setMesh(null);
+    this.size = null;
+    this.source = "none";
+    this.invalidate();
   }
 
   /** Loads a picture into a hidden element. */
@@ -267,6 +281,8 @@ export class View {
     divider.hidden = !(this.size && compare && !peek);
     divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
     divider.style.height = `${height * this.zoom}px`;
+    // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of the divider.
+    this.lines.canvas.style.clipPath = compare ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)` : "none";
     this.stage.querySelector("#picture").style.visibility = this.source === "png" || this.source === "source" ? "visible" : "hidden";
   }
 
@@ -282,13 +298,26 @@ export class View {
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
-    const lines = this.mesh && !this.#show.peek && !this.#show.compare;
-    const drawn = lines && (this.#show.lines || this.folds > 0);
+    const drawn = this.mesh && !this.#show.peek && (this.#show.lines || this.folds > 0);
     if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
+    this.drawn();
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
+  }
+
+  /** Copies a rectangle of the stage (x, y, width, height; CSS px) as shown to a square canvas. */
+  copyTo(context, [x, y, width, height], side) {
+    const { scale } = this;
+    context.imageSmoothingEnabled = this.zoom < CRISP;
+    if (this.source === "mesh" || this.source === "frame") {
+      context.drawImage(this.live, x * scale, y * scale, width * scale, height * scale, 0, 0, side, side);
+      return;
+    }
+    const factor = side / width;
+    const [left, top] = [this.pan[0] - x, this.pan[1] - y];
+    context.drawImage(this.stage.querySelector("#picture"), left * factor, top * factor, this.zoom * this.size[0] * factor, this.zoom * this.size[1] * factor);
   }
 
   #drawFrame({ zoom, x, y }) {

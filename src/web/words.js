@@ -33,7 +33,8 @@ const PROBLEMS = {
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
   unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file."],
+  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file, or a JSON file with handles."],
+  bad_handles_file: ["The handles cannot be opened", "Correct the file, or save the handles again."],
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
@@ -50,10 +51,12 @@ const plain = (detail) =>
     .replace(/\b(handles?) (\d+)(?: and (\d+))?/gi, (_, word, a, b) => `${word} ${Number(a) + 1}${b === undefined ? "" : ` and ${Number(b) + 1}`}`)
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
-export function problemWords({ code, title, detail: told, handle, request_id: id }) {
-  // The detail describes a request header, which does not help here.
-  const detail = code === "unauthorized" ? "" : plain(told ?? "");
-  const [said, advice] = PROBLEMS[code] ?? [title || "Request rejected", "Undo the last step, or try again."];
+export function problemWords({ code, title, detail: told, handle, status, opening, request_id: id }) {
+  // The detail of `unauthorized` describes a request header, which does not help here. Status 0: the page's own words.
+  const detail = code === "unauthorized" ? "" : status === 0 ? (told ?? "") : plain(told ?? "");
+  const [said, usual] = PROBLEMS[code] ?? [title || "Request rejected", "Undo the last step, or try again."];
+  // Only requests for the open picture are repeated automatically.
+  const advice = opening ? usual.replace(/(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./, "Try again.") : usual;
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marks = marked({ handle, detail: told });
   const where = marks.length ? ` Marked: ${marks.map((index) => index + 1).join(" and ")}.` : "";
@@ -85,6 +88,26 @@ export function foldWords(n) {
   return `${count(n, "cell")} of the mesh ${n === 1 ? "folds" : "fold"}: the picture overlaps itself where it is red. Move the handles there less, or add a handle between them.`;
 }
 
+/** Texts of the export dialog. */
+export const EXPORT = {
+  names: { png: "PNG", jpeg: "JPEG", webp: "WebP" },
+  formats: {
+    png: "Lossless, with transparency.",
+    jpeg: "Small files for photographs; not lossless, without transparency.",
+    webp: "Lossless, with transparency; often smaller than PNG.",
+  },
+  compressions: {
+    fast: "Quick to prepare.",
+    best: "The smallest file; takes longer to prepare.",
+    none: "The largest file.",
+  },
+  backgrounds: {
+    transparent: "JPEG has no transparency: transparent pixels get this colour.",
+    edge: "JPEG has no transparency: transparent pixels become white.",
+    colour: "JPEG has no transparency: transparent pixels get the colour chosen for the outside.",
+  },
+};
+
 export const WARNINGS = {
   affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
   translation_only: "One handle: the whole picture is moved.",
@@ -105,6 +128,9 @@ export const HINTS = {
   path: { mouse: "Click the points of the path; double-click the last one", touch: "Tap the points of the path, then Finish" },
   move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
+
+export const waitingWords = ({ name, document: { handles } }) =>
+  `${name} has ${count(handles.length, "handle")}. Choose the picture or sample that ${handles.length === 1 ? "it belongs" : "they belong"} to.`;
 
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);

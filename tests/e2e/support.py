@@ -1,5 +1,6 @@
 """Shared parts of the browser tests: the program as a process, a visit of the page, and its screenshots."""
 
+import base64
 import http.client
 import io
 import json
@@ -233,7 +234,7 @@ class Visit:
     def copied(self, button):
         """The text that a button copies."""
         self.page.click(f"#{button}")
-        self.page.wait_for_selector("#toast.seen")
+        self.page.wait_for_selector("#toast.seen:text-matches('copied')")
         return self.page.evaluate("navigator.clipboard.readText()")
 
     def of_server(self, **output):
@@ -248,7 +249,7 @@ class Visit:
 
     def look(self):
         """The visible picture on the stage, without handles and bars."""
-        over = "#handles, #work > :not(#stage), main > :not(#work)"
+        over = "#handles, #loupe, #work > :not(#stage), main > :not(#work)"
         fade = f"(opacity) => document.querySelectorAll('{over}').forEach((node) => (node.style.opacity = opacity))"
         self.page.evaluate(fade, "0")
         shot = self.page.screenshot(scale="css")
@@ -259,6 +260,20 @@ class Visit:
     def keep(self, name):
         """Saves a screenshot of the page in the artefacts."""
         return self.page.screenshot(path=KEPT / f"{name}.png")
+
+
+def tell(visit, kinds, *files):
+    """Events by which a browser brings files (name, media type, bytes); tells whether the page took each of them for its own."""
+    return visit.page.evaluate(
+        """([kinds, files]) => {
+          const carried = new DataTransfer();
+          for (const [name, type, base64] of files) carried.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name, { type }));
+          const make = { paste: (kind, wish) => new ClipboardEvent(kind, { ...wish, clipboardData: carried }) };
+          const drag = (kind, wish) => new DragEvent(kind, { ...wish, dataTransfer: carried });
+          return kinds.map((kind) => !document.body.dispatchEvent((make[kind] ?? drag)(kind, { bubbles: true, cancelable: true })));
+        }""",
+        [kinds, [(name, media, base64.b64encode(bytes).decode()) for name, media, bytes in files]],
+    )
 
 
 class Look:

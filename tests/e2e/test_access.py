@@ -70,12 +70,28 @@ def drawing(visit):
     visit.body("[data-draft='2']")
 
 
+def exporting(visit):
+    visit.sample("rocket")
+    visit.page.click("#export-open")
+    visit.page.click("label:has(#export-jpeg)")
+    visit.page.fill("#export-width", "0")
+    assert visit.page.locator("#export-problem").is_visible()
+
+
+def waiting(visit):
+    file = b'{"p": [[1, 2]]}'
+    visit.page.set_input_files("#file", {"name": "one.json", "mimeType": "application/json", "buffer": file})
+    visit.page.wait_for_selector("#waiting-drop")
+    visit.page.set_input_files("#file", {"name": "broken.json", "mimeType": "application/json", "buffer": file[:-1]})
+    visit.body("[data-problem=bad_handles_file]")
+
+
 def help(visit):
     visit.sample("rocket")
     visit.page.click("#help-open")
 
 
-STATES = [empty, ready, selected, folding, refused, comparing, drawing, help]
+STATES = [empty, ready, selected, folding, refused, comparing, drawing, exporting, waiting, help]
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -88,7 +104,7 @@ def test_axe_finds_nothing_serious(visits, state, theme):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("state", [empty, ready])
+@pytest.mark.parametrize("state", [empty, ready, exporting, waiting])
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
     state(visit)
@@ -123,7 +139,7 @@ SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=fil
   .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
 
 
-@pytest.mark.parametrize("state", [empty, selected, comparing, drawing])
+@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, exporting, waiting])
 def test_targets_are_large_enough_for_a_mouse(visit, state):
     state(visit)
     assert visit.page.evaluate(SMALL, 24) == []
@@ -142,14 +158,14 @@ def test_targets_are_large_enough_for_a_finger(visits):
     assert small == []
 
 
-@pytest.mark.parametrize("width", [320, 360, 768])
-@pytest.mark.parametrize("state", [empty, ready])
-def test_nothing_runs_out_of_the_screen(visits, state, width):
-    visit = visits(viewport={"width": width, "height": 700})
+@pytest.mark.parametrize("width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})])
+@pytest.mark.parametrize("state", [empty, ready, exporting, waiting])
+def test_nothing_runs_out_of_the_screen(visits, state, width, more):
+    visit = visits(viewport={"width": width, "height": 700}, **more)
     state(visit)
     assert visit.page.evaluate("document.scrollingElement.scrollWidth") <= width
     out = visit.page.evaluate(
-        """() => [...document.querySelectorAll("header *, .bar *, #drop button, #selection *")]
+        """() => [...document.querySelectorAll("header *, .bar *, #drop button, #selection *, dialog[open] *, #problem *")]
           .filter((node) => node.checkVisibility() && !node.closest("svg") && !node.matches(".unseen, .unseen *"))
           .map((node) => [node, node.getBoundingClientRect()])
           .filter(([, box]) => box.width && (box.left < -0.5 || box.right > innerWidth + 0.5))

@@ -152,7 +152,9 @@ def test_before_and_after(bent):
     assert (bent["handles"], bent["undo"]) == ("3", "5")
 
 
-def test_the_stages_are_told_in_milliseconds(bent):
+def test_the_stages_are_told_in_milliseconds_on_request(bent):
+    assert not bent.page.locator("#timing").is_visible() and "ms" not in bent.text("status")
+    bent.page.click("#details summary")
     for stage in ("queue", "plan", "deform", "trip"):
         assert re.fullmatch(r"\d+\.\d+ ms", bent.text(f"timing-{stage}")), stage
     png = bent.saved("download")[1]

@@ -48,9 +48,13 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     field.fill("a-wrong-key-0123456789")
     field.press("Enter")
     visit.body("[data-problem=forbidden]")
+    # The page does not claim that a rejected key is of use.
+    assert visit.text("toast") == ""
     visit.page.click("#problem-action")
     give(visit, KEY)
     visit.body("[data-state=ready]")
+    visit.page.wait_for_selector("#toast.seen")
+    assert visit.text("toast") == "The server accepts the key"
     visit.click(*RED)
     visit.click(*BLUE)
     visit.ready()

@@ -56,10 +56,25 @@ def pinned(opened):
     return opened
 
 
-def test_a_sample_is_opened(visit):
+def test_a_sample_is_opened_and_the_focus_is_on_the_picture(visit):
     tab_to(visit, "sample-rocket")
     visit.keys("Space")
     assert int(visit.ready()["handles"]) > 2
+    assert focused(visit) == "stage"
+    visit.keys("2", "ArrowRight", "Enter")
+    assert (visit["tool"], visit["draft"]) == ("line", "1")
+
+
+def test_characters_work_with_the_focus_on_a_button(pinned):
+    tab_to(pinned, "theme", back=True)
+    pinned.keys("2", "g")
+    assert pinned["tool"] == "line" and pinned.page.locator("#mesh").get_attribute("aria-pressed") == "true"
+    # Keys that the button or a field uses itself keep their meaning.
+    pinned.keys("Enter", "ArrowDown", "Delete")
+    assert (pinned["theme"], pinned["handles"], pinned["undo"]) == ("light", "3", "3")
+    tab_to(pinned, "q-0-0-x")
+    pinned.keys("3", "e")
+    assert pinned["tool"] == "line" and not pinned.page.locator("#export").is_visible()
 
 
 def test_another_picture_is_opened_by_its_key(opened, picture):

@@ -19,6 +19,21 @@ def pinned(opened):
     return opened
 
 
+def test_keys_work_after_a_click_into_the_header(pinned):
+    pinned.click(*RED)
+    pinned.page.click("#theme")
+    pinned.keys("ArrowRight", "2")
+    assert near(pinned.posed(0), (RED[0] + 1, RED[1]), 0.01) and pinned["tool"] == "line"
+    # A dialog gives the focus back as well.
+    pinned.page.click("#help-open")
+    pinned.page.click("#help-close")
+    pinned.keys("ArrowRight")
+    assert near(pinned.posed(0), (RED[0] + 2, RED[1]), 0.01)
+    pinned.page.click("#select-all")
+    pinned.keys("Delete")
+    assert pinned["handles"] == "0"
+
+
 def steps(visit):
     data = visit.data
     return int(data["undo"]), int(data["redo"])

@@ -1,4 +1,4 @@
-"""Five screenshots of the page for review. MLSWARP_BLESS=1 updates them in `pictures/`; otherwise they are only in the artefacts."""
+"""Screenshots of the page for review. MLSWARP_BLESS=1 updates them in `pictures/`; otherwise they are only in the artefacts."""
 
 import io
 import os
@@ -27,6 +27,13 @@ def fold_warning(visit):
     visit.keys("Escape")
 
 
+def export(visit):
+    visit.sample("horse")
+    visit.page.click("#export-open")
+    visit.page.click("label:has(#export-jpeg)")
+    visit.page.wait_for_selector("#export-result:text-matches('iB$')")
+
+
 def phone(visit):
     visit.sample("portrait")
 
@@ -42,6 +49,7 @@ PICTURES = {
     "empty": (lambda visit: None, {"color_scheme": "light"}),
     "portrait-mesh": (portrait_with_mesh, {"color_scheme": "light"}),
     "fold-warning": (fold_warning, {"color_scheme": "light"}),
+    "export": (export, {"color_scheme": "dark"}),
     "phone": (phone, {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 2, "has_touch": True, "is_mobile": True}),
     "dark": (dark, {"color_scheme": "dark"}),
 }

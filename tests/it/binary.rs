@@ -25,7 +25,11 @@ fn mistakes_in_flags_and_variables_are_told_all_at_once() {
     ] {
         assert!(said.lines().any(|line| line.contains(option) && line.contains(&format!("`{value}`"))), "{option} in {said}");
     }
-    assert_eq!(mlswarp(&["--no-such-flag"]).output().unwrap().status.code(), Some(2));
+    for (args, similar) in [(["--workrs", "3"], "'--workers'"), (["helth", "--listen=127.0.0.1:1"], "'health'")] {
+        let output = mlswarp(&args).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && said.contains(similar), "{said}");
+    }
 }
 
 #[test]
@@ -48,6 +52,49 @@ fn help_names_every_default_and_variable() {
     assert_eq!(String::from_utf8(version.stdout).unwrap().trim(), concat!("mlswarp ", env!("CARGO_PKG_VERSION")));
 }
 
+/// What the options of a subcommand are, as its help shows them.
+fn shown(subcommand: &str) -> Vec<String> {
+    let output = mlswarp(&[subcommand, "--help"]).output().unwrap();
+    let help = String::from_utf8(output.stdout).unwrap();
+    let flags = help.lines().filter_map(|line| line.split_once("--").filter(|(before, _)| before.trim().trim_end_matches(',').len() < 3));
+    flags.map(|(_, flag)| flag.split([' ', '[']).next().unwrap().to_owned()).filter(|flag| flag != "help").collect()
+}
+
+#[test]
+fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected() {
+    let limits = ["max-body-bytes", "max-warp-json-bytes", "max-image-pixels", "max-image-side", "max-columns", "max-plan-bytes"];
+    assert_eq!(shown("warp"), [&["out", "workers"][..], &limits].concat());
+    assert_eq!(shown("health"), ["listen", "tls-cert", "tls-key", "metrics-listen"]);
+    assert!(shown("serve").len() > 40);
+    for args in
+        [["warp", "a.png", "b.json", "-o", "c.png", "--listen", "127.0.0.1:1"], ["--log", "off", "warp", "a.png", "b.json", "-o", "c.png"]]
+    {
+        let output = mlswarp(&args).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && said.contains("has no effect on `mlswarp warp`"), "{said}");
+    }
+    // A variable may be meant for the server.
+    let output = mlswarp(&["warp", "missing.png", "missing.json", "-o", "c.png"]).env("MLSWARP_LISTEN", "127.0.0.1:1").output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[test]
+fn limits_apply_offline() {
+    let image = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/chelsea.png");
+    for (option, value, told) in [
+        ("--max-image-pixels", "1000", "too_large"),
+        ("--max-image-side", "100", "too_large"),
+        ("--max-body-bytes", "1000", "too_large"),
+        ("--max-warp-json-bytes", "10", "too_large"),
+        ("--max-columns", "1", "too_large"),
+    ] {
+        let warp = concat!(env!("CARGO_MANIFEST_DIR"), "/../../api/examples/stretched-cat.json");
+        let output = mlswarp(&["warp", image, warp, "-o", "/dev/null", option, value]).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(1) && said.starts_with(told), "{option}: {said}");
+    }
+}
+
 #[test]
 fn a_port_in_use_is_named() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -67,8 +114,13 @@ fn health_asks_the_server() {
     }
     program.terminate();
     assert!(program.wait().0.success());
-    let output = mlswarp(&["health"]).env("MLSWARP_LISTEN", format!("127.0.0.1:{port}")).output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
+    for (variable, option) in [("MLSWARP_LISTEN", "--listen"), ("MLSWARP_METRICS_LISTEN", "--metrics-listen")] {
+        let output = mlswarp(&["health"]).env(variable, format!("127.0.0.1:{port}")).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(said.contains(&format!("no server answers at 127.0.0.1:{port}: ")), "{said}");
+        assert!(said.contains(&format!("{option} ({variable})")), "{said}");
+    }
 }
 
 #[tokio::test]

@@ -93,11 +93,11 @@ fn environment_example_uncommented_starts_the_program() {
 
 #[test]
 fn a_flag_takes_precedence_over_a_wrong_variable() {
-    let code = |args: &[&str]| mlswarp(args).env("MLSWARP_WORKERS", "none").env("MLSWARP_LISTEN", "127.0.0.1:1").output().unwrap();
-    for args in [["health", "--workers", "2"], ["--workers", "2", "health"]] {
+    let code = |args: &[&str]| mlswarp(args).env("MLSWARP_METRICS_LISTEN", "none").env("MLSWARP_LISTEN", "127.0.0.1:1").output().unwrap();
+    for args in [["health", "--metrics-listen", "127.0.0.1:2"], ["--metrics-listen", "127.0.0.1:2", "health"]] {
         assert_eq!(code(&args).status.code(), Some(1), "{args:?}: nobody listens there");
     }
     let wrong = code(&["health"]);
     let text = String::from_utf8(wrong.stderr).unwrap();
-    assert_eq!((wrong.status.code(), text.matches("MLSWARP_WORKERS").count()), (Some(2), 1), "{text}");
+    assert_eq!((wrong.status.code(), text.matches("MLSWARP_METRICS_LISTEN").count()), (Some(2), 1), "{text}");
 }

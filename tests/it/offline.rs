@@ -39,16 +39,35 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     child.stdin.take().unwrap().write_all(&image).unwrap();
     assert_eq!(child.wait_with_output().unwrap().stdout, answer);
 
-    for (name, first) in [("out.JPG", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.gif", b"\x89P")] {
+    let written = |name: &str| {
         let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path(name)]).output().unwrap();
         assert!(output.status.success(), "{output:?}");
-        assert!(std::fs::read(path(name)).unwrap().starts_with(first), "{name}: the name says the format, where it is one");
+        let file = std::fs::read(path(name)).unwrap();
         std::fs::remove_file(path(name)).unwrap();
+        file
+    };
+    for (name, first) in
+        [("out.JPG", b"\xFF\xD8"), ("out.jpeg", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.PNG", b"\x89P"), ("out", b"\x89P")]
+    {
+        assert!(written(name).starts_with(first), "{name}: the extension selects the format; without one it is PNG");
+    }
+    // The extension is checked before the image is read.
+    for (image, name) in [("in.png", "out.gif"), ("missing.png", "out.tif"), ("in.png", "out.json")] {
+        let output = mlswarp(&["warp", &path(image), &path("warp.json"), "-o", &path(name)]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        let extension = &name[name.find('.').unwrap()..];
+        assert!(said.starts_with("unsupported_format: ") && said.contains(&format!("{extension} is not supported")), "{said}");
+        assert!(said.contains("supported: .png, .jpg, .jpeg, .webp") && !directory.join(name).exists(), "{said}");
     }
     let named = json!({"p": [[20, 20]], "q": [[40, 20]], "output": {"format": "webp"}});
     std::fs::write(path("warp.json"), named.to_string()).unwrap();
-    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
-    assert!(output.status.success() && std::fs::read(path("out.png")).unwrap().starts_with(b"RIFF"), "what is asked for in words wins");
+    for name in ["out.jpg", "out.part", "out"] {
+        assert!(written(name).starts_with(b"RIFF"), "{name}: a format in the warp object takes precedence");
+    }
+    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", "-"]).output().unwrap();
+    assert!(output.status.success() && output.stdout.starts_with(b"RIFF"), "{output:?}");
+    std::fs::write(path("out.png"), written("out.png")).unwrap();
 
     std::fs::write(path("warp.json"), r#"{"p": [[1, 1]], "q": [[1, 1]], "methd": "rigid"}"#).unwrap();
     let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("never.png")]).output().unwrap();

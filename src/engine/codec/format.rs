@@ -72,7 +72,7 @@ fn looks_like(bytes: &[u8]) -> String {
         [0xFF, 0x0A, ..] | [0, 0, 0, 12, b'J', b'X', b'L', b' ', ..] => "JPEG XL",
         [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] => "JPEG 2000",
         [_, _, _, _, b'f', b't', b'y', b'p', b'a', b'v', b'i', ..] => "AVIF",
-        [_, _, _, _, b'f', b't', b'y', b'p', b'h' | b'm', ..] => "HEIF",
+        [_, _, _, _, b'f', b't', b'y', b'p', b'h' | b'm', ..] => "HEIC",
         [b'%', b'P', b'D', b'F', ..] => "PDF",
         [b'8', b'B', b'P', b'S', ..] => "Photoshop",
         [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => {

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 
 use super::columns::{Element, ONE_PLACE, Segment};
 use super::handles::COINCIDENT_SHARE;
-use super::{DeformError, Pose};
+use super::{Contradiction, DeformError, Pose};
 use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
@@ -19,6 +19,8 @@ const CONTRADICTION_SHARE: f64 = 1e-6;
 const NEAR: f64 = 1.0;
 /// The ratio of the targets' distance to the rest distance from which a warning is given.
 const NEAR_FACTOR: f64 = 10.0;
+/// Contradictions that an error lists.
+const MOST_LISTED: usize = 100;
 /// The largest number of coincidences in a set.
 const MOST: usize = 200_000;
 /// The number of points of a cell that other points are compared with, in the client's order. A warning needs some close pairs, not all.
@@ -96,17 +98,22 @@ impl Coincidences {
     /// Compares the targets of every coincidence. `owners`: the handle of every element.
     ///
     /// # Errors
-    /// The first contradiction, naming both handles.
+    /// The contradictions: all are counted, the first [`MOST_LISTED`] are listed.
     pub(super) fn check(&self, elements: &[Element], owners: &[usize], pose: &Pose) -> Result<(), DeformError> {
+        let (mut listed, mut total) = (Vec::new(), 0);
         for &(x, y) in &self.touching {
             let apart = (target(&elements[x.0], x.1, pose) - target(&elements[y.0], y.1, pose)).norm();
-            if apart > self.tolerance {
+            if apart <= self.tolerance {
+                continue;
+            }
+            total += 1;
+            if listed.len() < MOST_LISTED {
                 let place = place(&elements[x.0], x.1);
                 let (first, second) = (owners[x.0].min(owners[y.0]), owners[x.0].max(owners[y.0]));
-                return Err(DeformError::Contradictory { first, second, x: place.x, y: place.y, apart });
+                listed.push(Contradiction { first, second, x: place.x, y: place.y, apart });
             }
         }
-        Ok(())
+        if total == 0 { Ok(()) } else { Err(DeformError::Contradictory { listed, total }) }
     }
 
     /// Whether some points nearer than 1 px move more than ten times as far apart.

@@ -68,18 +68,12 @@ pub enum DeformError {
         /// Which segment of the polyline.
         segment: usize,
     },
-    /// Two handles that coincide at rest have different targets.
+    /// Handles that coincide at rest have different targets.
     Contradictory {
-        /// Index of the first handle.
-        first: usize,
-        /// Index of the second handle (may be the same polyline).
-        second: usize,
-        /// Position of the coincidence, px.
-        x: f64,
-        /// Position of the coincidence, px.
-        y: f64,
-        /// Distance of their targets there, px.
-        apart: f64,
+        /// The first contradictions that were found, at least 1 and at most 100.
+        listed: Vec<Contradiction>,
+        /// The number of all contradictions.
+        total: usize,
     },
     /// The handles coincide at too many positions.
     TooManyMeetings {
@@ -124,8 +118,14 @@ impl fmt::Display for DeformError {
             Self::DegenerateLine { handle, segment } => {
                 write!(f, "handle {handle}: segment {segment} has zero length at rest; send a point instead")
             }
-            Self::Contradictory { first, second, x, y, apart } => {
-                write!(f, "handles {first} and {second} meet at rest at ({x}, {y}) but their targets there are {apart} px apart")
+            Self::Contradictory { listed, total } => {
+                for (index, contradiction) in listed.iter().take(MOST_DESCRIBED).enumerate() {
+                    write!(f, "{}{contradiction}", if index > 0 { "; " } else { "" })?;
+                }
+                match total.saturating_sub(MOST_DESCRIBED) {
+                    0 => Ok(()),
+                    more => write!(f, "; and {more} more"),
+                }
             }
             Self::TooManyMeetings { limit } => write!(f, "the handles meet at more than {limit} places"),
             Self::TooManyNeighbours { limit } => write!(
@@ -144,10 +144,39 @@ impl fmt::Display for DeformError {
 
 impl std::error::Error for DeformError {}
 
+/// Two handles that coincide at rest and have different targets, or one polyline that visits a position twice.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contradiction {
+    /// Index of the first handle.
+    pub first: usize,
+    /// Index of the second handle; that of the first if it is one polyline.
+    pub second: usize,
+    /// Position of the coincidence, px.
+    pub x: f64,
+    /// Position of the coincidence, px.
+    pub y: f64,
+    /// Distance of their targets there, px.
+    pub apart: f64,
+}
+
+impl fmt::Display for Contradiction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, second, x, y, apart } = self;
+        if first == second {
+            write!(f, "handle {first} visits ({x}, {y}) twice, with targets {apart} px apart")
+        } else {
+            write!(f, "handles {first} and {second} meet at rest at ({x}, {y}) but their targets there are {apart} px apart")
+        }
+    }
+}
+
 /// A number of things: `1 handle`, `2 handles`.
 fn counted(n: usize, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{n} {thing}s") }
 }
+
+/// Contradictions that the text of an error describes.
+const MOST_DESCRIBED: usize = 3;
 
 /// An unusual property of handles or a pose that does not prevent a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

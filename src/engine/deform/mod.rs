@@ -33,7 +33,7 @@ mod segments;
 #[forbid(unsafe_code)]
 mod span;
 
-pub use error::{DeformError, Warning};
+pub use error::{Contradiction, DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};

@@ -56,6 +56,10 @@ pub enum WarpError {
 pub enum Warning {
     /// A property of the handles or the pose.
     Deform(deform::Warning),
+    /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far.
+    HandlesOutsidePicture,
+    /// The units are px and all rest handles are within 0 to 1.5, or the units are normalised and a value is beyond 4.
+    LooksNormalized,
     /// No posed cell intersects the picture.
     NothingVisible,
     /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
@@ -68,6 +72,8 @@ impl Warning {
     pub const fn code(self) -> &'static str {
         match self {
             Self::Deform(warning) => warning.code(),
+            Self::HandlesOutsidePicture => "handles_outside_picture",
+            Self::LooksNormalized => "looks_normalized",
             Self::NothingVisible => "nothing_visible",
             Self::ProfileDropped => "profile_dropped",
         }

@@ -8,6 +8,7 @@ mod digest;
 mod drawing;
 mod error;
 mod image;
+mod plausibility;
 mod posed;
 mod setup;
 mod spec;

@@ -42,7 +42,7 @@ impl Posed {
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
-        let mut warnings: Vec<_> = setup.field().warnings(pose).into_iter().map(Warning::Deform).collect();
+        let mut warnings = setup.warnings(pose);
         if quality.least_rotation < LEAST_ROTATION {
             warnings.push(Warning::Deform(deform::Warning::RotationUndefined));
             warnings.sort_unstable();

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::digest::Collector;
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, RestSpec, Units, WarpError};
+use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
     self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
 };
@@ -33,6 +33,8 @@ pub struct Setup {
     /// px in one unit of the client's coordinates, per axis.
     unit: (f64, f64),
     mixed: bool,
+    /// The warnings of the rest handles.
+    warnings: Vec<Warning>,
     plan_key: Digest,
     plan_bytes: Option<u64>,
 }
@@ -80,10 +82,11 @@ impl Setup {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
+        let warnings = plausibility::of_rest(field.handles(), &grid, unit);
         let plan_key = plan_key(&field, &grid, mixed);
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let plan_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
-        Ok(Self { field: Arc::new(field), grid, unit, mixed, plan_key, plan_bytes })
+        Ok(Self { field: Arc::new(field), grid, unit, mixed, warnings, plan_key, plan_bytes })
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, effective alpha and point mass, family,
@@ -184,6 +187,16 @@ impl Setup {
 
     pub(super) const fn unit(&self) -> (f64, f64) {
         self.unit
+    }
+
+    /// The warnings of the rest handles and of a pose, each once, in their order.
+    pub(super) fn warnings(&self, pose: &Pose) -> Vec<Warning> {
+        let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
+        warnings.extend(&self.warnings);
+        warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.unit));
+        warnings.sort_unstable();
+        warnings.dedup();
+        warnings
     }
 
     pub(super) fn field(&self) -> &Field {

@@ -55,7 +55,12 @@ impl Sequencer {
 impl SequencePosition {
     /// Whether a higher number has been entered.
     pub fn is_superseded(&self) -> bool {
-        *self.sequence.newest.borrow() > self.seq
+        self.newest() > self.seq
+    }
+
+    /// The highest number that has been entered.
+    pub fn newest(&self) -> u64 {
+        *self.sequence.newest.borrow()
     }
 
     /// Waits until a higher number is entered.

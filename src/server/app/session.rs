@@ -111,7 +111,7 @@ impl App {
         let touched = in_stage("store", self.0.store.touch(id, seq)).await;
         match &touched {
             Ok(_) => self.0.client_sessions.used(id),
-            Err(StoreError::NoSuchSession | StoreError::Expired) => self.0.client_sessions.ended(id, claim),
+            Err(StoreError::NoSuchSession | StoreError::Expired { .. }) => self.0.client_sessions.ended(id, claim),
             Err(_) => {}
         }
         touched

@@ -208,7 +208,7 @@ impl App {
     async fn sequence(&self, id: SessionId, seq: Option<u64>) -> Result<SequencedRequest, Problem> {
         let Session { record, seq: newest, .. } = self.touch(id, seq).await?;
         match seq {
-            Some(seq) if newest > Some(seq) => Err(self.superseded(seq)),
+            Some(seq) if newest > Some(seq) => Err(self.superseded(seq, newest.unwrap_or(seq))),
             Some(seq) => {
                 let position = self.0.sequencer.enter((id, record.created), seq);
                 Ok(SequencedRequest { record, position: Some((position, seq)) })
@@ -223,15 +223,16 @@ impl App {
             None => work.await,
             Some((position, seq)) => tokio::select! {
                 biased;
-                () = position.superseded() => Err(self.superseded(*seq)),
+                () = position.superseded() => Err(self.superseded(*seq, position.newest())),
                 // Builds continue: the newer request needs them.
                 result = position.builds().during(work) => result,
             },
         }
     }
 
-    fn superseded(&self, seq: u64) -> Problem {
+    fn superseded(&self, seq: u64, newest: u64) -> Problem {
         self.0.metrics.requests_superseded.inc();
-        Problem::new(Code::Superseded, format!("a newer pose than seq {seq} has been seen")).pointer("/seq").actual(seq)
+        let detail = format!("seq {seq} is lower than {newest}, the highest that this session has seen");
+        Problem::new(Code::Superseded, detail).pointer("/seq").actual(seq).extra("newest", newest)
     }
 }

@@ -120,7 +120,7 @@ impl App {
         let parse = move |_: &_| {
             let patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
             let requested = patch.output.format;
-            let object = patch.merge_onto(WarpObject::default());
+            let object = patch.into_object()?;
             let format = formats.unwrap_or(Formats::ANY).choose(requested, object.output.format)?;
             Ok::<_, Problem>((object, format, Image::digest_of(&hashed_file)))
         };

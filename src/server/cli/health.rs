@@ -11,25 +11,37 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 const STATUS_LINE_BYTES: u64 = 64;
 
 /// Whether the server can take work now.
-/// Errors: It cannot be reached, or is not ready.
-pub fn ask(config: &Config) -> io::Result<()> {
+/// Errors: It cannot be reached, or is not ready. The sentence names the address, and what selects another.
+pub fn ask(config: &Config) -> Result<(), String> {
     // The ops listener has no TLS and connections of its own.
     let ops = config.telemetry.metrics_listen;
     let address = reachable(ops.unwrap_or(config.listen));
-    let stream = TcpStream::connect_timeout(&address, TIMEOUT)?;
-    stream.set_read_timeout(Some(TIMEOUT))?;
-    stream.set_write_timeout(Some(TIMEOUT))?;
-    let Some(files) = config.auth.tls.as_ref().filter(|_| ops.is_none()) else { return ask_over(stream, address) };
-    ask_over(files.connect(stream, address.ip())?, address)
+    let stream = TcpStream::connect_timeout(&address, TIMEOUT).map_err(|e| {
+        let option = if ops.is_some() { "--metrics-listen (MLSWARP_METRICS_LISTEN)" } else { "--listen (MLSWARP_LISTEN)" };
+        format!("no server answers at {address}: {e}; start it there, or give its address with {option}")
+    })?;
+    let tls = config.auth.tls.as_ref().filter(|_| ops.is_none());
+    let status = set_timeouts(&stream).and_then(|()| match tls {
+        Some(files) => status_line(files.connect(stream, address.ip())?, address),
+        None => status_line(stream, address),
+    });
+    match status {
+        Ok(status) if status.starts_with("HTTP/1.1 200") => Ok(()),
+        Ok(status) => Err(format!("the server at {address} is not ready: {status}")),
+        Err(e) => Err(format!("the server at {address} does not answer GET /readyz: {e}")),
+    }
 }
 
-fn ask_over(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<()> {
+fn set_timeouts(stream: &TcpStream) -> io::Result<()> {
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.set_write_timeout(Some(TIMEOUT))
+}
+
+fn status_line(mut stream: impl Read + Write, address: SocketAddr) -> io::Result<String> {
     stream.write_all(format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").as_bytes())?;
     let mut line = Vec::new();
     stream.take(STATUS_LINE_BYTES).read_to_end(&mut line)?;
-    let status = line.split(|b| *b == b'\r').next().unwrap_or_default();
-    let is_ready = status.starts_with(b"HTTP/1.1 200");
-    if is_ready { Ok(()) } else { Err(io::Error::other(format!("not ready: {}", String::from_utf8_lossy(status)))) }
+    Ok(String::from_utf8_lossy(line.split(|b| *b == b'\r').next().unwrap_or_default()).into_owned())
 }
 
 /// Replaces an unspecified address by the loopback.

@@ -26,12 +26,12 @@ fn run_with_problem(config: &Config, image: &Path, warp: &Path, out: &Path) -> R
     if is_stdio(image) && is_stdio(warp) {
         return Err(Problem::new(Code::MalformedRequest, "standard input can be the image or the warp object, not both"));
     }
-    let file = read("image", image, config.max_body_bytes)?;
     let patch = WarpPatch::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
     // The file name takes the place of `Accept`.
-    let format = patch.output.format.or_else(|| format_of(out));
-    let mut object = patch.merge_onto(WarpObject::default());
-    object.output.format = format.unwrap_or(object.output.format);
+    let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
+    let file = read("image", image, config.max_body_bytes)?;
+    let mut object = patch.into_object()?;
+    object.output.format = format;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;
     threads.install(|| render(config, &file, &object, out))
@@ -51,12 +51,16 @@ fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Resu
     Ok(warnings.iter().fold(summary, |summary, warning| format!("{summary}, {}", warning.code())))
 }
 
-fn format_of(out: &Path) -> Option<Format> {
-    match out.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "png" => Some(Format::Png),
-        "jpg" | "jpeg" => Some(Format::Jpeg),
-        "webp" => Some(Format::WebP),
-        _ => None,
+fn format_of(out: &Path) -> Result<Format, Problem> {
+    let Some(extension) = out.extension() else { return Ok(Format::default()) };
+    match extension.to_string_lossy().to_ascii_lowercase().as_str() {
+        "png" => Ok(Format::Png),
+        "jpg" | "jpeg" => Ok(Format::Jpeg),
+        "webp" => Ok(Format::WebP),
+        other => {
+            let detail = format!("cannot write {}: .{other} is not supported; supported: .png, .jpg, .jpeg, .webp", out.display());
+            Err(Problem::new(Code::UnsupportedFormat, detail))
+        }
     }
 }
 

@@ -20,6 +20,7 @@ type Networks = Vec<Network>;
 
 /// Who may use the service, and how clients are authenticated.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(next_help_heading = "Access and TLS")]
 pub struct AuthConfig {
     /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read again when it changes.
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
@@ -29,7 +30,7 @@ pub struct AuthConfig {
     #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(given_keys))]
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
-    /// Allow a listen address that other machines can reach without keys. Everybody who reaches it may use the service.
+    /// Allow a listen address that other machines can reach without keys. Anyone who can reach it can use the service.
     #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
     #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
     pub allow_anonymous: bool,

@@ -8,6 +8,7 @@ use super::option::{Checked, Maybe, pause, span, unless, whole};
 
 /// What clients may use: requests per second, connections, sockets and shares of the totals.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(next_help_heading = "Limits of clients")]
 pub struct ClientLimits {
     /// Requests per second of one API key name, with bursts of twice as many; further requests are answered 429.
     #[arg(long, value_name = "N|off", default_value = "off", value_parser = Checked(unless("off", whole::<u32>(1, 1_000_000))))]
@@ -48,6 +49,7 @@ fn client_share(text: &str) -> Result<ClientShare, String> {
 
 /// How long clients may take, and how the service stops.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Eq)]
+#[command(next_help_heading = "Timeouts and shutdown")]
 pub struct Timeouts {
     /// Maximum time from the head of a request to the head of its response.
     #[arg(long = "request-timeout", value_name = "TIME", default_value = "60s", value_parser = Checked(span))]
@@ -58,13 +60,13 @@ pub struct Timeouts {
     /// Maximum time for the body of a request.
     #[arg(long = "body-timeout", value_name = "TIME", default_value = "30s", value_parser = Checked(span))]
     pub body: Duration,
-    /// Maximum time in which a client reads nothing of its response.
+    /// Maximum time that a client may read nothing of its response.
     #[arg(long = "write-timeout", value_name = "TIME", default_value = "30s", value_parser = Checked(span))]
     pub write: Duration,
     /// Time after which a silent drag socket is pinged; without an answer it is closed after the same time again.
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = Checked(span))]
     pub socket_idle: Duration,
-    /// Maximum time in which the client of a drag socket reads a message, and acknowledges a frame.
+    /// Maximum time that the client of a drag socket may take to read a message, and to acknowledge a frame.
     #[arg(long = "socket-timeout", value_name = "TIME", default_value = "30s", value_parser = Checked(span))]
     pub socket: Duration,
     /// Time after SIGTERM or Ctrl-C during which new requests are still served while /readyz answers 503, so that proxies notice. A second

@@ -13,10 +13,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::error::ErrorKind;
-use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use mlswarp::warp::{ImageLimits, Limits};
 
-use option::{Checked, clear_mistakes, keep_final, size, take_mistakes, variable, whole};
+use option::{Checked, clear_mistakes, keep_final, report, size, take_mistakes, variable, whole};
 
 pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
@@ -28,7 +29,7 @@ pub use work::WorkConfig;
 /// The command line.
 #[derive(Debug, Parser)]
 #[command(name = "mlswarp", version, args_override_self = true)]
-#[command(about = "Deforms images with control handles (moving least squares), over HTTP or offline.")]
+#[command(about = "Warps images with control points, lines and polylines (moving least squares): as an HTTP service, or offline.")]
 #[command(
     after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names."
 )]
@@ -46,25 +47,57 @@ pub struct Cli {
 pub enum Command {
     /// Start the server (the default).
     Serve,
-    /// Warp one image offline: the same bytes as POST /warp, written to a file.
+    /// Warp one image without a server, into a file with the same bytes as the response of POST /warp.
+    #[command(after_help = WARP_EXAMPLE)]
     Warp {
         /// Image file (PNG, JPEG, WebP); `-` reads standard input.
         image: PathBuf,
         /// Warp object (JSON); `-` reads standard input.
         warp: PathBuf,
-        /// Output file; `-` writes standard output. Unless the warp object names a format, .png, .jpg or .webp decides.
+        /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg or .webp. A format in the warp object
+        /// takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
         #[arg(short, long)]
         out: PathBuf,
     },
-    /// Ask a running server whether it is ready, at the metrics address or else at the listen address; exit code 0 or 1.
+    /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
 
+const WARP_EXAMPLE: &str = r#"Example:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  mlswarp warp cat.png warp.json -o warped.png"#;
+
+/// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
+const EFFECTIVE: [(&str, &[(&str, &str)]); 2] = [
+    (
+        "warp",
+        &[
+            ("workers", "Number of compute threads. auto = number of cores"),
+            ("max-body-bytes", "Maximum size of the image file"),
+            ("max-warp-json-bytes", "Maximum size of the warp object"),
+            ("max-image-pixels", ""),
+            ("max-image-side", ""),
+            ("max-columns", ""),
+            ("max-plan-bytes", ""),
+        ],
+    ),
+    (
+        "health",
+        &[
+            ("listen", "Address and port of the server"),
+            ("metrics-listen", "Metrics address and port of the server; if this is set, it is the one that is asked"),
+            ("tls-cert", "Certificate of the server, PEM: the only one that is trusted"),
+            ("tls-key", "Private key of the certificate (not used, but required with --tls-cert)"),
+        ],
+    ),
+];
+
 /// All options.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(next_help_heading = "Limits of one request")]
 pub struct Config {
     /// Address and port of the service.
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
+    #[arg(long, help_heading = None, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
     pub listen: SocketAddr,
     /// Path at which a reverse proxy publishes the service, such as /tools/warp. The proxy removes it from requests; the server puts it
     /// before the paths in responses: Location, the type of problems, and the servers of /openapi.json.
@@ -108,12 +141,38 @@ pub struct Config {
     pub telemetry: TelemetryConfig,
 }
 
-/// The command with all options; each has a variable and may stand before or after the subcommand.
+/// The command with all options; each has a variable and may stand before or after the subcommand. The help of a subcommand shows those that
+/// have an effect on it.
 pub fn command() -> clap::Command {
-    Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
+    let command = Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
         Some(variable) => arg.env(variable).global(true),
         None => arg,
+    });
+    let options: Vec<Arg> = command.get_arguments().cloned().collect();
+    EFFECTIVE.iter().fold(command, |command, (name, effective)| {
+        let own = options.iter().cloned().map(|option| match help_of(effective, &option) {
+            None => option.hide(true),
+            Some("") => option.help_heading(None),
+            Some(help) => option.help_heading(None).help(help),
+        });
+        command.mut_subcommand(name, |subcommand| subcommand.args(own))
     })
+}
+
+/// The other help text of an option, or none in words; `None` if the option has no effect.
+fn help_of(effective: &[(&str, &'static str)], option: &Arg) -> Option<&'static str> {
+    effective.iter().find(|(flag, _)| option.get_long() == Some(flag)).map(|(_, help)| *help)
+}
+
+/// Notes the options of the command line that have no effect on the subcommand. A variable may be meant for another command.
+fn report_without_effect(matches: &ArgMatches, command: &clap::Command) {
+    let Some((name, given)) = matches.subcommand() else { return };
+    let Some((_, effective)) = EFFECTIVE.iter().find(|(subcommand, _)| *subcommand == name) else { return };
+    for option in command.get_arguments().filter(|option| help_of(effective, option).is_none()) {
+        if given.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine) {
+            report::<()>(option.get_long().unwrap_or_default(), Err(format!("has no effect on `mlswarp {name}`; leave it out")));
+        }
+    }
 }
 
 impl Cli {
@@ -128,6 +187,7 @@ impl Cli {
         let matches = command.clone().try_get_matches_from(args)?;
         let mut cli = Self::from_arg_matches(&matches)?;
         keep_final(&matches, &command);
+        report_without_effect(&matches, &command);
         cli.config.auth.load();
         cli.config.telemetry.check_listen(cli.config.listen);
         if matches!(cli.command, None | Some(Command::Serve)) {

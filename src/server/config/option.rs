@@ -111,7 +111,7 @@ pub(super) fn unless<T>(
 
 /// A size of at least one byte: a limit of zero would refuse everything.
 pub(super) fn size(text: &str) -> Result<u64, String> {
-    bytes(text).and_then(|n| if n == 0 { Err("0 would refuse everything".to_owned()) } else { Ok(n) })
+    bytes(text).and_then(|n| if n == 0 { Err("0 would reject every request; the least is 1".to_owned()) } else { Ok(n) })
 }
 
 /// A size: K, M, G and KiB, MiB, GiB are powers of 1024 alike; KB, MB, GB are powers of 1000.

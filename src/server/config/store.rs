@@ -7,6 +7,7 @@ use crate::store::{Bounds, StoreUrl};
 
 /// Where sessions are stored, and how many.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(next_help_heading = "Sessions")]
 pub struct StoreConfig {
     /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
     #[arg(long = "store", value_name = "STORE", default_value = "memory", hide_env_values = true)]
@@ -15,11 +16,11 @@ pub struct StoreConfig {
     /// Time after which an unused session expires.
     #[arg(long, value_name = "TIME", default_value = "15m", value_parser = Checked(span))]
     pub session_idle: std::time::Duration,
-    /// Maximum number of sessions; further ones are answered 503. (Redis: limited by its own memory only.)
+    /// Maximum number of sessions; a request to open another one is answered 503. (Redis: limited by its own memory only.)
     #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(0, 100_000_000)))]
     max_sessions: usize,
-    /// Maximum size of the sessions' records and image files; further ones are answered 503. (Redis: memory for the records that this
-    /// process keeps a copy of; Redis itself is limited by its `maxmemory`.)
+    /// Maximum size of the sessions' records and image files; a session that does not fit is answered 503. (Redis: memory for this
+    /// process's copies of records; Redis itself is limited by its `maxmemory`.)
     #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = Checked(bytes))]
     store_bytes: u64,
 }

@@ -12,6 +12,7 @@ use crate::observe::otlp_client::{CollectorUrl, parse_collector};
 
 /// Logs, traces and metrics.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(next_help_heading = "Metrics, traces and logs")]
 pub struct TelemetryConfig {
     /// Additional address and port for /metrics, /healthz and /readyz, without keys and without TLS.
     #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true, value_parser = Checked(unless("", address)))]

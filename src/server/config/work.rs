@@ -16,8 +16,9 @@ const MIN_MEMORY: u64 = 16 << 20;
 
 /// Workers, queues and memory.
 #[derive(Args, Clone, Copy, Debug, PartialEq, Eq)]
+#[command(next_help_heading = "Workers and memory")]
 pub struct WorkConfig {
-    /// Number of requests that run at one time, separately for drags and for uploads; each has a compute thread. auto = number of cores.
+    /// Number of requests that run at the same time, separately for drags and for uploads; each has a compute thread. auto = number of cores.
     #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(workers))]
     pub workers: usize,
     /// Number of drags, and of uploads, that may wait for a worker; further ones are answered 503. auto = 4 times the workers, at least 64.
@@ -32,10 +33,10 @@ pub struct WorkConfig {
     /// Memory for uploads, images, plans, responses and sockets. auto = 6 tenths of the memory of the machine or of the control group.
     #[arg(long, value_name = "SIZE", default_value = "auto", value_parser = Checked(memory_bytes))]
     pub memory_bytes: u64,
-    /// Part of it that decoded images may use while no request uses them.
+    /// Part of `--memory-bytes` that decoded images may use while no request uses them.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
     pub image_cache_bytes: u64,
-    /// Part of it that plans may use while no request uses them.
+    /// Part of `--memory-bytes` that plans may use while no request uses them.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(bytes))]
     pub plan_cache_bytes: u64,
 }

@@ -1,7 +1,27 @@
-//! Request headers as values.
+//! Request headers and queries as values.
 
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName};
+
+use crate::problem::words::{did_you_mean, list, nearest, quote};
+use crate::problem::{Code, Problem};
+
+/// The fields of a query, each with its value; without `=` the value is empty.
+pub(crate) fn query_fields(query: Option<&str>) -> impl Iterator<Item = (&str, &str)> {
+    let pairs = query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty());
+    pairs.map(|pair| pair.split_once('=').unwrap_or((pair, "")))
+}
+
+/// The problem of a field that a query does not have.
+pub(crate) fn unknown_query_field(name: &str, known: &[&str]) -> Problem {
+    let hint = did_you_mean(nearest(name, known.iter().copied()));
+    Problem::new(Code::UnknownField, format!("unknown field in the query: {}{hint}; known fields: {}", quote(name), list(known)))
+}
+
+/// The problem of a value that a field of a query does not have.
+pub(crate) fn bad_query_value(name: &str, value: &str, expected: &str) -> Problem {
+    Problem::new(Code::BadValue, format!("`{name}` in the query must be {expected}; found {}", quote(value)))
+}
 
 /// The elements of a list header (RFC 9110, section 5.6.1), of all its fields.
 pub(crate) fn elements(headers: &HeaderMap, name: HeaderName) -> impl Iterator<Item = &str> {

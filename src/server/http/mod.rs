@@ -16,7 +16,6 @@ mod upload;
 
 use axum::Router;
 use axum::extract::{Request, State};
-use axum::http::{Method, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, any, get, post, put};
@@ -83,20 +82,11 @@ fn tls_required_router(app: &App) -> Router {
 }
 
 fn with_fallbacks(router: Router<App>) -> Router<App> {
-    router.fallback(not_found).method_not_allowed_fallback(method_not_allowed)
+    router.fallback(routes::fallbacks::not_found).method_not_allowed_fallback(routes::fallbacks::method_not_allowed)
 }
 
 /// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.
 async fn reject_if_queue_full(State(app): State<App>, caller: Caller, request: Request, next: Next) -> Result<Response, Problem> {
     app.require_queue_place(caller.client)?;
     Ok(next.run(request).await)
-}
-
-async fn not_found(uri: Uri) -> Problem {
-    Problem::new(Code::NotFound, format!("nothing is served at {}", uri.path()))
-}
-
-/// axum adds `Allow`.
-async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
-    Problem::new(Code::MethodNotAllowed, format!("{method} is not served at {}; see Allow", uri.path()))
 }

@@ -15,6 +15,7 @@ use super::body::{BodyBuffer, read_problem};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
+use crate::problem::words::{did_you_mean, nearest, quote};
 use crate::problem::{Code, Problem};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
@@ -57,8 +58,8 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
             "image" => (&mut image, u64::MAX),
             "warp" => (&mut warp, app.config().max_warp_json_bytes),
             _ => {
-                let name: String = name.chars().take(60).collect();
-                return Err(malformed(format!("unknown part `{name}`; the parts are `image` and `warp`")));
+                let hint = did_you_mean(nearest(&name, ["image", "warp"]));
+                return Err(malformed(format!("unknown part: {}{hint}; the parts are `image` and `warp`", quote(&name))));
             }
         };
         if slot.is_some() {
@@ -67,11 +68,38 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
         *slot = Some(read_part(caller, part, limit, &buffered).await?);
     }
     match (image, warp) {
-        (Some(image), Some(warp)) => Ok(Upload { image, warp }),
+        (Some(image), Some(warp)) => {
+            require_contents(&image, &warp)?;
+            Ok(Upload { image, warp })
+        }
         (None, None) => Err(malformed("the parts `image` and `warp` are missing")),
         (None, _) => Err(malformed("the part `image` is missing")),
         (_, None) => Err(malformed("the part `warp` is missing")),
     }
+}
+
+/// Rejects parts that contain the path of a file instead of its contents, as curl sends them without `@`.
+fn require_contents(image: &[u8], warp: &[u8]) -> Result<(), Problem> {
+    for (name, code, part) in [("image", Code::UnsupportedFormat, image), ("warp", Code::MalformedRequest, warp)] {
+        if let Some(path) = as_path(part) {
+            let detail =
+                format!("the part `{name}` is the text {}, which looks like a path; curl sends a file with `-F {name}=@path`", quote(path));
+            return Err(Problem::new(code, detail));
+        }
+    }
+    Ok(())
+}
+
+/// The path that a part consists of: one short line that ends with a file name extension, without characters that JSON has.
+fn as_path(part: &[u8]) -> Option<&str> {
+    const LONGEST_PATH: usize = 1024;
+    const LONGEST_EXTENSION: usize = 5;
+    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_PATH)?).ok()?.trim();
+    let is_path = !text.contains(|c: char| c.is_control() || matches!(c, '{' | '}' | '<' | '>' | '"'));
+    let (_, extension) = text.rsplit_once('.').filter(|_| is_path)?;
+    let is_extension = (1..=LONGEST_EXTENSION).contains(&extension.len()) && extension.bytes().all(|b| b.is_ascii_alphanumeric());
+    // A number is JSON.
+    (is_extension && text.parse::<f64>().is_err()).then_some(text)
 }
 
 fn malformed(detail: impl Into<String>) -> Problem {
@@ -113,4 +141,31 @@ fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
         }
         Poll::Ready(frame)
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_is_a_path_is_recognised() {
+        for (part, path) in [
+            ("photo.jpg", Some("photo.jpg")),
+            ("warp.json\n", Some("warp.json")),
+            ("@warp.json", Some("@warp.json")),
+            ("/home/ann/My pictures/cat.PNG", Some("/home/ann/My pictures/cat.PNG")),
+            ("C:\\Users\\ann\\w.json", Some("C:\\Users\\ann\\w.json")),
+            ("", None),
+            ("hello", None),
+            ("1.5", None),
+            ("{}", None),
+            ("{\"a\": 1.5e3}", None),
+            ("two\nlines.txt", None),
+            ("no extension.", None),
+        ] {
+            assert_eq!(as_path(part.as_bytes()), path, "{part:?}");
+        }
+        assert_eq!(as_path(b"\x89PNG.png"), None);
+        assert_eq!(as_path(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
+    }
 }

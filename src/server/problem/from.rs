@@ -65,7 +65,10 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
         }
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
-        DeformError::Contradictory { first, .. } => at_handle(Code::ContradictoryHandles, first),
+        DeformError::Contradictory { ref listed, .. } => match listed.first() {
+            Some(contradiction) => at_handle(Code::ContradictoryHandles, contradiction.first),
+            None => new(Code::ContradictoryHandles),
+        },
         DeformError::TooManyMeetings { limit } => too_large().limit("handle_meetings", limit, limit + 1),
         DeformError::TooManyNeighbours { limit } => too_large().limit("handle_comparisons", limit, limit + 1),
         DeformError::Cancelled => new(Code::Timeout),
@@ -80,6 +83,8 @@ fn number(value: f64) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use mlswarp::deform::Contradiction;
+
     use super::*;
 
     fn expect(error: WarpError, code: Code, pointer: Option<&str>, handle: Option<usize>) -> Problem {
@@ -119,7 +124,8 @@ mod tests {
 
     #[test]
     fn contradiction_names_both_handles() {
-        let error = DeformError::Contradictory { first: 2, second: 9, x: 1.0, y: 2.0, apart: 3.0 };
+        let contradiction = Contradiction { first: 2, second: 9, x: 1.0, y: 2.0, apart: 3.0 };
+        let error = DeformError::Contradictory { listed: vec![contradiction], total: 1 };
         let problem = expect(WarpError::Posed(error), Code::ContradictoryHandles, Some("/q/2"), Some(2));
         assert!(problem.detail.contains('2') && problem.detail.contains('9'), "{}", problem.detail);
     }

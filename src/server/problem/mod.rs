@@ -5,6 +5,7 @@
 
 mod code;
 mod from;
+pub(crate) mod words;
 
 use std::fmt;
 
@@ -31,6 +32,8 @@ pub struct Problem {
     pub actual: Option<Value>,
     /// Seconds after which the request may be repeated.
     pub retry_after: Option<u32>,
+    /// A member that only one code has: its name and its value.
+    pub extra: Option<Box<(&'static str, Value)>>,
 }
 
 impl Problem {
@@ -39,7 +42,17 @@ impl Problem {
 
     /// A problem with a code and a sentence.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        Self { code, detail: detail.into(), pointer: None, handle: None, what: None, limit: None, actual: None, retry_after: None }
+        Self {
+            code,
+            detail: detail.into(),
+            pointer: None,
+            handle: None,
+            what: None,
+            limit: None,
+            actual: None,
+            retry_after: None,
+            extra: None,
+        }
     }
 
     pub(crate) fn pointer(mut self, pointer: impl Into<String>) -> Self {
@@ -68,6 +81,11 @@ impl Problem {
         self
     }
 
+    pub(crate) fn extra(mut self, name: &'static str, value: impl Into<Value>) -> Self {
+        self.extra = Some(Box::new((name, value.into())));
+        self
+    }
+
     /// The HTTP status.
     pub const fn status(&self) -> u16 {
         self.code.status()
@@ -87,6 +105,7 @@ impl Problem {
             ("limit", self.limit.clone()),
             ("actual", self.actual.clone()),
             ("retry_after", self.retry_after.map(Value::from)),
+            self.extra.as_deref().map_or(("", None), |(name, value)| (*name, Some(value.clone()))),
             ("request_id", request_id.map(Value::from)),
         ];
         fields.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()

@@ -116,7 +116,11 @@ impl Index {
             }
             None => self.tombstones.peek(&id).filter(|tombstone| tombstone.end == End::Expired).map(|tombstone| tombstone.until),
         };
-        if until.is_some_and(|until| Instant::now() < until) { Err(StoreError::Expired) } else { Err(StoreError::NoSuchSession) }
+        if until.is_some_and(|until| Instant::now() < until) {
+            Err(StoreError::Expired { idle: self.bounds.idle })
+        } else {
+            Err(StoreError::NoSuchSession)
+        }
     }
 
     pub(crate) fn peek(&self, id: SessionId) -> Result<Session, StoreError> {

@@ -45,6 +45,7 @@ pub use redis::Address;
 pub use url::StoreUrl;
 
 use crate::client::Owner;
+use crate::problem::words::period;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 
@@ -122,13 +123,16 @@ pub struct Session {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum StoreError {
     /// It never existed, was deleted, or expired more than one idle period ago.
-    #[error("there is no such session")]
+    #[error("there is no such session: it was deleted, expired a while ago, or never existed; open a new one with POST /sessions")]
     NoSuchSession,
     /// Expired less than one idle period ago.
-    #[error("the session has expired")]
-    Expired,
+    #[error("the session has expired: it was idle for {}; open a new one with POST /sessions", period(*idle))]
+    Expired {
+        /// The idle period.
+        idle: Duration,
+    },
     /// A limit is reached; no living session is evicted.
-    #[error("no room for another session: {what} would be {actual}; at most {limit}")]
+    #[error("the session store is full: {what} would be {actual}; the limit is {limit}")]
     Full {
         /// Which limit: `sessions`, `store_bytes`.
         what: &'static str,
@@ -138,16 +142,16 @@ pub enum StoreError {
         actual: u64,
     },
     /// The disk is full, or the other server's memory is.
-    #[error("the session store has no room")]
+    #[error("the session store is full")]
     NoRoom,
     /// Every attempt collided with another request's change.
-    #[error("other requests changed the session at the same time; try again")]
+    #[error("other requests changed the session at the same time; send the request again")]
     Contended,
     /// Another version of the program has written the record, with something that this one does not know.
     #[error("another version of the program has stored this session, and this one cannot read it")]
     OtherVersion,
     /// The store fails at the moment. The cause is only in the log: it may contain paths and addresses.
-    #[error("the session store does not answer")]
+    #[error("the session store is unavailable")]
     Away,
 }
 
@@ -156,7 +160,7 @@ impl From<StoreError> for Problem {
         let new = |code, seconds| Self::new(code, error.to_string()).retry_after(seconds);
         match error {
             StoreError::NoSuchSession => Self::new(Code::NoSuchSession, error.to_string()),
-            StoreError::Expired => Self::new(Code::SessionExpired, error.to_string()),
+            StoreError::Expired { .. } => Self::new(Code::SessionExpired, error.to_string()),
             StoreError::Full { what, limit, actual } => new(Code::Overloaded, 30).limit(what, limit, actual),
             StoreError::NoRoom => new(Code::Overloaded, 30),
             // A rolling update takes minutes.

@@ -8,7 +8,9 @@ use mlswarp::warp::{Folds, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
-use super::json::{Kind, Node, list, quote};
+use super::json::{Kind, Node};
+use super::suggest;
+use crate::problem::words::{did_you_mean, list, quote};
 use crate::problem::{Code, Problem};
 
 pub(crate) trait EnumName: Copy + 'static {
@@ -22,21 +24,22 @@ pub(crate) trait EnumName: Copy + 'static {
 
 /// Reads a name.
 pub(crate) fn enum_name<T: EnumName>(node: &Node<'_, '_>) -> Result<T, Problem> {
-    let names = || list(&T::ALL.iter().map(|v| v.as_str()).collect::<Vec<_>>());
+    let names = || T::ALL.iter().map(|v| v.as_str()).collect::<Vec<_>>();
     if node.kind() != Kind::String {
-        return Err(node.wrong_kind(&format!("one of {}", names())));
+        return Err(node.wrong_kind(&format!("one of {}", list(&names()))));
     }
     let text = node.string("a name")?;
     let value = T::ALL.iter().find(|v| v.as_str() == text);
-    value.copied().ok_or_else(|| unknown_name(node, &text, T::UNSUPPORTED, &names()))
+    value.copied().ok_or_else(|| unknown_name(node, &text, T::UNSUPPORTED, &names(), &list(&names())))
 }
 
-/// The problem of a name that is not `supported`.
-pub(crate) fn unknown_name(node: &Node<'_, '_>, text: &str, unsupported: &[&str], supported: &str) -> Problem {
+/// The problem of a name that is not `supported`; `names`: the names among what is supported.
+pub(crate) fn unknown_name(node: &Node<'_, '_>, text: &str, unsupported: &[&str], names: &[&str], supported: &str) -> Problem {
     if unsupported.contains(&text) {
         node.problem(Code::NotSupported, format!("not supported by this version: `{text}`; supported: {supported}"))
     } else {
-        node.unexpected(&format!("one of {supported}"), quote(text))
+        let hint = did_you_mean(suggest::value(text, names));
+        node.unexpected(&format!("one of {supported}"), format_args!("{}{hint}", quote(text)))
     }
 }
 

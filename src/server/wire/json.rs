@@ -10,10 +10,9 @@ use std::fmt;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
+use super::suggest;
+use crate::problem::words::{LONGEST_QUOTE, list, quote};
 use crate::problem::{Code, Problem};
-
-/// Longest name or value of the client that a problem quotes, characters.
-const LONGEST_QUOTE: usize = 60;
 
 /// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
 #[derive(Clone, Copy)]
@@ -114,7 +113,16 @@ impl<'j> Node<'j, '_> {
     }
 
     pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
-        self.unexpected(expected, self.kind().name())
+        let hint = if self.is_quoted_value() { "; remove the quotes" } else { "" };
+        self.unexpected(expected, format_args!("{}{hint}", self.kind().name()))
+    }
+
+    /// Whether this is a string that contains a number or the beginning of an array or object.
+    fn is_quoted_value(&self) -> bool {
+        let Some(inside) = self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) else { return false };
+        let inside = inside.trim();
+        let is_number = |text: &str| text.len() <= LONGEST_QUOTE && text.parse::<f64>().is_ok_and(f64::is_finite);
+        inside.starts_with(['[', '{']) || is_number(inside)
     }
 
     pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
@@ -122,7 +130,8 @@ impl<'j> Node<'j, '_> {
     }
 
     fn unknown(&self, name: &str, known: &[&str]) -> Problem {
-        let detail = format!("unknown field: {}; known: {}", quote(name), list(known));
+        let hint = suggest::field(name, known).map_or_else(String::new, |hint| format!("; {hint}"));
+        let detail = format!("unknown field: {}{hint}; known fields: {}", quote(name), list(known));
         if name.chars().nth(LONGEST_QUOTE).is_some() {
             return self.problem(Code::UnknownField, detail);
         }
@@ -200,19 +209,6 @@ impl<'j> Node<'j, '_> {
     fn not_json(&self, error: &serde_json::Error) -> Problem {
         self.problem(Code::MalformedRequest, format!("not JSON: {error}"))
     }
-}
-
-/// A name or value of the client, shortened for a sentence.
-pub(crate) fn quote(text: &str) -> String {
-    match text.char_indices().nth(LONGEST_QUOTE) {
-        Some((end, _)) => format!("`{}...`", &text[..end]),
-        None => format!("`{text}`"),
-    }
-}
-
-/// Names in backticks, with commas.
-pub(crate) fn list(names: &[&str]) -> String {
-    names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 
 /// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end.

@@ -5,6 +5,7 @@
 //! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
 mod enum_name;
+mod fields;
 pub mod formats;
 mod handles;
 mod json;
@@ -14,6 +15,7 @@ mod output;
 mod rest;
 mod session;
 mod socket;
+mod suggest;
 mod write;
 
 #[cfg(test)]
@@ -56,7 +58,7 @@ pub struct WarpObject {
 impl WarpObject {
     /// Reads the object.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
+        WarpPatch::parse(json)?.into_object()
     }
 
     /// The posed handles; none if there are none at rest.
@@ -117,8 +119,8 @@ impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&rest::FIELDS_WITH_POINTS)?;
-        let warp = WarpPatch::read(warp)?.merge_onto(WarpObject::default());
+        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&fields::WARP_WITH_POINTS)?;
+        let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = read_points([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();

@@ -1,6 +1,7 @@
 //! Numbers: text to f64 (correctly rounded) and to whole numbers.
 
-use super::json::{Kind, Node, quote};
+use super::json::{Kind, Node};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// 2^53: above it an f64 does not name one whole number.

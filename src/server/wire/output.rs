@@ -6,9 +6,12 @@ use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::OutputSpec;
 
 use super::enum_name::{Canvas, enum_name, unknown_name};
-use super::json::{Node, optional, quote};
+use super::fields;
+use super::json::{Node, optional};
 use super::number::count;
+use super::suggest;
 use crate::problem::Problem;
+use crate::problem::words::{did_you_mean, quote};
 
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
@@ -37,8 +40,7 @@ impl OutputPatch {
     }
 
     pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [format, quality_, compression, width, filter, outside_, canvas] =
-            node.fields(&["format", "quality", "compression", "width", "filter", "outside", "canvas"])?;
+        let [format, quality_, compression, width, filter, outside_, canvas] = node.fields(&fields::OUTPUT)?;
         optional(canvas, enum_name::<Canvas>)?;
         Ok(Self {
             format: optional(format, enum_name)?,
@@ -65,12 +67,14 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
     match text.as_str() {
         "transparent" => Ok(Outside::Transparent),
         "edge" => Ok(Outside::Edge),
-        _ => match text.strip_prefix('#') {
-            Some(digits) => {
-                let colour = colour(digits).map(Outside::Colour);
-                colour.ok_or_else(|| node.unexpected("a colour, `#rrggbb` or `#rrggbbaa`", quote(&text)))
+        "reflect" => Err(unknown_name(node, &text, &["reflect"], &[], OUTSIDE)),
+        _ => match text.strip_prefix('#').and_then(colour) {
+            Some(colour) => Ok(Outside::Colour(colour)),
+            None => {
+                let colour = suggest::colour(&text);
+                let meant = colour.as_deref().or_else(|| suggest::value(&text, &["transparent", "edge"]));
+                Err(node.unexpected(&format!("one of {OUTSIDE}"), format_args!("{}{}", quote(&text), did_you_mean(meant))))
             }
-            None => Err(unknown_name(node, &text, &["reflect"], OUTSIDE)),
         },
     }
 }

@@ -8,20 +8,8 @@ use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
 use super::number::{count, number, positive};
 use super::output::OutputPatch;
-use super::{WarpObject, json};
+use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
-
-/// The fields of the warp object, in the order of [`WarpPatch::read`].
-pub(crate) const FIELDS: [&str; 11] = ["p", "q", "weights", "method", "alpha", "point_mass", "units", "grid", "folds", "metric", "output"];
-
-/// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const FIELDS_WITH_POINTS: [&str; 17] = {
-    let mut fields = [""; 17];
-    let (warp, own) = fields.split_at_mut(FIELDS.len());
-    warp.copy_from_slice(&FIELDS);
-    own.copy_from_slice(&["extent", "points", "polygons", "boxes", "inverse", "refine"]);
-    fields
-};
 
 const GRID: &str = "`auto`, `pixel`, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
@@ -42,7 +30,7 @@ pub(crate) struct WarpPatch {
 
 impl WarpPatch {
     pub(crate) fn parse(json: &[u8]) -> Result<Self, Problem> {
-        Self::read(json::root(json)?.fields(&FIELDS)?)
+        Self::read(json::root(json)?.fields(&fields::WARP)?)
     }
 
     pub(crate) fn read(
@@ -61,6 +49,17 @@ impl WarpPatch {
             folds: optional(folds, enum_name)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
         })
+    }
+
+    /// The object of a request that is not about a session.
+    /// Errors: `bad_value` at `/p` if there are posed handles only.
+    pub(crate) fn into_object(self) -> Result<WarpObject, Problem> {
+        match (&self.p, &self.q) {
+            (None, Some(q)) if !q.is_empty() => {
+                Err(Problem::new(Code::BadValue, "`p` is missing: where do the handles start?").pointer("/p"))
+            }
+            _ => Ok(self.merge_onto(WarpObject::default())),
+        }
     }
 
     /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none.
@@ -88,11 +87,11 @@ fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
         Kind::String => match node.string(GRID)?.as_str() {
             "auto" => Ok(GridSpec::Auto),
             "pixel" => Ok(GridSpec::Pixel),
-            other => Err(unknown_name(node, other, &[], GRID)),
+            other => Err(unknown_name(node, other, &[], &["auto", "pixel"], GRID)),
         },
         Kind::Object => {
             let vertices = "a whole number of vertices, at least 2";
-            match node.fields(&["cell", "columns", "rows"])? {
+            match node.fields(&fields::GRID)? {
                 [Some(cell), None, None] => Ok(GridSpec::Cell(positive(&cell, "a positive number of pixels")?)),
                 [None, Some(columns), Some(rows)] => {
                     Ok(GridSpec::Counts { columns: count(&columns, 2, vertices)?, rows: count(&rows, 2, vertices)? })

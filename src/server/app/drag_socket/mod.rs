@@ -146,11 +146,12 @@ impl Drag {
                     self.send_problem(None, &Problem::new(Code::BadValue, format!("no frame with seq {seq} was sent")).pointer("/ack"));
                 }
             }
-            Ok(DragMessage::Pose { seq, .. }) if self.newest.is_some_and(|newest| seq <= newest) => {
-                let problem = Problem::new(Code::BadValue, "`seq` must grow from pose to pose").pointer("/seq");
-                self.send_problem(Some(seq), &problem);
-            }
             Ok(DragMessage::Pose { seq, q }) => {
+                if let Some(newest) = self.newest.filter(|newest| seq <= *newest) {
+                    let detail = format!("each pose needs a higher `seq` than the one before: {seq} follows {newest}");
+                    self.send_problem(Some(seq), &Problem::new(Code::BadValue, detail).pointer("/seq").actual(seq));
+                    return;
+                }
                 self.newest = Some(seq);
                 self.scheduler.pose(Pose { seq, q: Arc::new(q), at: now });
             }

@@ -60,14 +60,19 @@ pub(super) fn client(app: &App, request: &Request) -> Client {
 /// Checks the key and the rate, and passes the owner on to the handler instead of the key.
 pub(crate) async fn authenticate(State(app): State<App>, Caller { client, .. }: Caller, mut request: Request, next: Next) -> Response {
     let key = key(request.headers());
-    request.headers_mut().remove(AUTHORIZATION);
+    let authorization = request.headers_mut().remove(AUTHORIZATION);
     match app.access().admit(client.address, key.as_deref()) {
         Ok(credential) => {
             request.extensions_mut().insert(Client { owner: credential.owner(), ..client });
             request.extensions_mut().insert(credential);
             next.run(request).await
         }
-        Err(problem) if problem.code == Code::Unauthorized => ([(WWW_AUTHENTICATE, BEARER)], problem).into_response(),
+        Err(mut problem) if problem.code == Code::Unauthorized => {
+            if let Some(field) = authorization {
+                problem.detail = unreadable(&field).to_owned();
+            }
+            ([(WWW_AUTHENTICATE, BEARER)], problem).into_response()
+        }
         Err(problem) => problem.into_response(),
     }
 }
@@ -85,6 +90,16 @@ fn key(headers: &HeaderMap) -> Option<String> {
     let mut offered = protocols(headers).filter_map(|protocol| protocol.strip_prefix(KEY_PROTOCOL));
     let key = BASE64URL_NOPAD.decode(offered.next()?.as_bytes()).ok()?;
     offered.next().is_none().then(|| String::from_utf8(key).ok()).flatten()
+}
+
+/// What is wrong with a field `Authorization` from which no key was read. Nothing of it is repeated: it may be a key.
+fn unreadable(field: &HeaderValue) -> &'static str {
+    let is_bearer = field.to_str().is_ok_and(|field| field.split(' ').next().is_some_and(|scheme| scheme.eq_ignore_ascii_case("bearer")));
+    if is_bearer {
+        "`Authorization` must be given once, with one key: send `Authorization: Bearer <key>`"
+    } else {
+        "the scheme of `Authorization` must be `Bearer`: send `Authorization: Bearer <key>`"
+    }
 }
 
 /// The subprotocols that a WebSocket client offers.

@@ -5,6 +5,7 @@ pub(crate) mod docs;
 #[cfg(not(feature = "docs"))]
 #[path = "no_docs.rs"]
 pub(crate) mod docs;
+pub(crate) mod fallbacks;
 pub(crate) mod mesh;
 pub(crate) mod points;
 pub(crate) mod problems;

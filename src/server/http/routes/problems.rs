@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use crate::app::App;
 use crate::http::accept;
 use crate::http::assets::{Asset, HTML};
+use crate::problem::words::{did_you_mean, nearest, quote};
 use crate::problem::{Code, Problem};
 
 const TEXT: &str = include_str!("../../../../api/problems.md");
@@ -27,7 +28,8 @@ const FORMS: [&str; 3] = ["text/html", JSON, Problem::MEDIA_TYPE];
 /// One section.
 pub(crate) async fn section(State(app): State<App>, Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let Some(&code) = Code::ALL.iter().find(|code| code.as_str() == name) else {
-        return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {name}")));
+        let meant = nearest(&name, Code::ALL.iter().map(|code| code.as_str()));
+        return Err(Problem::new(Code::NotFound, format!("there is no problem with the code {}{}", quote(&name), did_you_mean(meant))));
     };
     let form = FORMS[accept::choose(&headers, FORMS)?];
     Ok(([(VARY, HeaderValue::from_static("accept"))], asset(code, form, &app.config().public_path).response(&headers)).into_response())

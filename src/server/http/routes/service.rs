@@ -11,7 +11,7 @@ use crate::app::{App, Ready};
 use crate::http::response;
 use crate::problem::Problem;
 
-const OPENAPI: &str = include_str!("../../../../api/openapi.json");
+pub(super) const OPENAPI: &str = include_str!("../../../../api/openapi.json");
 /// The address of the service in the document.
 const SERVERS: &str = r#""servers": [{"url": "/"}]"#;
 

@@ -14,11 +14,13 @@ use crate::http::middleware::authentication::Caller;
 use crate::http::response::json_text;
 use crate::http::{body, upload};
 use crate::limits::memory::{Purpose, Reservation};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
 use crate::wire::{AsJson, SessionGrid, SessionImage, SessionObject};
 
+const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 /// Maximum length of a number and its comma in JSON.
 const NUMBER: usize = 25;
 /// Maximum length of a session object without the client's lists: names, ids, dates and single numbers.
@@ -34,8 +36,7 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
 pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let id = SessionId::parse(caller.client.owner, &id)
-        .ok_or_else(|| Problem::new(Code::BadValue, "the session id must be a hyphenated UUID of version 4"))?;
+    let id = SessionId::parse(caller.client.owner, &id).ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
     let held = reserve_object(&caller, &upload.warp)?;
     let (put, setup) = caller.app.put_session(caller.client, id, upload.image, upload.warp).await?;
@@ -79,7 +80,12 @@ pub(super) fn location(app: &App, id: SessionId) -> HeaderValue {
 
 /// The session that a path names. A text that is no id names no session.
 pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Problem> {
-    SessionId::parse(client.owner, text).ok_or_else(|| Problem::new(Code::NoSuchSession, "there is no such session"))
+    let none = || Problem::new(Code::NoSuchSession, format!("{}; POST /sessions opens a session and returns its id", not_an_id(text)));
+    SessionId::parse(client.owner, text).ok_or_else(none)
+}
+
+fn not_an_id(text: &str) -> String {
+    format!("{} is not a session id: a session id is a hyphenated UUID of version 4, such as {EXAMPLE_ID}", quote(text))
 }
 
 /// The session object, whose memory counts for the client until it is sent.

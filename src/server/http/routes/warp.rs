@@ -8,11 +8,12 @@ use axum::response::Response;
 use super::sessions::{location, session_id};
 use crate::app::warp::columns;
 use crate::http::body::json;
+use crate::http::headers::{bad_query_value, query_fields, unknown_query_field};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{picture, takes_trailers};
 use crate::http::{accept, upload};
 use crate::limits::memory::{Purpose, Reservation};
-use crate::problem::{Code, Problem};
+use crate::problem::Problem;
 use crate::session::SessionId;
 use crate::wire::DragObject;
 
@@ -69,14 +70,12 @@ pub(crate) const fn drag_limit(columns: u64) -> u64 {
 /// Reads `?session=true`. Unknown fields are rejected.
 fn keeps_session(query: Option<&str>) -> Result<bool, Problem> {
     let mut keeps = false;
-    for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
-        keeps = match pair {
-            "session=true" => true,
-            "session=false" => false,
-            _ if pair.split('=').next() == Some("session") => {
-                return Err(Problem::new(Code::BadValue, "the query's `session` is neither true nor false"));
-            }
-            _ => return Err(Problem::new(Code::UnknownField, "the query has a field that is not known; supported: session")),
+    for field in query_fields(query) {
+        keeps = match field {
+            ("session", "true") => true,
+            ("session", "false") => false,
+            ("session", value) => return Err(bad_query_value("session", value, "`true` or `false`")),
+            (name, _) => return Err(unknown_query_field(name, &["session"])),
         };
     }
     Ok(keeps)

@@ -15,6 +15,7 @@ use crate::auth::cors::Origins;
 use crate::http::headers::elements;
 use crate::http::middleware::authentication::{PROTOCOL, protocols};
 use crate::http::middleware::cross_origin::{is_listed, is_same_origin};
+use crate::http::routes::fallbacks::not_allowed;
 use crate::problem::{Code, Problem};
 
 const WEBSOCKET: HeaderValue = HeaderValue::from_static("websocket");
@@ -27,15 +28,15 @@ const KEY_BYTES: usize = 16;
 pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.method() != Method::GET {
-        let detail = format!("{} is not served on a WebSocket's route; see Allow", request.method());
-        return Err(([(ALLOW, HeaderValue::from_static("GET"))], Problem::new(Code::MethodNotAllowed, detail)).into_response());
+        let problem = not_allowed(request.method(), request.uri().path());
+        return Err(([(ALLOW, HeaderValue::from_static("GET"))], problem).into_response());
     }
     let has = |name: HeaderName, element: &str| elements(headers, name).any(|other| other.eq_ignore_ascii_case(element));
     if request.version() != Version::HTTP_11 || !has(CONNECTION, "upgrade") || !has(UPGRADE, "websocket") {
-        return Err(upgrade_required("this route is a WebSocket: it takes an upgrade of an HTTP/1.1 connection"));
+        return Err(upgrade_required("this route is a WebSocket: connect with a WebSocket client (an upgrade of an HTTP/1.1 connection)"));
     }
     if headers.get(SEC_WEBSOCKET_VERSION) != Some(&VERSION) {
-        return Err(upgrade_required("this route is a WebSocket of version 13"));
+        return Err(upgrade_required("this route is a WebSocket of version 13: send `Sec-WebSocket-Version: 13`"));
     }
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail).into_response();
     let mut keys = headers.get_all(SEC_WEBSOCKET_KEY).iter().map(HeaderValue::as_bytes);

@@ -15,6 +15,7 @@ use mlswarp::codec::Format;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::connection::transport::{Transport, without_write_timeout};
+use super::headers::{bad_query_value, query_fields, unknown_query_field};
 use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
@@ -57,33 +58,29 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
 
 /// Reads `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
-    let bad = |name: &str, value: &str, expected: &str| {
-        let value: String = value.chars().take(40).collect();
-        Problem::new(Code::BadValue, format!("the query's `{name}` is {expected}: {value}"))
-    };
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
-    for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
-        match pair.split_once('=').unwrap_or((pair, "")) {
+    for field in query_fields(query) {
+        match field {
             ("frames", "mesh") => options.form = Form::Mesh,
             ("frames", value) => {
                 let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(value));
-                options.form = Form::Picture(Some(format.ok_or_else(|| bad("frames", value, "one of png, jpeg, webp, mesh"))?));
+                options.form =
+                    Form::Picture(Some(format.ok_or_else(|| bad_query_value("frames", value, "one of `png`, `jpeg`, `webp`, `mesh`"))?));
             }
             ("width", "auto") => options.width = PreviewWidth::Auto,
             ("width", value) => {
                 let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
-                options.width = PreviewWidth::Fixed(width.ok_or_else(|| bad("width", value, &format!("auto or 1 to {max_side}")))?);
+                options.width = PreviewWidth::Fixed(
+                    width.ok_or_else(|| bad_query_value("width", value, &format!("`auto` or a whole number of 1 to {max_side}")))?,
+                );
             }
             ("report", value @ ("true" | "false")) => options.report = value == "true",
-            ("report", value) => return Err(bad("report", value, "true or false")),
-            _ => {
-                let detail = "the query has a field that is not known; supported: frames, width, report";
-                return Err(Problem::new(Code::UnknownField, detail));
-            }
+            ("report", value) => return Err(bad_query_value("report", value, "`true` or `false`")),
+            (name, _) => return Err(unknown_query_field(name, &["frames", "width", "report"])),
         }
     }
     if options.form == Form::Mesh && options.width != PreviewWidth::Auto {
-        return Err(Problem::new(Code::BadValue, "a mesh has no width: leave the query's `width` out"));
+        return Err(Problem::new(Code::BadValue, "a mesh has no width: remove `width` from the query"));
     }
     Ok(options)
 }
@@ -129,7 +126,7 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
                 }
                 match event {
                     Event::Text(text) => drag.on_message(text.as_bytes(), heard),
-                    Event::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "messages are text")),
+                    Event::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "binary messages are not supported: send JSON as text")),
                     Event::Ping => {}
                     Event::Ended(ending) => return ending,
                 }

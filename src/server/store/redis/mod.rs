@@ -122,7 +122,7 @@ impl RedisStoreState {
     /// Forgets a session that the server does not have.
     fn absent(&self, id: SessionId, status: i64) -> StoreError {
         self.sessions.forget(id);
-        if status == status::EXPIRED { StoreError::Expired } else { StoreError::NoSuchSession }
+        if status == status::EXPIRED { StoreError::Expired { idle: self.idle } } else { StoreError::NoSuchSession }
     }
 
     /// Reads a stored record. `None`: it is damaged, which counts as no session.

@@ -96,7 +96,7 @@ impl Known {
         }
         let told = self.dead.as_ref().map_or(Truth::No, |dead| is_within(dead.used, 2 * IDLE, asked));
         let right = match error {
-            StoreError::Expired => told != Truth::No,
+            StoreError::Expired { .. } => told != Truth::No,
             StoreError::NoSuchSession => told != Truth::Yes || self.forgets,
             _ => false,
         };

@@ -1,0 +1,187 @@
+//! What a client probably meant by a field, a name or a colour that the contract does not have.
+
+use super::fields::{GRID, OUTPUT, WARP};
+use crate::problem::words::nearest;
+
+/// What other programs call the handles at rest, posed, and both.
+const REST: [&str; 12] =
+    ["src", "source", "sources", "from", "rest", "original", "before", "start", "src_points", "source_points", "src_pts", "control_points"];
+const POSED: [&str; 14] = [
+    "dst",
+    "dest",
+    "destination",
+    "target",
+    "targets",
+    "to",
+    "posed",
+    "deformed",
+    "moved",
+    "after",
+    "dst_points",
+    "dest_points",
+    "target_points",
+    "dst_pts",
+];
+const BOTH: [&str; 5] = ["points", "handles", "pins", "landmarks", "pairs"];
+
+/// Other names of fields.
+const OTHER_FIELDS: [(&str, &str); 5] =
+    [("family", "method"), ("background", "outside"), ("interpolation", "filter"), ("type", "format"), ("mesh", "grid")];
+/// Other names of values.
+const OTHER_VALUES: [(&str, &str); 8] = [
+    ("jpg", "jpeg"),
+    ("pixels", "px"),
+    ("relative", "normalized"),
+    ("fraction", "normalized"),
+    ("linear", "bilinear"),
+    ("none", "transparent"),
+    ("clamp", "edge"),
+    ("extend", "edge"),
+];
+/// The colours that people write by name.
+const COLOURS: [(&str, &str); 20] = [
+    ("black", "#000000ff"),
+    ("white", "#ffffffff"),
+    ("red", "#ff0000ff"),
+    ("green", "#008000ff"),
+    ("blue", "#0000ffff"),
+    ("yellow", "#ffff00ff"),
+    ("orange", "#ffa500ff"),
+    ("purple", "#800080ff"),
+    ("pink", "#ffc0cbff"),
+    ("brown", "#a52a2aff"),
+    ("gray", "#808080ff"),
+    ("grey", "#808080ff"),
+    ("silver", "#c0c0c0ff"),
+    ("cyan", "#00ffffff"),
+    ("magenta", "#ff00ffff"),
+    ("lime", "#00ff00ff"),
+    ("navy", "#000080ff"),
+    ("teal", "#008080ff"),
+    ("olive", "#808000ff"),
+    ("maroon", "#800000ff"),
+];
+
+fn in_table<'a>(table: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
+    table.iter().find(|(other, _)| name.eq_ignore_ascii_case(other)).map(|(_, meant)| *meant)
+}
+
+/// A hint for a field that an object does not have; `known`: the fields that it has.
+pub(crate) fn field(name: &str, known: &[&str]) -> Option<String> {
+    let is_any = |names: &[&str]| names.iter().any(|other| name.eq_ignore_ascii_case(other));
+    if known.contains(&"q") && is_any(&[&REST[..], &POSED[..], &BOTH[..]].concat()) {
+        return Some(match (known.contains(&"p"), is_any(&POSED)) {
+            (true, _) => "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go".to_owned(),
+            (false, true) => "did you mean `q`?".to_owned(),
+            (false, false) => OF_SESSION.to_owned(),
+        });
+    }
+    if name == "p" && known.contains(&"q") {
+        return Some(OF_SESSION.to_owned());
+    }
+    let name = in_table(&OTHER_FIELDS, name).unwrap_or(name);
+    let inside = |object: &str, fields: &[&str], name: &str| {
+        (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))
+    };
+    let nested = |name: &str| inside("output", &OUTPUT, name).or_else(|| inside("grid", &GRID, name));
+    let outside = || {
+        let object = if known == OUTPUT { "output" } else { "grid" };
+        ((known == OUTPUT || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
+    };
+    nested(name)
+        .or_else(outside)
+        .or_else(|| nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?")))
+        .or_else(|| nested(nearest(name, OUTPUT.into_iter().chain(GRID))?))
+}
+
+const OF_SESSION: &str = "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
+
+/// The name that was probably meant by a value that is none of `names`.
+pub(crate) fn value<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
+    let other = in_table(&OTHER_VALUES, text).and_then(|meant| names.iter().copied().find(|name| *name == meant));
+    other.or_else(|| nearest(text, names.iter().copied()))
+}
+
+/// The colour that was probably meant: a name, a short form, or digits without `#`.
+pub(crate) fn colour(text: &str) -> Option<String> {
+    if let Some(known) = in_table(&COLOURS, text) {
+        return Some(known.to_owned());
+    }
+    let digits = text.strip_prefix('#').or_else(|| text.strip_prefix("0x")).unwrap_or(text);
+    if !digits.bytes().all(|b| b.is_ascii_hexdigit()) {
+        return None;
+    }
+    let digits = match digits.len() {
+        3 | 4 => digits.chars().flat_map(|c| [c, c]).collect(),
+        6 | 8 => digits.to_owned(),
+        _ => return None,
+    };
+    let alpha = if digits.len() == 6 { "ff" } else { "" };
+    Some(format!("#{}{alpha}", digits.to_ascii_lowercase()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_suggested_by_name_place_and_spelling() {
+        let drag = ["q", "seq", "output"];
+        let both = "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go";
+        for (name, known, hint) in [
+            ("src", &WARP[..], Some(both)),
+            ("dst", &WARP, Some(both)),
+            ("Target", &WARP, Some(both)),
+            ("points", &WARP, Some(both)),
+            ("dst", &drag, Some("did you mean `q`?")),
+            ("from", &drag, Some(OF_SESSION)),
+            ("p", &drag, Some(OF_SESSION)),
+            ("width", &WARP, Some("put it in `output`: `output.width`")),
+            ("width", &drag, Some("put it in `output`: `output.width`")),
+            ("background", &WARP, Some("put it in `output`: `output.outside`")),
+            ("qualitty", &WARP, Some("put it in `output`: `output.quality`")),
+            ("cell", &WARP, Some("put it in `grid`: `grid.cell`")),
+            ("method", &OUTPUT, Some("put it beside `output`, not in it")),
+            ("alpha", &GRID, Some("put it beside `grid`, not in it")),
+            ("metod", &WARP, Some("did you mean `method`?")),
+            ("cells", &GRID, Some("did you mean `cell`?")),
+            ("width", &["q", "seq"], None),
+            ("frobnicate", &WARP, None),
+        ] {
+            assert_eq!(field(name, known).as_deref(), hint, "{name}");
+        }
+    }
+
+    #[test]
+    fn values_are_suggested_by_other_names_and_spelling() {
+        for (text, names, meant) in [
+            ("jpg", &["png", "jpeg", "webp"][..], Some("jpeg")),
+            ("PNG", &["png", "jpeg", "webp"], Some("png")),
+            ("tif", &["png", "jpeg", "webp"], None),
+            ("pixels", &["px", "normalized"], Some("px")),
+            ("normalised", &["px", "normalized"], Some("normalized")),
+            ("none", &["transparent", "edge"], Some("transparent")),
+            ("jpg", &["px"], None),
+        ] {
+            assert_eq!(value(text, names), meant, "{text}");
+        }
+    }
+
+    #[test]
+    fn colours_are_suggested_in_full() {
+        for (text, meant) in [
+            ("red", Some("#ff0000ff")),
+            ("White", Some("#ffffffff")),
+            ("#fff", Some("#ffffffff")),
+            ("#F0a8", Some("#ff00aa88")),
+            ("0A141E", Some("#0a141eff")),
+            ("0x0a141e80", Some("#0a141e80")),
+            ("#12345", None),
+            ("#xyz", None),
+            ("", None),
+            ("rainbow", None),
+        ] {
+            assert_eq!(colour(text).as_deref(), meant, "{text}");
+        }
+    }
+}

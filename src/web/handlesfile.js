@@ -1,0 +1,110 @@
+// Files with handles: the warp object as JSON. A file that this page cannot use is rejected with its name, the position and what is
+// expected.
+
+import { Problem } from "./api.js";
+import { massOf, near } from "./edits.js";
+import { Broken, lineAndColumn, parse } from "./json.js";
+import { pinOf } from "./twist.js";
+
+/** Largest file, bytes: many times what this page writes. */
+const LARGEST = 2 << 20;
+const METHODS = ["rigid", "similarity", "affine"];
+
+export const isHandles = (file) => file.type === "application/json" || /\.json$/i.test(file.name);
+
+/** The handles of a file, as a document. Throws a Problem. */
+export async function readHandles(file) {
+  const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
+  const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
+  const reason = file.size > LARGEST ? ": it is too large for a file of handles" : "";
+  if (text === null) throw problem(`The file ${file.name} cannot be read${reason}.`);
+  const where = (at) => {
+    const { line, column } = lineAndColumn(text, at);
+    return `In ${file.name}, line ${line}, column ${column}`;
+  };
+  let parsed;
+  try {
+    parsed = parse(text);
+    return documentFrom(parsed.value);
+  } catch (error) {
+    if (error instanceof Broken) throw problem(`${where(error.at)}: ${error.expected} is expected.`);
+    if (!(error instanceof Unsupported)) throw error;
+    const member = error.pointer && ` for ${named(error.pointer)}`;
+    throw problem(`${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`);
+  }
+}
+
+/** A pointer as in the API's messages: `p[3]`. */
+const named = (pointer) => pointer.slice(1).replace(/\/(\d+)/g, "[$1]").replaceAll("/", ".");
+
+/** A warp object that this page does not support: the first value at fault. */
+class Unsupported extends Error {
+  constructor(pointer, expected) {
+    super(`${pointer}: ${expected}`);
+    Object.assign(this, { pointer, expected });
+  }
+}
+
+const demand = (holds, pointer, expected) => {
+  if (!holds) throw new Unsupported(pointer, expected);
+};
+
+/** The document of a warp object; `null` if this page does not support it. */
+export function documentOf(warp) {
+  try {
+    return documentFrom(warp);
+  } catch (error) {
+    if (error instanceof Unsupported) return null;
+    throw error;
+  }
+}
+
+const isPlace = (value) => Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
+
+/** The positions of a handle: [x, y] is a point, a list of positions is a line or a path. */
+function placesOf(handle, pointer) {
+  if (isPlace(handle)) return [handle];
+  demand(Array.isArray(handle) && Array.isArray(handle[0]), pointer, "a position [x, y] or a list of positions");
+  const wrong = handle.findIndex((place) => !isPlace(place));
+  demand(wrong < 0, `${pointer}/${wrong}`, "a position [x, y] of two numbers");
+  return handle;
+}
+
+function documentFrom(warp) {
+  const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
+  demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
+  const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
+  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, grid = "auto" } = given;
+  demand(Array.isArray(p), "/p", "a list of handles");
+  demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
+  demand(units === "px", "/units", '"px"');
+  const areWeights = (list) => Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
+  demand(weights === undefined || areWeights(weights), "/weights", "a list of one positive number for each handle");
+  demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
+  const handles = p.map((handle, i) => {
+    const [rest, posed] = [placesOf(handle, `/p/${i}`), placesOf(q[i], `/q/${i}`)];
+    demand(posed.length === rest.length, `/q/${i}`, `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`);
+    const pin = pinOf(rest, posed, weights?.[i], mass);
+    return { id: i + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
+  });
+  // Weights of 1 are only the companions of those of twisted pins.
+  if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
+  demand(METHODS.includes(method), "/method", '"rigid", "similarity" or "affine"');
+  demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
+  const cell = grid === "auto" ? grid : grid?.cell;
+  demand(cell === "auto" || cell > 0, "/grid", '"auto" or {"cell": px}');
+  const outside = outsideFrom(given.output?.outside ?? "transparent");
+  demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
+  const read = { handles, method, alpha, grid: cell, outside };
+  // A mass that the page would choose itself continues to follow the lines.
+  const usual = massOf(read);
+  const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);
+  return follows ? read : { ...read, mass };
+}
+
+/** The server's form of a colour, or null. */
+function outsideFrom(told) {
+  if (told === "transparent" || told === "edge") return told;
+  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
+  return colour ? colour + alpha : null;
+}

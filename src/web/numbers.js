@@ -1,0 +1,33 @@
+// Which numbers of handles have room. A number covers neither another number nor another handle; of two that collide, the first one stays.
+
+/** Up to this many selected handles all have their numbers. */
+const FEW = 12;
+/** Size of a number (per character, and height), its offset from the handle, and the radius of a handle, CSS px. */
+const [WIDE, HIGH, ABOVE, DOT] = [7.5, 13, 19, 8];
+const CELL = 32;
+
+/** The labels with room: a Set of indices of `marks`, [x, y, text, wanted] in stage px. */
+export function withRoom(marks) {
+  const wanted = marks.map((mark, k) => (mark[3] ? k : -1)).filter((k) => k >= 0);
+  if (wanted.length <= FEW) return new Set(wanted);
+  const taken = new Map(); // cell to boxes: [left, top, right, bottom, owner]
+  const cells = ([left, top, right, bottom], visit) => {
+    for (let j = Math.floor(top / CELL); j <= Math.floor(bottom / CELL); j++) {
+      for (let i = Math.floor(left / CELL); i <= Math.floor(right / CELL); i++) if (visit(`${i},${j}`)) return true;
+    }
+    return false;
+  };
+  const put = (box) => cells(box, (cell) => void (taken.get(cell)?.push(box) ?? taken.set(cell, [box])));
+  const meets = (box) => cells(box, (cell) => taken.get(cell)?.some((b) => b[4] !== box[4] && b[0] < box[2] && box[0] < b[2] && b[1] < box[3] && box[1] < b[3]));
+  marks.forEach(([x, y], k) => put([x - DOT, y - DOT, x + DOT, y + DOT, k]));
+  return new Set(
+    wanted.filter((k) => {
+      const [x, y, text] = marks[k];
+      const half = (WIDE * text.length) / 2;
+      const box = [x - half, y - ABOVE - HIGH / 2, x + half, y - ABOVE + HIGH / 2, k];
+      if (meets(box)) return false;
+      put(box);
+      return true;
+    }),
+  );
+}

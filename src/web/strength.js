@@ -1,0 +1,32 @@
+// The strength of the pose: 0 is the rest pose, 1 the full one, and values beyond exaggerate it. A document at another strength than 1
+// shows the pose of that strength in `handles` and has the full one in `full`. An edit of a handle makes the shown pose the full one.
+
+const posed = new WeakSet();
+
+export const strengthOf = (document) => document.strength ?? 1;
+
+function without({ strength: _, full: __, ...document }) {
+  return document;
+}
+
+const round = (x) => Math.round(x * 100) / 100 + 0;
+
+export function atStrength(document, t) {
+  if (t === strengthOf(document)) return document;
+  const full = document.full ?? document.handles;
+  if (t === 1) {
+    posed.add(full);
+    return { ...without(document), handles: full };
+  }
+  const handles = full.map(({ q, twist, ...handle }) => ({
+    ...handle,
+    q: q.map((place, k) => place.map((c, axis) => round(handle.p[k][axis] + t * (c - handle.p[k][axis])))),
+    ...(twist && { twist: { ...twist, angle: Math.round(10 * t * twist.angle) / 10 + 0, scale: Math.max(0.01, 1 + t * (twist.scale - 1)) } }),
+  }));
+  posed.add(handles);
+  return { ...document, handles, full, strength: t };
+}
+
+/** The document after an edit: if its handles were edited, the shown pose is the full one. */
+export const settled = (document, before) =>
+  document.full && document.handles !== before.handles && !posed.has(document.handles) ? without(document) : document;

@@ -1,0 +1,123 @@
+"""Files with handles: opened on a picture, before it or with it; what is wrong with a file is said with its name and position."""
+
+import json
+
+import pytest
+
+from support import RED, near, tell
+
+HANDLES = {"p": [[100, 100], [[20, 30], [300, 40]]], "q": [[140, 130], [[20, 30], [300, 60]]], "method": "affine"}
+
+
+def file(name="face.json", value=HANDLES):
+    return {"name": name, "mimeType": "application/json", "buffer": value if isinstance(value, bytes) else json.dumps(value).encode()}
+
+
+def is_posed(visit):
+    visit.body("[data-handles='2']").ready()
+    warp = visit.warp()
+    assert (warp["p"], warp["q"], warp["method"]) == (HANDLES["p"], HANDLES["q"], "affine")
+
+
+def test_handles_are_opened_by_their_button(opened):
+    opened.click(*RED)
+    opened.ready()
+    with opened.page.expect_file_chooser() as chooser:
+        opened.page.click("#open-handles")
+    chooser.value.set_files([file()])
+    is_posed(opened)
+    assert opened.text("toast") == "2 handles from face.json"
+    opened.page.click("#undo")
+    opened.body("[data-handles='1']").ready()
+    assert near(opened.posed(0), RED, 0.01)
+
+
+def test_handles_on_the_start_page_wait_for_their_picture(visit, picture):
+    tell(visit, ["dragover", "drop"], ("face.json", "application/json", json.dumps(HANDLES).encode()))
+    visit.page.wait_for_selector("#waiting")
+    assert visit.text("waiting-text") == "face.json has 2 handles. Choose the picture or sample that they belong to."
+    assert (visit["state"], visit["problem"]) == ("empty", "")
+    visit.page.set_input_files("#file", picture)
+    is_posed(visit)
+    assert visit["undo"] == "1"
+    visit.page.click("#close")
+    visit.body("[data-state=empty]")
+    assert not visit.page.locator("#waiting").is_visible()
+
+
+def test_handles_that_wait_are_for_a_sample_too_or_are_discarded(visit):
+    visit.page.set_input_files("#file", [file()])
+    visit.page.wait_for_selector("#waiting")
+    visit.page.focus("#waiting-drop")
+    visit.keys("Enter")
+    assert not visit.page.locator("#waiting").is_visible() and visit.page.evaluate("document.activeElement.id") == "pick"
+    visit.page.set_input_files("#file", [file()])
+    visit.page.click("#sample-cat")
+    is_posed(visit)
+    visit.page.click("#undo")
+    visit.body("[data-handles='11']").ready()
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+def test_a_picture_and_its_handles_come_together(visit, picture, is_open):
+    if is_open:
+        visit.sample("cat")
+    tell(visit, ["dragover", "drop"], ("face.json", "application/json", json.dumps(HANDLES).encode()), ("discs.png", "image/png", picture.read_bytes()))
+    visit.body("[data-handles='2']")
+    is_posed(visit)
+    assert visit.page.title().startswith("discs.png")
+
+
+BROKEN = [
+    (b'{\n  "p": [[1, 2], [3, 4]],\n  "q": [[1, 2] [3, 4]]\n}', 3, 16, "a comma or ]"),
+    (b'{"p": [[1, 2],]}', 1, 15, "a value"),
+    (b'{"p": [[1, 2]]', 1, 15, "a comma or }"),
+    (b"{'p': []}", 1, 2, "a name in double quotes"),
+    (b'{"p" [1]}', 1, 6, "a colon"),
+    (b'{"p": []} x', 1, 11, "the end of the file"),
+    (b"", 1, 1, "a value"),
+    (b"[" * 100_000, 1, 22, "fewer brackets"),
+    (b"[1, 2]", 1, 1, "an object with the handles at rest"),
+    (b'{"p": 5}', 1, 7, "a list of handles is expected for p."),
+    (b'{\n "p": [[1, 2]],\n "q": []\n}', 3, 7, "a list of 1 handles, as many as in p, is expected for q."),
+    (b'{"p": [[1, 2],\n [3, "4"]]}', 2, 2, "a position [x, y] or a list of positions is expected for p[1]."),
+    (b'{"p": [[[1, 2], [3]]]}', 1, 17, "a position [x, y] of two numbers is expected for p[0][1]."),
+    (b'{"p": [[1, 2]], "method": "tps"}', 1, 27, '"rigid", "similarity" or "affine" is expected for method.'),
+    (b'{"p": [[1, 2]], "units": "normalized"}', 1, 26, '"px" is expected for units.'),
+    (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
+]
+
+
+@pytest.mark.parametrize("text, line, column, expected", BROKEN)
+def test_a_broken_file_is_named_with_the_position_and_what_is_expected(visit, text, line, column, expected):
+    visit.page.set_input_files("#file", [file("lm handles 3.json", text)])
+    visit.body("[data-problem=bad_handles_file][data-state=empty]")
+    detail = visit.text("problem-detail")
+    assert detail.startswith(f"In lm handles 3.json, line {line}, column {column}: ") and expected in detail, detail
+    assert "ndo" not in visit.text("problem-advice")
+
+
+def test_a_broken_file_changes_nothing(opened):
+    opened.click(*RED)
+    opened.ready()
+    opened.page.set_input_files("#file", [file(value=BROKEN[0][0])])
+    opened.body("[data-problem=bad_handles_file]")
+    assert (opened["handles"], opened["undo"], opened["state"]) == ("1", "1", "ready")
+    assert not opened.page.locator("#problem-action").is_visible() or opened.page.locator("#problem-action").inner_text() != "Undo"
+
+
+def test_a_large_file_is_not_read(visit):
+    visit.page.set_input_files("#file", [file(value=b" " * (2 * 1024 * 1024 + 1))])
+    visit.body("[data-problem=bad_handles_file]")
+    assert visit.text("problem-detail") == "The file face.json cannot be read: it is too large for a file of handles."
+
+
+@pytest.mark.parametrize("options", [{}, {"viewport": {"width": 390, "height": 780}}])
+def test_a_problem_covers_no_sample(visits, options):
+    visit = visits(**options)
+    visit.page.set_input_files("#file", [file(value=b"[")])
+    visit.body("[data-problem=bad_handles_file]")
+    alert = visit.page.locator("#problem").bounding_box()
+    for id in ("pick", "sample-portrait", "sample-cat", "sample-horse", "sample-rocket"):
+        box = visit.page.locator(f"#{id}").bounding_box()
+        assert box["y"] >= alert["y"] + alert["height"], id
