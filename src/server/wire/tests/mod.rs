@@ -345,7 +345,7 @@ fn output_patch_replaces_only_what_it_gives() {
 
 #[test]
 fn points_begin_with_the_fields_of_the_warp() {
-    assert_eq!(rest::FIELDS_WITH_POINTS[..rest::FIELDS.len()], rest::FIELDS);
+    assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
 }
 
 #[test]
@@ -459,7 +459,7 @@ fn near_miss() -> impl Strategy<Value = Value> {
     ];
     scalar.prop_recursive(5, 48, 4, |inner| {
         let name = prop::sample::select(
-            rest::FIELDS_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
+            fields::WARP_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
         );
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
@@ -604,7 +604,7 @@ proptest! {
 
     #[test]
     fn null_fields_change_nothing(warp in warp_object()) {
-        let mut object = with_nulls(written(&warp), &rest::FIELDS);
+        let mut object = with_nulls(written(&warp), &fields::WARP);
         object["output"] = with_nulls(object["output"].take(), &["quality", "width", "canvas"]);
         if object["grid"].is_object() {
             object["grid"] = with_nulls(object["grid"].take(), &["cell", "columns", "rows"]);
