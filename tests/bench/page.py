@@ -43,6 +43,12 @@ WATCH = """() => void (window.drawn = new Promise((resolve) => {
   });
   watcher.observe(document.body, { attributeFilter: ["data-shown", "data-revision"] });
 }))"""
+# The server's PNG, which follows a pause of the pointer, is not part of a drag: it never comes.
+WITHOUT_PNG = """() => {
+  const plain = window.fetch;
+  const never = (signal) => new Promise((_, reject) => signal?.addEventListener("abort", () => reject(new DOMException("", "AbortError"))));
+  window.fetch = (path, options) => (/\\/warp$/.test(path) ? never(options.signal) : plain(path, options));
+}"""
 MAIN_THREAD = {"script": ["ScriptDuration"], "style and layout": ["RecalcStyleDuration", "LayoutDuration"], "main thread": ["TaskDuration"]}
 # A page from the route below has no address, and a page of another site may not open sockets to this machine.
 LOCAL = ["--disable-features=LocalNetworkAccessChecks,LocalNetworkAccessChecksWebSockets"]
@@ -82,11 +88,9 @@ class Version:
         self.page.set_input_files("#file", warp)
         self.page.wait_for_selector(f"body[data-state=ready][data-source=png][data-handles='{handles}']")
         self.page.click("#zoom-full")
-        # The server's PNG, which follows a pause of the pointer, is not part of a drag: it never comes.
-        self.context.route("**/sessions/*/warp", lambda route: None)
+        self.page.evaluate(WITHOUT_PNG)
         self.session = self.context.new_cdp_session(self.page)
         self.session.send("Performance.enable", {"timeDomain": "threadTicks"})
-        self.browser = browser
 
     @staticmethod
     def serve(route, path, limits=""):
