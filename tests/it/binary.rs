@@ -56,8 +56,10 @@ fn help_names_every_default_and_variable() {
 fn shown(subcommand: &str) -> Vec<String> {
     let output = mlswarp(&[subcommand, "--help"]).output().unwrap();
     let help = String::from_utf8(output.stdout).unwrap();
-    let flags = help.lines().filter_map(|line| line.split_once("--").filter(|(before, _)| before.trim().trim_end_matches(',').len() < 3));
-    flags.map(|(_, flag)| flag.split([' ', '[']).next().unwrap().to_owned()).filter(|flag| flag != "help").collect()
+    // Continued texts are indented further.
+    let flags =
+        help.lines().filter(|line| line.starts_with("  -") || line.starts_with("      --")).map(|line| line.split_once("--").unwrap().1);
+    flags.map(|flag| flag.split([' ', '[']).next().unwrap().to_owned()).filter(|flag| flag != "help").collect()
 }
 
 #[test]
