@@ -34,7 +34,7 @@ async fn names_that_dns_may_lead_here_are_misdirected() {
     for host in ["evil.example", &format!("evil.example:{port}"), "localhost.evil.example", "127.0.0.1.evil.example", "bend.example"] {
         let document = problem(upload(&server, host).await, 421, "misdirected").await;
         let name = host.split(':').next().unwrap();
-        assert!(document["detail"].as_str().unwrap().ends_with(name), "{document}");
+        assert!(document["detail"].as_str().unwrap().contains(&format!("`{name}`")), "{document}");
     }
     // Every route, but for the two that health checks ask.
     for (path, status) in [("/", 421), ("/openapi.json", 421), ("/metrics", 421), ("/nothing", 421), ("/healthz", 200), ("/readyz", 200)] {

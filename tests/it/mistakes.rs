@@ -5,6 +5,7 @@ use reqwest::RequestBuilder;
 use reqwest::multipart::Form;
 use serde_json::{Value, json};
 
+use crate::support::hand::Said;
 use crate::support::server::{form, header, png, problem};
 use crate::support::{Hand, Server, bombs, photo};
 
@@ -287,8 +288,14 @@ async fn mistakes_in_seq_give_the_highest_value() {
     assert_eq!((&document["actual"], &document["newest"]), (&json!(41), &json!(42)));
     let mut hand = Hand::open(server.address, &id, "").await;
     hand.pose(50, &json!([[3, 2]])).await;
+    hand.ack_of_next_frame(50).await;
     hand.pose(7, &json!([[4, 2]])).await;
-    let document = hand.text().await;
+    let document = loop {
+        // The full frame of the first pose may come before.
+        if let Said::Text(document) = hand.next().await {
+            break document;
+        }
+    };
     assert_eq!((&document["code"], &document["pointer"], &document["seq"]), (&json!("bad_value"), &json!("/seq"), &json!(7)));
     assert_eq!(document["detail"], "each pose needs a higher `seq` than the one before: 7 follows 50");
 }
@@ -323,7 +330,9 @@ async fn mistakes_in_handles_that_meet_are_all_reported() {
     let words = ["handle 0 visits (235, 158) twice, with targets 4 px apart"];
     let document = told(warp(p, q), 422, "contradictory_handles", Some("/q/0"), &words).await;
     assert_eq!(document["detail"], words[0]);
-    assert_eq!(document["coincident"], json!([{"handles": [0], "position": [235.0, 158.0], "spread": 2.0}]));
+    let [group] = document["coincident"].as_array().unwrap().as_slice() else { panic!("{document}") };
+    assert_eq!((&group["handles"], &group["position"]), (&json!([0]), &json!([235.0, 158.0])));
+    assert!((group["spread"].as_f64().unwrap() - 2.0).abs() < 1e-6, "{document}");
     // Points: one pair that agrees, and two groups that do not.
     let p = json!([[10, 10], [10, 10], [50, 60], [50, 60], [50, 60], [300, 200], [300, 200], [20, 250]]);
     let q = json!([[12, 10], [12, 10], [50, 60], [53, 64], [50, 60], [301, 200], [307, 208], [20, 250]]);

@@ -56,9 +56,9 @@ pub struct WarpObject {
 }
 
 impl WarpObject {
-    /// Reads the object.
+    /// Reads the object. Whether it has what a route needs is not checked.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        WarpPatch::parse(json)?.into_object()
+        WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
 
     /// The posed handles; none if there are none at rest.
