@@ -34,7 +34,8 @@ macro_rules! assets {
 }
 
 static INDEX: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/index.html"))));
-static REFERENCE: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
+static REFERENCE: LazyLock<Asset> =
+    LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
 static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
@@ -135,7 +136,7 @@ mod tests {
         for (page, place) in [(&INDEX, "docs/"), (&REFERENCE, "")] {
             let html = text(page);
             assert!(!html.contains("://") && !html.contains("<style") && !html.contains(" style=") && !html.contains("<script>"));
-            for link in html.split(["\"", "'"]).filter(|part| part.ends_with(".css") || part.ends_with(".js")) {
+            for link in html.split(['"', '\'']).filter(|part| part.ends_with(".css") || part.ends_with(".js")) {
                 let name = link.strip_prefix(place).expect(link);
                 assert!(name == "scalar.js" || FILES.iter().any(|(known, _)| *known == name), "{link}");
             }
