@@ -9,6 +9,7 @@ const valueOf = (handle, vertex, { dataset }) => (dataset.which === "twist" ? an
 
 export class Table {
   #shape = null;
+  #filled = {}; // the state that the rows show
   #body;
 
   constructor(table, store, actions) {
@@ -18,13 +19,14 @@ export class Table {
     table.addEventListener("focusin", (event) => this.#entered(event));
     table.addEventListener("focusout", () => this.#fill(this.store.state));
     table.addEventListener("keydown", (event) => event.key === "Enter" && event.target.matches("input") && this.#changed(event.target));
-    store.subscribe((state, previous) => this.#draw(state, previous));
+    store.subscribe((state) => this.#draw(state));
   }
 
-  #draw(state, previous) {
+  #draw(state) {
     const shape = state.document.handles.map((h) => `${h.id}:${h.p.length}`).join();
     if (shape !== this.#shape) this.#build(state.document, shape);
-    else if (state.document === previous.document && state.selection === previous.selection && state.problem === previous.problem) return;
+    else if (["document", "selection", "problem"].every((name) => state[name] === this.#filled[name])) return;
+    else if (state.selection === this.#filled.selection && state.problem === this.#filled.problem) return this.#fill(state, this.#filled.document.handles);
     this.#fill(state);
   }
 
@@ -72,11 +74,15 @@ export class Table {
     return row;
   }
 
-  #fill({ document, selection, problem }) {
+  /** Fills the rows, except those whose handle is among the `known` ones: during a drag most are. */
+  #fill(state, known = []) {
+    const { document, selection, problem } = state;
+    this.#filled = { document, selection, problem };
     const marks = marked(problem);
     for (const row of this.#body.rows) {
       const { index, vertex } = this.#where(row);
       const handle = document.handles[index];
+      if (handle === known[index]) continue;
       row.classList.toggle("selected", selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`));
       row.toggleAttribute("data-fault", marks.includes(index));
       for (const input of row.querySelectorAll("input")) {

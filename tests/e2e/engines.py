@@ -183,6 +183,12 @@ class Drive:
         width, height = self.driver.execute_script("const { naturalWidth: w, naturalHeight: h } = document.getElementById('original'); return [w, h]")
         return Look(png, self.at(0, 0), self.at(width, height), float(self.data["zoom"]))
 
+    def seen(self, what, holds):
+        """Waits until the picture on the screen fits: a screenshot may be a frame older than the state of the page."""
+        give_up = time.monotonic() + DEADLINE
+        while not holds(look := self.look()):
+            assert time.monotonic() < give_up, f"never seen: {what}: {[look.centre(colour) for colour in ('red', 'green', 'blue')]}"
+
     def downloaded(self, button, name):
         """The bytes that a button of the page writes to the folder of downloads."""
         self.find(button).click()

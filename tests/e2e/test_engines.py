@@ -35,10 +35,9 @@ def test_a_picture_is_opened_bent_saved_and_restored(drive, server, picture):
     assert dragged["live"] == "socket" and "mesh" in drive.recorded("sources"), dragged
     drive.mouse("up")
     state = drive.ready()
-    drive.driver.save_screenshot(str(KEPT / f"{drive.engine}.png"))
-    look = drive.look()
     # The pin covers the middle of its disc.
-    assert near(look.centre("red"), moved, 4) and near(look.centre("green"), GREEN, 4), (look.centre("red"), look.centre("green"))
+    drive.seen("the bent picture", lambda look: near(look.centre("red"), moved, 4) and near(look.centre("green"), GREEN, 4))
+    drive.driver.save_screenshot(str(KEPT / f"{drive.engine}.png"))
 
     warp = json.loads(drive.downloaded("save-handles", "discs-handles.json"))
     assert near(warp["p"][0], RED, 1.5) and near(warp["q"][0], moved, 3), warp
@@ -53,7 +52,7 @@ def test_a_picture_is_opened_bent_saved_and_restored(drive, server, picture):
     drive.go(f"{server.address}/")
     restored = drive.ready()
     assert restored["handles"] == "3" and restored["session"] != state["session"], restored
-    assert near(drive.look().centre("red"), moved, 4)
+    drive.seen("the restored picture", lambda look: near(look.centre("red"), moved, 4))
     assert drive.recorded("troubles") == []
 
 
