@@ -56,7 +56,8 @@ export class ExportDialog {
     Object.assign(this, { store, sync, limits, toast, dialog: document.getElementById("export") });
     find("close").addEventListener("click", () => this.dialog.close());
     this.dialog.addEventListener("click", (event) => event.target === this.dialog && this.dialog.close());
-    this.dialog.addEventListener("close", () => this.#stop());
+    // The event arrives late: the dialog may be open again.
+    this.dialog.addEventListener("close", () => this.dialog.open || this.#stop());
     find("form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#attempt(() => this.#download());

@@ -18,7 +18,8 @@ export function withRoom(marks) {
     return false;
   };
   const put = (box) => cells(box, (cell) => void (taken.get(cell)?.push(box) ?? taken.set(cell, [box])));
-  const meets = (box) => cells(box, (cell) => taken.get(cell)?.some((b) => b[4] !== box[4] && b[0] < box[2] && box[0] < b[2] && b[1] < box[3] && box[1] < b[3]));
+  const overlap = (a, b) => a[4] !== b[4] && a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+  const meets = (box) => cells(box, (cell) => taken.get(cell)?.some((other) => overlap(other, box)));
   marks.forEach(([x, y], k) => put([x - DOT, y - DOT, x + DOT, y + DOT, k]));
   return new Set(
     wanted.filter((k) => {

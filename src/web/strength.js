@@ -11,6 +11,12 @@ function without({ strength: _, full: __, ...document }) {
 
 const round = (x) => Math.round(x * 100) / 100 + 0;
 
+const atTwist = (twist, t) => ({
+  ...twist,
+  angle: Math.round(10 * t * twist.angle) / 10 + 0,
+  scale: Math.max(0.01, 1 + t * (twist.scale - 1)),
+});
+
 export function atStrength(document, t) {
   if (t === strengthOf(document)) return document;
   const full = document.full ?? document.handles;
@@ -21,7 +27,7 @@ export function atStrength(document, t) {
   const handles = full.map(({ q, twist, ...handle }) => ({
     ...handle,
     q: q.map((place, k) => place.map((c, axis) => round(handle.p[k][axis] + t * (c - handle.p[k][axis])))),
-    ...(twist && { twist: { ...twist, angle: Math.round(10 * t * twist.angle) / 10 + 0, scale: Math.max(0.01, 1 + t * (twist.scale - 1)) } }),
+    ...(twist && { twist: atTwist(twist, t) }),
   }));
   posed.add(handles);
   return { ...document, handles, full, strength: t };

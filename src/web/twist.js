@@ -22,7 +22,8 @@ export function freeTurn(mesh, [x, y], reach) {
   if (!a || !b) return { angle: 0, scale: 1 };
   const [dx, dy] = [(b[0] - a[0]) / (2 * reach), (b[1] - a[1]) / (2 * reach)];
   const scale = Math.hypot(dx, dy);
-  return scale > 0.2 && scale < 5 ? { angle: tenth(Math.atan2(dy, dx) / RADIANS), scale: Math.round(scale * 1000) / 1000 } : { angle: 0, scale: 1 };
+  if (!(scale > 0.2 && scale < 5)) return { angle: 0, scale: 1 };
+  return { angle: tenth(Math.atan2(dy, dx) / RADIANS), scale: Math.round(scale * 1000) / 1000 };
 }
 
 export const longest = ([width, height]) => Math.max(4, Math.round((width + height) * 0.5 * SHARE)) + 0.25;

@@ -22,7 +22,7 @@ const PROBLEMS = {
   too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
   unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG or WebP and open that file."],
   bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
-  contradictory_handles: ["Two handles contradict each other", "Put one of them back, or delete it."],
+  contradictory_handles: ["Handles contradict each other", "They meet, but are moved apart. Put one of them back, or delete it."],
   degenerate_line: ["A line has no length", "Its points coincide at rest. Move one of them in the table, or delete the line."],
   alpha_out_of_range: ["Focus is out of range", "Choose a value on the slider, or Automatic."],
   shape_mismatch: ["The handles do not match", "Reload the page. If the problem persists, delete the marked handle."],
@@ -38,28 +38,29 @@ const PROBLEMS = {
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
-/** Indices of the handles that a problem is about: the member `handle`, and a second one from the detail. */
+/** Indices of the handles that a problem is about: the member `handle`, and those that contradict each other. */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
-  const [, a, b] = /\bhandles (\d+) and (\d+)/i.exec(problem.detail ?? "") ?? [];
-  return [...new Set([problem.handle, ...(b === undefined ? [] : [Number(a), Number(b)])])];
+  return [...new Set([problem.handle, ...(problem.coincident ?? []).flatMap(({ handles }) => handles)])];
 }
+
+const series = (list) => (list.length > 1 ? `${list.slice(0, -1).join(", ")} and ${list.at(-1)}` : `${list}`);
 
 /** Counts handles from 1 instead of 0, and rounds numbers. */
 const plain = (detail) =>
   detail
-    .replace(/\b(handles?) (\d+)(?: and (\d+))?/gi, (_, word, a, b) => `${word} ${Number(a) + 1}${b === undefined ? "" : ` and ${Number(b) + 1}`}`)
+    .replace(/\b(handles?) (\d+(?:(?:, | and )\d+)*)/gi, (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`)
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
-export function problemWords({ code, title, detail: told, handle, status, opening, request_id: id }) {
+export function problemWords({ code, title, detail: told, handle, coincident, status, opening, request_id: id }) {
   // The detail of `unauthorized` describes a request header, which does not help here. Status 0: the page's own words.
   const detail = code === "unauthorized" ? "" : status === 0 ? (told ?? "") : plain(told ?? "");
   const [said, usual] = PROBLEMS[code] ?? [title || "Request rejected", "Undo the last step, or try again."];
   // Only requests for the open picture are repeated automatically.
   const advice = opening ? usual.replace(/(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./, "Try again.") : usual;
   const more = code === "internal" && id ? ` Request ${id}.` : "";
-  const marks = marked({ handle, detail: told });
-  const where = marks.length ? ` Marked: ${marks.map((index) => index + 1).join(" and ")}.` : "";
+  const marks = marked({ handle, coincident });
+  const where = marks.length ? ` Marked: ${series(marks.map((index) => index + 1))}.` : "";
   const sentence = detail ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}` : "";
   return { title: said, detail: `${sentence}${more}`, advice: `${advice}${where}` };
 }
@@ -114,6 +115,8 @@ export const WARNINGS = {
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",
   line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
+  handles_outside_picture: "A handle is far outside the picture.",
+  looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
   nothing_visible: "The whole picture is outside the canvas.",
   profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };

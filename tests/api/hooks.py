@@ -20,6 +20,7 @@ def has_null_field(value):
     return isinstance(value, list) and any(map(has_null_field, value))
 
 
+# Not `filter_body`, which the phase "coverage" does not ask.
 @schemathesis.hook
-def filter_body(context, body):
-    return not has_null_field(body)
+def filter_case(context, case):
+    return not has_null_field(case.body)

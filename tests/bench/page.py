@@ -32,13 +32,26 @@ from support import CHROMIUM, FLAGS, KEPT, PHOTOGRAPHS, Server
 
 FRAMES = 40
 MEDIA = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".webp": "image/webp"}
-# Resolves when the newest pose has been drawn.
-DRAWN = """() => new Promise((resolve) => {
+# `drawn` resolves when the next pose is on the screen. It does not poll: frames requested while waiting would be part of the measurement.
+WATCH = """() => void (window.drawn = new Promise((resolve) => {
   const { dataset } = document.body;
-  const look = () => requestAnimationFrame(dataset.shown === dataset.revision ? resolve : look);
-  look();
-})"""
+  const before = dataset.revision;
+  const watcher = new MutationObserver(() => {
+    if (dataset.revision === before || dataset.shown !== dataset.revision) return;
+    watcher.disconnect();
+    requestAnimationFrame(resolve);
+  });
+  watcher.observe(document.body, { attributeFilter: ["data-shown", "data-revision"] });
+}))"""
+# The server's PNG, which follows a pause of the pointer, is not part of a drag: it never comes.
+WITHOUT_PNG = """() => {
+  const plain = window.fetch;
+  const never = (signal) => new Promise((_, reject) => signal?.addEventListener("abort", () => reject(new DOMException("", "AbortError"))));
+  window.fetch = (path, options) => (/\\/warp$/.test(path) ? never(options.signal) : plain(path, options));
+}"""
 MAIN_THREAD = {"script": ["ScriptDuration"], "style and layout": ["RecalcStyleDuration", "LayoutDuration"], "main thread": ["TaskDuration"]}
+# A page from the route below has no address, and a page of another site may not open sockets to this machine.
+LOCAL = ["--disable-features=LocalNetworkAccessChecks,LocalNetworkAccessChecksWebSockets"]
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -75,11 +88,9 @@ class Version:
         self.page.set_input_files("#file", warp)
         self.page.wait_for_selector(f"body[data-state=ready][data-source=png][data-handles='{handles}']")
         self.page.click("#zoom-full")
-        # The server's PNG, which follows a pause of the pointer, is not part of a drag: it never comes.
-        self.context.route("**/sessions/*/warp", lambda route: None)
+        self.page.evaluate(WITHOUT_PNG)
         self.session = self.context.new_cdp_session(self.page)
         self.session.send("Performance.enable", {"timeDomain": "threadTicks"})
-        self.browser = browser
 
     @staticmethod
     def serve(route, path, limits=""):
@@ -97,13 +108,15 @@ class Version:
         self.page.bring_to_front()
         box = self.page.locator("#handle-0").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self.page.wait_for_selector("body[data-live=socket]")
         self.page.mouse.move(x, y)
         self.page.mouse.down()
         before = self.times(pids)
         for frame in range(1, FRAMES + 1):
             turn = 2 * math.pi * frame / FRAMES
+            self.page.evaluate(WATCH)
             self.page.mouse.move(x + 25 * math.sin(turn), y + 25 * (1 - math.cos(turn)))
-            self.page.evaluate(DRAWN)
+            self.page.evaluate("() => drawn")
         after = self.times(pids)
         data = self.page.evaluate("({...document.body.dataset})")
         assert (data["moving"], data["source"], data["live"]) == ("true", "mesh", "socket"), data
@@ -129,7 +142,7 @@ def compare(playwright, server, directories, handles, blocks, folder):
     versions, browsers = [], []
     for directory in directories:
         known = set(descendants(os.getpid()))
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS + LOCAL)
         main = next(pid for pid in descendants(os.getpid()) if pid not in known)
         browsers.append(browser)
         versions.append((Version(browser, server, directory, handles, folder), lambda main=main: descendants(main)))
@@ -147,7 +160,7 @@ def compare(playwright, server, directories, handles, blocks, folder):
 
 def main():
     old, new, *blocks = sys.argv[1:]
-    blocks = int(blocks[0]) if blocks else 15
+    blocks = int(blocks[0]) if blocks else 11
     KEPT.mkdir(parents=True, exist_ok=True)
     print(f"load {os.getloadavg()[0]:.1f}; CPU milliseconds per frame, medians of {blocks} blocks of {FRAMES} frames")
     print("handles  work                   old       new   ratio  of single pairs")

@@ -4,7 +4,8 @@ import assert from "node:assert/strict";
 import { openAsBlob } from "node:fs";
 import { writeFile } from "node:fs/promises";
 import { client } from "./mlswarp/client.gen.js";
-import { createSession, deleteSession, getSession, mapPoints, mapSessionPoints, warp, warpSession, type PosedHandles, type Session } from "./mlswarp/index.js";
+import { createSession, deleteSession, getSession, mapPoints, mapSessionPoints, warp, warpSession } from "./mlswarp/index.js";
+import type { PosedHandles, Session } from "./mlswarp/index.js";
 
 const [server, key, picture, folder] = process.argv.slice(2) as [string, string, string, string];
 const p: PosedHandles = [[120, 80], [[40, 200], [300, 210]]];

@@ -8,7 +8,8 @@ from mlswarp_client import AuthenticatedClient, Client
 from mlswarp_client.api.pictures import warp
 from mlswarp_client.api.points import map_points
 from mlswarp_client.api.sessions import create_session, delete_session, get_session, map_session_points, warp_session
-from mlswarp_client.models import CreateSessionBody, Drag, Output, Points, PointsAnswer, PosedPoints, Problem, ProblemCode, Session, WarpBody, WarpObject
+from mlswarp_client.models import CreateSessionBody, Drag, Output, Points, PointsAnswer, PosedPoints, Session, WarpBody, WarpObject
+from mlswarp_client.models import Problem, ProblemCode
 from mlswarp_client.types import File
 
 server, key, picture, folder = sys.argv[1:]
@@ -36,7 +37,8 @@ save("dragged.png", warp_session.sync(session.id, client=client, body=Drag(q=Q, 
 again = get_session.sync(session.id, client=client)
 assert isinstance(again, Session) and again.seq == 1 and again.id == session.id
 
-mapped = map_points.sync(client=client, body=Points(p=[[120, 80], [200, 160]], q=[[130, 60], [200, 160]], extent=[640, 480], points=[[0, 0]]))
+points = Points(p=[[120, 80], [200, 160]], q=[[130, 60], [200, 160]], extent=[640, 480], points=[[0, 0]])
+mapped = map_points.sync(client=client, body=points)
 assert isinstance(mapped, PointsAnswer) and [round(x, 2) for x in mapped.points[0]] == [26.96, -37.88], mapped
 mapped = map_session_points.sync(session.id, client=client, body=PosedPoints(q=Q, points=[[0, 0], [320.5, 240.5]]))
 assert isinstance(mapped, PointsAnswer) and len(mapped.points) == 2, mapped

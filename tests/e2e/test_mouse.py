@@ -27,6 +27,7 @@ def test_keys_work_after_a_click_into_the_header(pinned):
     # A dialog gives the focus back as well.
     pinned.page.click("#help-open")
     pinned.page.click("#help-close")
+    pinned.page.wait_for_selector("#stage:focus")
     pinned.keys("ArrowRight")
     assert near(pinned.posed(0), (RED[0] + 2, RED[1]), 0.01)
     pinned.page.click("#select-all")

@@ -108,7 +108,7 @@ def test_two_handles_that_contradict_each_other(pinned):
         pinned.ready()
         type_number(pinned, f"p-1-0-{axis}", number)
     title, detail, advice = told(pinned, "contradictory_handles")
-    assert title == "Two handles contradict each other"
+    assert title == "Handles contradict each other"
     assert "1 and 2" in detail and "1 and 2" in advice
     assert pinned["state"] == "error"
     marked = pinned.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")

@@ -189,8 +189,11 @@ def test_the_magnifier_can_be_turned_off_and_is_not_for_the_mouse(phone):
 # Numbers
 
 
+NUMBERS = "[...document.querySelectorAll('#handles text.number')].filter((n) => n.checkVisibility())"
+
+
 def numbers(visit):
-    return visit.page.evaluate("[...document.querySelectorAll('#handles text.number')].filter((n) => n.checkVisibility()).map((n) => n.textContent)")
+    return visit.page.evaluate(f"{NUMBERS}.map((n) => n.textContent)")
 
 
 def many(visit, side):
@@ -210,10 +213,11 @@ def test_numbers_of_many_handles_leave_room_for_the_picture(opened):
     opened.page.click("#select-all")
     few = numbers(opened)
     assert 0 < len(few) < 200
-    overlaps = opened.page.evaluate("""() => {
-      const boxes = [...document.querySelectorAll('#handles text.number')].filter((n) => n.checkVisibility()).map((n) => n.getBoundingClientRect());
-      return boxes.filter((a, i) => boxes.some((b, j) => i < j && a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 3 && b.top < a.bottom - 3)).length;
-    }""")
+    overlaps = opened.page.evaluate(f"""() => {{
+      const boxes = {NUMBERS}.map((n) => n.getBoundingClientRect());
+      const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 3 && b.top < a.bottom - 3;
+      return boxes.filter((a, i) => boxes.some((b, j) => i < j && meet(a, b))).length;
+    }}""")
     assert overlaps == 0
     opened.keep("numbers")
     opened.page.click("#zoom-in")

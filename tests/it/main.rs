@@ -24,6 +24,7 @@ mod laws;
 mod layers;
 mod leaving;
 mod metrics;
+mod mistakes;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;
 mod nulls;

@@ -1,5 +1,5 @@
-//! Every example of the OpenAPI document is sent to the server, and the response is the documented one. An example that nothing replays fails.
-//! (Examples of problems are compared in `problems.rs`, by way of `api/problems.md`.)
+//! Every example of the OpenAPI document is sent to the server, and the response is the documented one. An example that nothing replays
+//! fails. (Examples of problems are compared in `problems.rs`, by way of `api/problems.md`.)
 
 use std::collections::BTreeSet;
 
@@ -174,6 +174,7 @@ async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<S
     let mut filled = path.to_owned();
     for (_, parameter) in [Node::members(item.get("parameters")), Node::members(operation.get("parameters"))].concat() {
         if let Some(example) = parameter.get("example") {
+            assert_eq!(parameter.value["in"], "path", "{route}: examples of other parameters are not replayed");
             filled = filled.replace(&format!("{{{}}}", parameter.value["name"].as_str().unwrap()), example.value.as_str().unwrap());
             done.insert(example.pointer);
         }

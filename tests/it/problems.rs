@@ -1,12 +1,14 @@
 //! Every error is a whole problem document, whether a route, a layer or the framework rejects the request. Only heads that the HTTP library rejects
 //! are answered by the library, without a body.
 
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+
 use reqwest::{Method, RequestBuilder};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
-use crate::support::bombs;
 use crate::support::server::{form, header, png, problem};
 use crate::support::{Server, photo};
 
@@ -122,7 +124,7 @@ async fn a_request_that_takes_too_long_says_whose_fault_it_is() {
     let response = server.upload("/warp", &photo(450, 300), &json!({"p": p, "q": q, "grid": "pixel"})).await;
     assert_eq!(header(&response, "retry-after"), "1");
     let document = problem(response, 503, "overloaded").await;
-    assert!(document["detail"].as_str().unwrap().contains("the server did not answer within the 1 s"), "{document}");
+    assert!(document["detail"].as_str().unwrap().contains("the server did not finish within 1 s"), "{document}");
     // The same time, while the client still sends.
     let slowly = futures_util::stream::unfold(0, |n| async move {
         tokio::time::sleep(std::time::Duration::from_millis(20)).await;
@@ -132,7 +134,7 @@ async fn a_request_that_takes_too_long_says_whose_fault_it_is() {
     let response = request.body(reqwest::Body::wrap_stream(slowly)).send().await.unwrap();
     assert!(response.headers().get("retry-after").is_none());
     let document = problem(response, 408, "timeout").await;
-    assert!(document["detail"].as_str().unwrap().contains("the body was incomplete after the 1 s"), "{document}");
+    assert!(document["detail"].as_str().unwrap().contains("the body was not complete after 1 s"), "{document}");
 }
 
 const PAGE: &str = include_str!("../../api/problems.md");
@@ -145,7 +147,10 @@ fn shown(code: &str) -> Value {
     serde_json::from_str(example).unwrap()
 }
 
-/// What the service says is what the page shows, word for word. (Left out: what takes a fault or the passing of time to see.)
+/// Codes that take a fault or the passing of time to see.
+const LEFT_OUT: [&str; 5] = ["internal", "overloaded", "session_expired", "stored_by_another_version", "timeout"];
+
+/// What the service says is what the page shows, word for word.
 #[tokio::test]
 async fn the_page_shows_what_is_said() {
     async fn said(request: RequestBuilder) -> Value {
@@ -153,7 +158,9 @@ async fn the_page_shows_what_is_said() {
         document.as_object_mut().unwrap().remove("request_id");
         document
     }
-    async fn same(code: &str, request: RequestBuilder) {
+    let compared = RefCell::new(BTreeSet::from(LEFT_OUT));
+    let same = async |code: &'static str, request: RequestBuilder| {
+        compared.borrow_mut().insert(code);
         let (mut said, shown) = (said(request).await, shown(code));
         // 9.0 is 9.
         if let (Some(a), Some(b)) = (said["actual"].as_f64(), shown["actual"].as_f64())
@@ -162,7 +169,7 @@ async fn the_page_shows_what_is_said() {
             said["actual"] = shown["actual"].clone();
         }
         assert_eq!(said, shown, "{code}");
-    }
+    };
     let server = Server::start(&[]).await;
     let image = photo(16, 12);
     same("malformed_request", server.post("/points").header("content-type", "application/json").body(r#"{"p": [NaN]}"#)).await;
@@ -201,6 +208,7 @@ async fn the_page_shows_what_is_said() {
     let cells = std::mem::replace(&mut folded["actual"], json!(12));
     folded["detail"] = folded["detail"].as_str().unwrap().replace(&cells.to_string(), "12").into();
     assert_eq!(folded, shown("folded"));
+    compared.borrow_mut().insert("folded");
 
     let id = server.session(&image, &json!({"p": [[2, 2]]})).await;
     let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
@@ -217,31 +225,13 @@ async fn the_page_shows_what_is_said() {
         let said = said(server.get("/sessions/x")).await;
         if said["code"] == "rate_limited" {
             assert_eq!(said, shown("rate_limited"));
+            compared.borrow_mut().insert("rate_limited");
+            let codes: BTreeSet<&str> = PAGE.lines().filter_map(|line| line.strip_prefix("## ")).collect();
+            assert_eq!(compared.into_inner(), codes, "every code is compared or left out for a reason");
             return;
         }
     }
     panic!("nobody is told to go on more slowly");
-}
-
-/// What is asked for most when it does not work: each answer says enough to mend the request.
-#[tokio::test]
-async fn a_mistake_is_told_so_that_it_can_be_mended() {
-    let server = Server::start(&[]).await;
-    let image = photo(16, 12);
-    let said = async |image: &[u8], warp: &str, words: &[&str]| {
-        let document: Value = server.post("/warp").multipart(form(image, warp.to_owned())).send().await.unwrap().json().await.unwrap();
-        for word in words {
-            assert!(document["detail"].as_str().unwrap().contains(word), "{word}: {document}");
-        }
-    };
-    said(&image, "@warp.json", &["the part `warp`: not JSON"]).await;
-    said(&image, r#"{"p": [[1, 1], [2, 2]], "q": [[1, 1]]}"#, &["q has 1 handle, p has 2"]).await;
-    said(&image, r#"{"p": [[1, 1], [2, 2]], "q": [[1, 1], [2, 2]], "weights": [1]}"#, &["weights has 1 number, p has 2 handles"]).await;
-    said(&image, r#"{"p": [{"x": 1, "y": 1}], "q": []}"#, &["[x, y]", "an object"]).await;
-    said(b"<svg xmlns=\"http://www.w3.org/2000/svg\"/>", "{}", &["SVG", "PNG, JPEG, WebP"]).await;
-    let animation =
-        bombs::png(&[(b"IHDR", bombs::ihdr(16, 12)), (b"acTL", vec![0, 0, 0, 3, 0, 0, 0, 0]), (b"IDAT", bombs::deflated_zeros(600))]);
-    said(&animation, "{}", &["an animation of 3 frames; at most 1"]).await;
 }
 
 #[test]

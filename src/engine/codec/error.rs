@@ -12,7 +12,7 @@ pub enum CodecError {
         found: String,
     },
     /// The header exceeds a limit. Detected before memory is allocated.
-    #[error("{}; at most {limit}", measured(what, *actual))]
+    #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` if the machine has too little memory.
         what: &'static str,
@@ -30,7 +30,7 @@ pub enum CodecError {
         detail: String,
     },
     /// Cancelled; nothing is known about the file.
-    #[error("the picture is no longer wanted")]
+    #[error("cancelled: the result is no longer needed")]
     Cancelled,
 }
 
@@ -49,8 +49,8 @@ impl CodecError {
 /// Describes the value in the header; `what` as in [`CodecError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {
-        "image_pixels" => format!("the picture has {actual} pixels"),
-        "image_side" => format!("the picture has a side of {actual} px"),
+        "image_pixels" => format!("the image has {actual} pixels"),
+        "image_side" => format!("the longer side of the image is {actual} px"),
         "image_frames" => format!("the file is an animation of {actual} frames"),
         _ => format!("{what}: {actual}"),
     }

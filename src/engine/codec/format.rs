@@ -65,26 +65,46 @@ impl Format {
 /// Describes the format of bytes that are not read here.
 fn looks_like(bytes: &[u8]) -> String {
     let known = match bytes {
-        [] => "nothing (0 bytes)",
+        [] => "an empty file (0 bytes)",
         [b'G', b'I', b'F', b'8', ..] => "GIF",
         [b'B', b'M', ..] => "BMP",
-        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => "TIFF",
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => "TIFF, or a camera's raw format",
+        [0, 0, 1 | 2, 0, ..] => "ICO",
         [0xFF, 0x0A, ..] | [0, 0, 0, 12, b'J', b'X', b'L', b' ', ..] => "JPEG XL",
         [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] => "JPEG 2000",
-        [_, _, _, _, b'f', b't', b'y', b'p', b'a', b'v', b'i', ..] => "AVIF",
-        [_, _, _, _, b'f', b't', b'y', b'p', b'h' | b'm', ..] => "HEIC",
+        [_, _, _, _, b'f', b't', b'y', b'p', brand @ ..] => iso_media(brand),
         [b'%', b'P', b'D', b'F', ..] => "PDF",
-        [b'8', b'B', b'P', b'S', ..] => "Photoshop",
+        [b'%', b'!', b'P', b'S', ..] => "PostScript",
+        [b'8', b'B', b'P', b'S', ..] => "Photoshop (PSD)",
+        [b'g', b'i', b'm', b'p', b' ', ..] => "GIMP (XCF)",
+        [0x76, 0x2F, 0x31, 0x01, ..] => "OpenEXR",
+        [b'q', b'o', b'i', b'f', ..] => "QOI",
+        [b'P', b'1'..=b'7', b' ' | b'\n' | b'\r', ..] => "PNM",
+        [b'P', b'K', 3, 4, ..] => "a ZIP archive",
+        [0x1F, 0x8B, ..] => "a gzip archive",
+        [b'd', b'a', b't', b'a', b':', ..] => "a data URL; send the bytes of the file",
+        [b'i', b'V', b'B', b'O', b'R', b'w', b'0', b'K', ..] | [b'/', b'9', b'j', b'/', ..] => "base64; send the bytes of the file",
+        [b'{' | b'[', ..] => "JSON",
         [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => {
             let head = &bytes[..bytes.len().min(1024)];
             if head.windows(4).any(|tag| tag == b"<svg") { "SVG" } else { "XML or HTML" }
         }
-        [_] => "1 byte, too few for a picture",
-        _ if bytes.len() < 12 => return format!("{} bytes, too few for a picture", bytes.len()),
+        [_] => "1 byte, too short for an image",
+        _ if bytes.len() < 12 => return format!("{} bytes, too short for an image", bytes.len()),
         _ => {
             let [a, b, c, d] = [bytes[0], bytes[1], bytes[2], bytes[3]];
             return format!("an unknown format that begins with {a:02x} {b:02x} {c:02x} {d:02x}");
         }
     };
     known.to_owned()
+}
+
+/// Describes a file of the ISO base media format by its brand.
+const fn iso_media(brand: &[u8]) -> &'static str {
+    match brand {
+        [b'a', b'v', b'i', b'f' | b's', ..] => "AVIF",
+        [b'h', b'e', ..] | [b'm', b'i' | b's', b'f', b'1', ..] => "HEIC",
+        [b'c', b'r', b'x', ..] => "a camera's raw format",
+        _ => "a video",
+    }
 }

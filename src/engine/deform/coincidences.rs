@@ -9,8 +9,9 @@
 use std::collections::HashMap;
 
 use super::columns::{Element, ONE_PLACE, Segment};
+use super::contradictions::Contradictions;
 use super::handles::COINCIDENT_SHARE;
-use super::{Contradiction, DeformError, Pose};
+use super::{DeformError, Pose};
 use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
@@ -19,8 +20,6 @@ const CONTRADICTION_SHARE: f64 = 1e-6;
 const NEAR: f64 = 1.0;
 /// The ratio of the targets' distance to the rest distance from which a warning is given.
 const NEAR_FACTOR: f64 = 10.0;
-/// Contradictions that an error lists.
-const MOST_LISTED: usize = 100;
 /// The largest number of coincidences in a set.
 const MOST: usize = 200_000;
 /// The number of points of a cell that other points are compared with, in the client's order. A warning needs some close pairs, not all.
@@ -98,21 +97,17 @@ impl Coincidences {
     /// Compares the targets of every coincidence. `owners`: the handle of every element.
     ///
     /// # Errors
-    /// The contradictions: all are counted, the first [`MOST_LISTED`] are listed.
+    /// The contradictions by position: all are counted, the first 100 are listed.
     pub(super) fn check(&self, elements: &[Element], owners: &[usize], pose: &Pose) -> Result<(), DeformError> {
-        let (mut listed, mut total) = (Vec::new(), 0);
+        let mut found = Contradictions::new(self.tolerance);
         for &(x, y) in &self.touching {
-            let apart = (target(&elements[x.0], x.1, pose) - target(&elements[y.0], y.1, pose)).norm();
-            if apart <= self.tolerance {
-                continue;
-            }
-            total += 1;
-            if listed.len() < MOST_LISTED {
-                let place = place(&elements[x.0], x.1);
-                let (first, second) = (owners[x.0].min(owners[y.0]), owners[x.0].max(owners[y.0]));
-                listed.push(Contradiction { first, second, x: place.x, y: place.y, apart });
+            let apart = target(&elements[x.0], x.1, pose) - target(&elements[y.0], y.1, pose);
+            if apart.norm() > self.tolerance {
+                let [a, b] = [x, y].map(|(element, t)| (owners[element], displacement(&elements[element], t, pose)));
+                found.add(place(&elements[x.0], x.1), a, b);
             }
         }
+        let (listed, total) = found.finish();
         if total == 0 { Ok(()) } else { Err(DeformError::Contradictory { listed, total }) }
     }
 
@@ -367,13 +362,16 @@ fn place(element: &Element, t: f64) -> Point {
     }
 }
 
-fn target(element: &Element, t: f64, pose: &Pose) -> Point {
+fn displacement(element: &Element, t: f64, pose: &Pose) -> Vec2 {
     let d = pose.displacements();
-    let displacement: Vec2 = match element {
+    match element {
         Element::Point { column, .. } => d[*column],
         Element::Segment(s) => d[s.column] * (1.0 - t) + d[s.column + 1] * t,
-    };
-    place(element, t) + displacement
+    }
+}
+
+fn target(element: &Element, t: f64, pose: &Pose) -> Point {
+    place(element, t) + displacement(element, t, pose)
 }
 
 #[cfg(test)]

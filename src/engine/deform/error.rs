@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use super::contradictions::Contradiction;
+
 /// Why a set of handles, or a pose of it, has no deformation.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DeformError {
@@ -70,9 +72,9 @@ pub enum DeformError {
     },
     /// Handles that coincide at rest have different targets.
     Contradictory {
-        /// The first contradictions that were found, at least 1 and at most 100.
+        /// The first groups that were found, at least 1 and at most 100.
         listed: Vec<Contradiction>,
-        /// The number of all contradictions.
+        /// The number of all groups.
         total: usize,
     },
     /// The handles coincide at too many positions.
@@ -101,22 +103,24 @@ impl fmt::Display for DeformError {
         match self {
             Self::NotFinite { handle } => write!(f, "handle {handle} has a coordinate that is not a finite number"),
             Self::OutOfRange { handle, value, limit } => {
-                write!(f, "handle {handle} has a coordinate of {value} px; at most {limit} px either way")
+                write!(f, "handle {handle} has a coordinate of {value} px; coordinates must lie between -{limit} and {limit} px")
             }
-            Self::TooFewPlaces { handle, places } => write!(f, "handle {handle} is a line of {places} places; at least 2"),
-            Self::CountMismatch { rest, posed } => write!(f, "q has {}, p has {rest}", counted(*posed, "handle")),
-            Self::ShapeMismatch { handle, rest, posed } => write!(f, "handle {handle}: q has {posed}, p has {rest}"),
+            Self::TooFewPlaces { handle, places } => {
+                write!(f, "handle {handle} is a line of {}; a line needs at least 2", counted(*places, "position"))
+            }
+            Self::CountMismatch { rest, posed } => write!(f, "`q` has {}, but `p` has {rest}", counted(*posed, "handle")),
+            Self::ShapeMismatch { handle, rest, posed } => write!(f, "handle {handle} is {posed} in `q`, but {rest} in `p`"),
             Self::WeightCount { rest, weights } => {
-                write!(f, "weights has {}, p has {}", counted(*weights, "number"), counted(*rest, "handle"))
+                write!(f, "`weights` has {}, but `p` has {}", counted(*weights, "number"), counted(*rest, "handle"))
             }
             Self::BadWeight { handle, value } => {
-                write!(f, "the weight of handle {handle} is {value}; it must be a positive number between 1e-9 and 1e9")
+                write!(f, "the weight of handle {handle} is {value}; weights must lie between 1e-9 and 1e9")
             }
             Self::BadPointMass { value } => {
-                write!(f, "point_mass is {value}; it must be a positive length between 1e-9 and 1e9 px")
+                write!(f, "`point_mass` is {value}; it must lie between 1e-9 and 1e9 px")
             }
             Self::DegenerateLine { handle, segment } => {
-                write!(f, "handle {handle}: segment {segment} has zero length at rest; send a point instead")
+                write!(f, "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead")
             }
             Self::Contradictory { listed, total } => {
                 for (index, contradiction) in listed.iter().take(MOST_DESCRIBED).enumerate() {
@@ -127,7 +131,7 @@ impl fmt::Display for DeformError {
                     more => write!(f, "; and {more} more"),
                 }
             }
-            Self::TooManyMeetings { limit } => write!(f, "the handles meet at more than {limit} places"),
+            Self::TooManyMeetings { limit } => write!(f, "the handles meet at more than {limit} positions; send fewer handles"),
             Self::TooManyNeighbours { limit } => write!(
                 f,
                 "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; \
@@ -135,40 +139,14 @@ impl fmt::Display for DeformError {
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
             Self::AlphaOutOfRange { alpha, lines } => {
-                let range = if *lines { "between 0.5 and 8 for a set with lines" } else { "above 0 and at most 8" };
-                write!(f, "alpha is {alpha}; it must be {range}")
+                let range = if *lines { "between 0.5 and 8 if a handle is a line" } else { "above 0 and at most 8" };
+                write!(f, "`alpha` is {alpha}; it must be {range}")
             }
         }
     }
 }
 
 impl std::error::Error for DeformError {}
-
-/// Two handles that coincide at rest and have different targets, or one polyline that visits a position twice.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Contradiction {
-    /// Index of the first handle.
-    pub first: usize,
-    /// Index of the second handle; that of the first if it is one polyline.
-    pub second: usize,
-    /// Position of the coincidence, px.
-    pub x: f64,
-    /// Position of the coincidence, px.
-    pub y: f64,
-    /// Distance of their targets there, px.
-    pub apart: f64,
-}
-
-impl fmt::Display for Contradiction {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { first, second, x, y, apart } = self;
-        if first == second {
-            write!(f, "handle {first} visits ({x}, {y}) twice, with targets {apart} px apart")
-        } else {
-            write!(f, "handles {first} and {second} meet at rest at ({x}, {y}) but their targets there are {apart} px apart")
-        }
-    }
-}
 
 /// A number of things: `1 handle`, `2 handles`.
 fn counted(n: usize, thing: &str) -> String {

@@ -44,7 +44,7 @@ impl Handle {
     fn kind(&self) -> String {
         match self {
             Self::Point(_) => "a point".to_owned(),
-            Self::Polyline(places) => format!("a line of {} places", places.len()),
+            Self::Polyline(places) => format!("a line of {} positions", places.len()),
         }
     }
 }

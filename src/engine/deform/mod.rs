@@ -6,6 +6,8 @@ mod coincidences;
 #[forbid(unsafe_code)]
 mod columns;
 #[forbid(unsafe_code)]
+mod contradictions;
+#[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod falloff;
@@ -33,7 +35,8 @@ mod segments;
 #[forbid(unsafe_code)]
 mod span;
 
-pub use error::{Contradiction, DeformError, Warning};
+pub use contradictions::Contradiction;
+pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};

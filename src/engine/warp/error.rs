@@ -18,7 +18,7 @@ pub enum WarpError {
     #[error("{0}")]
     Posed(DeformError),
     /// A position to be mapped is invalid.
-    #[error("place {index} has a coordinate of {value:e} px; at most {limit} px either way")]
+    #[error("point {index} has a coordinate of {value:e} px; coordinates must lie between -{limit} and {limit} px")]
     BadPlace {
         /// Index of the position.
         index: usize,
@@ -28,10 +28,10 @@ pub enum WarpError {
         limit: f64,
     },
     /// Cancelled.
-    #[error("cancelled: the client has left or the deadline has passed")]
+    #[error("cancelled: the client has disconnected or the deadline has passed")]
     Cancelled,
     /// Over a limit.
-    #[error("{}; at most {limit}", measured(what, *actual))]
+    #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
         what: &'static str,
@@ -44,7 +44,7 @@ pub enum WarpError {
     #[error("{0}")]
     BadGrid(String),
     /// `folds: reject` and the posed grid folds.
-    #[error("the warp folds in {cells} cells of the grid")]
+    #[error("the warp folds over itself in {cells} {} of the grid", if *cells == 1 { "cell" } else { "cells" })]
     Folded {
         /// Folded cells.
         cells: u64,
@@ -92,12 +92,12 @@ impl From<CodecError> for WarpError {
 /// Describes the requested value; `what` as in [`WarpError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {
-        "handle_columns" => format!("the handles take {actual} columns (a point 1, a segment 2)"),
+        "handle_columns" => format!("the handles need {actual} columns (1 for each point, 2 for each segment)"),
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),
-        "output_side" => format!("the output would have a side of {actual} px"),
-        "output_pixels" => format!("the answer would have {actual} pixels"),
+        "output_side" => format!("the longer side of the output would be {actual} px"),
+        "output_pixels" => format!("the output would have {actual} pixels"),
         _ => format!("{what}: {actual}"),
     }
 }

@@ -233,13 +233,13 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
-        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("a grid's cell is a positive number of px: {cell}"))),
+        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("the cell of a grid must be a positive number of pixels; found {cell}"))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
             check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }
         GridSpec::Counts { columns, rows } => {
-            Err(WarpError::BadGrid(format!("a grid has at least 2 columns and 2 rows of vertices: {columns} x {rows}")))
+            Err(WarpError::BadGrid(format!("a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}")))
         }
     }
 }

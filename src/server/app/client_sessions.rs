@@ -169,7 +169,7 @@ impl ClientSessions {
         ];
         let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else { return Ok(claim) };
         counted.restore(claim);
-        let detail = format!("this client would store {actual} {unit}; at most {limit}. Delete sessions, or let them expire");
+        let detail = format!("this client would store {actual} {unit}; the limit is {limit}. Delete sessions, or let them expire");
         Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
     }
 

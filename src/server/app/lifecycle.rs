@@ -87,5 +87,5 @@ impl App {
 }
 
 fn stopping() -> Problem {
-    Problem::new(Code::Overloaded, "the service is stopping").retry_after(RETRY)
+    Problem::new(Code::Overloaded, "the server is stopping").retry_after(RETRY)
 }

@@ -243,7 +243,7 @@ impl App {
                 Err(error) => Err(error.into()),
             };
         }
-        Err(Problem::new(Code::Overloaded, "there is no memory for another image").retry_after(RETRY))
+        Err(Problem::new(Code::Overloaded, "the server has no memory for another image").retry_after(RETRY))
     }
 
     /// Rejects an upload before its body is read, if the queue would reject it.

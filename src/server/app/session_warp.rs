@@ -63,7 +63,7 @@ impl MeshForm {
     fn check_size(self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
         let vertices = u64::from(columns) * u64::from(rows);
         if self == Self::Json && vertices > MAX_JSON_VERTICES {
-            let detail = format!("a mesh of {vertices} vertices is not written as JSON; ask for application/octet-stream");
+            let detail = format!("a mesh of {vertices} vertices is too large for JSON; send `Accept: application/octet-stream`");
             return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", MAX_JSON_VERTICES, vertices));
         }
         Ok(())

@@ -27,6 +27,7 @@ pub fn ask(config: &Config) -> Result<(), String> {
     });
     match status {
         Ok(status) if status.starts_with("HTTP/1.1 200") => Ok(()),
+        Ok(status) if status.is_empty() => Err(format!("the server at {address} closes the connection without a response")),
         Ok(status) => Err(format!("the server at {address} is not ready: {status}")),
         Err(e) => Err(format!("the server at {address} does not answer GET /readyz: {e}")),
     }

@@ -101,11 +101,9 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Path at which a reverse proxy publishes the service, such as /tools/warp. The proxy removes it from requests; the server puts it
     /// before the paths in responses: Location, the type of problems, and the servers of /openapi.json.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(public_path))]
+    #[arg(long, help_heading = None, value_name = "PATH", default_value = "", hide_default_value = true)]
+    #[arg(value_parser = Checked(public_path))]
     pub public_path: String,
-    /// Workers, queues and memory.
-    #[command(flatten)]
-    pub work: WorkConfig,
     /// Maximum size of a request body.
     #[arg(long, value_name = "SIZE", default_value = "32MiB", value_parser = Checked(size))]
     pub max_body_bytes: u64,
@@ -124,6 +122,9 @@ pub struct Config {
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
+    /// Workers, queues and memory.
+    #[command(flatten)]
+    pub work: WorkConfig,
     /// The session store.
     #[command(flatten)]
     pub store: StoreConfig,

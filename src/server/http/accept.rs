@@ -14,7 +14,7 @@ pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> 
     let weights = weights(headers, offers);
     let best = (0..N).fold(0, |best, index| if weights[index] > weights[best] { index } else { best });
     let none =
-        || Problem::new(Code::NotAcceptable, format!("Accept allows none of the media types of this response: {}", offers.join(", ")));
+        || Problem::new(Code::NotAcceptable, format!("`Accept` allows none of the media types of this response: {}", offers.join(", ")));
     if weights[best] > 0.0 { Ok(best) } else { Err(none()) }
 }
 

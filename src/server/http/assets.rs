@@ -15,6 +15,7 @@ use sha2::{Digest as _, Sha256};
 use crate::app::App;
 use crate::config::Config;
 use crate::http::headers::elements;
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::store::StoreUrl;
 
@@ -95,7 +96,7 @@ async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, 
 pub(crate) fn find(files: &[(&str, Asset)], name: &str, headers: &HeaderMap) -> Result<Response, Problem> {
     match files.iter().find(|(known, _)| *known == name) {
         Some((_, asset)) => Ok(asset.response(headers)),
-        None => Err(Problem::new(Code::NotFound, format!("the page has no file {name}"))),
+        None => Err(Problem::new(Code::NotFound, format!("the page has no file {}", quote(name)))),
     }
 }
 

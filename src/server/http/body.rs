@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
 use axum::extract::Request;
+use axum::http::HeaderMap;
 use bytes::Bytes;
 use http_body::Frame;
 use http_body_util::BodyExt as _;
@@ -19,6 +20,7 @@ use super::middleware::authentication::Caller;
 use crate::app::App;
 use crate::client::Client;
 use crate::limits::memory::{Purpose, Reservation};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// 413.
@@ -28,7 +30,7 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
         "drag_json_bytes" => "the JSON of a drag",
         _ => "the body",
     };
-    Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; at most {limit}")).limit(what, limit, actual)
+    Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; the limit is {limit}")).limit(what, limit, actual)
 }
 
 /// The problem of a failed read: that of [`LimitedBody`] or of the multipart gate among the causes, or a malformed body with `context`.
@@ -72,7 +74,7 @@ impl HttpBody for LimitedBody {
         let Some(body) = &mut this.body else { return Poll::Ready(None) };
         if this.deadline.as_mut().poll(cx).is_ready() {
             this.body = None;
-            let detail = format!("the body was incomplete after {} s", this.timeout.as_secs_f64());
+            let detail = format!("the body was not complete after {} s", this.timeout.as_secs_f64());
             return Poll::Ready(Some(Err(axum::Error::new(Problem::new(Code::Timeout, detail)))));
         }
         let polled = Pin::new(body).poll_frame(cx);
@@ -161,10 +163,15 @@ impl<'a> BodyBuffer<'a> {
     }
 }
 
+/// Describes the media type of a request.
+pub(crate) fn sent(headers: &HeaderMap) -> String {
+    media_type(headers).map_or_else(|| "the request has no `Content-Type`".to_owned(), |found| format!("found {}", quote(&found)))
+}
+
 /// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads from blocking the bodies of drags.
 pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     if media_type(request.headers()).as_deref() != Some("application/json") {
-        return Err(Problem::new(Code::UnsupportedMediaType, "this route takes application/json"));
+        return Err(Problem::new(Code::UnsupportedMediaType, format!("the body must be `application/json`; {}", sent(request.headers()))));
     }
     if let Some(length) = content_length(request.headers()).filter(|length| *length > limit) {
         return Err(too_large(what, limit, length));

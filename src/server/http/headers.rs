@@ -3,7 +3,7 @@
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use axum::http::{HeaderMap, HeaderName};
 
-use crate::problem::words::{did_you_mean, list, nearest, quote};
+use crate::problem::words::{advice, list, nearest, quote};
 use crate::problem::{Code, Problem};
 
 /// The fields of a query, each with its value; without `=` the value is empty.
@@ -14,8 +14,9 @@ pub(crate) fn query_fields(query: Option<&str>) -> impl Iterator<Item = (&str, &
 
 /// The problem of a field that a query does not have.
 pub(crate) fn unknown_query_field(name: &str, known: &[&str]) -> Problem {
-    let hint = did_you_mean(nearest(name, known.iter().copied()));
-    Problem::new(Code::UnknownField, format!("unknown field in the query: {}{hint}; known fields: {}", quote(name), list(known)))
+    let hint = nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?"));
+    let advice = advice(hint, &format!("known fields: {}", list(known)));
+    Problem::new(Code::UnknownField, format!("unknown field in the query: {}{advice}", quote(name)))
 }
 
 /// The problem of a value that a field of a query does not have.

@@ -15,7 +15,7 @@ use super::body::{BodyBuffer, read_problem};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
-use crate::problem::words::{did_you_mean, nearest, quote};
+use crate::problem::words::{advice, nearest, quote};
 use crate::problem::{Code, Problem};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
@@ -58,8 +58,9 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
             "image" => (&mut image, u64::MAX),
             "warp" => (&mut warp, app.config().max_warp_json_bytes),
             _ => {
-                let hint = did_you_mean(nearest(&name, ["image", "warp"]));
-                return Err(malformed(format!("unknown part: {}{hint}; the parts are `image` and `warp`", quote(&name))));
+                let hint = nearest(&name, ["image", "warp"]).map(|meant| format!("did you mean `{meant}`?"));
+                let advice = advice(hint, "the parts are `image` and `warp`");
+                return Err(malformed(format!("unknown part: {}{advice}", quote(&name))));
             }
         };
         if slot.is_some() {

@@ -22,7 +22,7 @@ impl QuotaKind {
     /// The end of a sentence about memory that is taken.
     pub(crate) const fn used_by(self) -> &'static str {
         match self {
-            Self::Responses => " by answers that this client has not read",
+            Self::Responses => " by responses that this client has not read",
             Self::Requests => " by requests of this client, and by files that its sessions keep in memory",
         }
     }

@@ -58,7 +58,7 @@ impl Purpose {
 
 /// A reservation exceeds a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes; {taken} of {limit} are taken{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
+#[error("{} would need {asked} bytes of memory; {taken} of {limit} are in use{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
 pub struct BudgetExceeded {
     /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose may use.
     pub(crate) quota: Option<QuotaKind>,

@@ -66,7 +66,7 @@ impl SocketSlots {
             ("client_sockets", "this client", Code::RateLimited, counts.clients.get(&tenant), slots.max_per_client),
         ] {
             if open >= max {
-                let detail = format!("{whose} has {open} open drag sockets; at most {max}");
+                let detail = format!("{whose} has {open} open drag sockets; the limit is {max}");
                 return Err(Problem::new(code, detail).limit(what, max, open + 1).retry_after(RETRY));
             }
         }

@@ -1,9 +1,9 @@
 //! The errors of the engine as problems. The matches have no `_` arm, so a new error does not compile until it has a code here.
 
 use mlswarp::codec::CodecError;
-use mlswarp::deform::DeformError;
+use mlswarp::deform::{Contradiction, DeformError};
 use mlswarp::warp::WarpError;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{Code, Problem};
 
@@ -65,15 +65,21 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
         }
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
-        DeformError::Contradictory { ref listed, .. } => match listed.first() {
-            Some(contradiction) => at_handle(Code::ContradictoryHandles, contradiction.first),
-            None => new(Code::ContradictoryHandles),
-        },
+        DeformError::Contradictory { ref listed, .. } => {
+            let first = listed.first().and_then(|group| group.handles.first());
+            let problem = first.map_or_else(|| new(Code::ContradictoryHandles), |handle| at_handle(Code::ContradictoryHandles, *handle));
+            problem.extra("coincident", listed.iter().map(coincident).collect::<Vec<_>>())
+        }
         DeformError::TooManyMeetings { limit } => too_large().limit("handle_meetings", limit, limit + 1),
         DeformError::TooManyNeighbours { limit } => too_large().limit("handle_comparisons", limit, limit + 1),
         DeformError::Cancelled => new(Code::Timeout),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
     }
+}
+
+/// A group of handles that contradict each other.
+fn coincident(group: &Contradiction) -> Value {
+    json!({"handles": group.handles, "position": [group.position.x, group.position.y], "spread": group.spread})
 }
 
 /// JSON has no infinities and no NaN; they become strings.
@@ -83,7 +89,7 @@ fn number(value: f64) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use mlswarp::deform::Contradiction;
+    use mlswarp::geometry::Point;
 
     use super::*;
 
@@ -124,10 +130,11 @@ mod tests {
 
     #[test]
     fn contradiction_names_both_handles() {
-        let contradiction = Contradiction { first: 2, second: 9, x: 1.0, y: 2.0, apart: 3.0 };
+        let contradiction = Contradiction { handles: vec![2, 9], position: Point::new(1.0, 2.0), apart: 3.0, spread: 1.5 };
         let error = DeformError::Contradictory { listed: vec![contradiction], total: 1 };
         let problem = expect(WarpError::Posed(error), Code::ContradictoryHandles, Some("/q/2"), Some(2));
-        assert!(problem.detail.contains('2') && problem.detail.contains('9'), "{}", problem.detail);
+        assert!(problem.detail.contains("handles 2 and 9"), "{}", problem.detail);
+        assert_eq!(problem.to_json("", None)["coincident"], json!([{"handles": [2, 9], "position": [1.0, 2.0], "spread": 1.5}]));
     }
 
     #[test]

@@ -39,8 +39,7 @@ pub(crate) fn list(names: &[&str]) -> String {
 }
 
 /// `a`, `a and b`, `a, b and c`; `last` is the word before the last.
-pub(crate) fn series(words: &[impl AsRef<str>], last: &str) -> String {
-    let words: Vec<&str> = words.iter().map(AsRef::as_ref).collect();
+pub(crate) fn series(words: &[&str], last: &str) -> String {
     match words.split_last() {
         Some((end, [])) => (*end).to_owned(),
         Some((end, others)) => format!("{} {last} {end}", others.join(", ")),
@@ -70,6 +69,14 @@ pub(crate) fn similarity(name: &str, other: &str) -> f64 {
 /// A question that names what was probably meant, to follow the description of what was sent.
 pub(crate) fn did_you_mean(meant: Option<&str>) -> String {
     meant.map_or_else(String::new, |meant| format!("; did you mean `{meant}`?"))
+}
+
+/// A hint if there is one, and then `more`, to follow the description of what was sent.
+pub(crate) fn advice(hint: Option<String>, more: &str) -> String {
+    let Some(hint) = hint else { return format!("; {more}") };
+    let end = if hint.ends_with('?') { "" } else { "." };
+    let (first, rest) = more.split_at_checked(1).unwrap_or((more, ""));
+    format!("; {hint}{end} {}{rest}", first.to_ascii_uppercase())
 }
 
 /// A period of time in whole minutes if it is one, otherwise in seconds.
@@ -112,10 +119,17 @@ mod tests {
     }
 
     #[test]
+    fn advice_is_one_sentence_or_two() {
+        assert_eq!(advice(None, "known: `p`"), "; known: `p`");
+        assert_eq!(advice(Some("did you mean `p`?".to_owned()), "known: `p`"), "; did you mean `p`? Known: `p`");
+        assert_eq!(advice(Some("put it in `output`".to_owned()), "known: `p`"), "; put it in `output`. Known: `p`");
+    }
+
+    #[test]
     fn words_are_joined_and_times_are_round() {
         assert_eq!(series(&["GET"], "or"), "GET");
         assert_eq!(series(&["GET", "PUT", "DELETE"], "or"), "GET, PUT or DELETE");
-        assert_eq!(series::<&str>(&[], "or"), "");
+        assert_eq!(series(&[], "or"), "");
         for (millis, text) in [(900_000, "15 min"), (90_000, "90 s"), (1_500, "1.5 s"), (3_600_000, "60 min"), (0, "0 s")] {
             assert_eq!(period(Duration::from_millis(millis)), text);
         }

@@ -32,7 +32,7 @@ impl Formats {
 
 fn not_acceptable(formats: &[Format]) -> Problem {
     let names: Vec<&str> = formats.iter().map(|f| f.media_type()).collect();
-    Problem::new(Code::NotAcceptable, format!("Accept allows none of the formats of the image: {}", names.join(", ")))
+    Problem::new(Code::NotAcceptable, format!("`Accept` allows none of the image formats: {}", names.join(", ")))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use super::number::number;
 use crate::problem::{Code, Problem};
 
 const HANDLE: &str = "a handle: [x, y] or [[x, y], [x, y], ...]";
-const PLACE: &str = "a place: [x, y]";
+const PLACE: &str = "a position: [x, y]";
 const COORDINATE: &str = "a number";
 
 /// Bytes of text of an ordinary `[x, y],`, and of a weight.
@@ -25,7 +25,7 @@ pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
 }
 
 pub(crate) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
-    node.list("an array of places", PLACE_TEXT, |_, item| place(&item, PLACE))
+    node.list("an array of positions", PLACE_TEXT, |_, item| place(&item, PLACE))
 }
 
 fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
@@ -35,7 +35,7 @@ fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
     }
     let line = node.list(HANDLE, PLACE_TEXT, |_, item| place(&item, PLACE))?;
     if line.len() == 1 {
-        return Err(node.problem(Code::BadValue, "a line needs 2 places or more; found 1; a point is [x, y]").actual(1));
+        return Err(node.problem(Code::BadValue, "a line needs at least 2 positions; found 1; write a point as [x, y]").actual(1));
     }
     Ok(Handle::Polyline(line))
 }

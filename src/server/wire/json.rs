@@ -11,7 +11,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use super::suggest;
-use crate::problem::words::{LONGEST_QUOTE, list, quote};
+use crate::problem::words::{LONGEST_QUOTE, advice, list, quote};
 use crate::problem::{Code, Problem};
 
 /// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
@@ -71,12 +71,13 @@ struct Name<'j>(#[serde(borrow)] Cow<'j, str>);
 /// Checks that the text is one JSON object and nothing else.
 pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail);
-    let text = std::str::from_utf8(body).map_err(|e| malformed(format!("not JSON: not UTF-8 after byte {}", e.valid_up_to())))?;
+    let text =
+        std::str::from_utf8(body).map_err(|e| malformed(format!("not JSON: the text is not UTF-8 after byte {}", e.valid_up_to())))?;
     let raw: &RawValue = serde_json::from_str(text).map_err(|e| malformed(format!("not JSON: {e}")))?;
     let node = Node { text: raw.get(), at: At::Root };
     match node.kind() {
         Kind::Object => Ok(node),
-        other => Err(malformed(format!("the request must be a JSON object; found {}", other.name()))),
+        other => Err(malformed(format!("the request must be a JSON object, {{...}}; found {}", other.name()))),
     }
 }
 
@@ -130,9 +131,9 @@ impl<'j> Node<'j, '_> {
     }
 
     fn unknown(&self, name: &str, known: &[&str]) -> Problem {
-        let hint = suggest::field(name, known).map_or_else(String::new, |hint| format!("; {hint}"));
-        let detail = format!("unknown field: {}{hint}; known fields: {}", quote(name), list(known));
-        if name.chars().nth(LONGEST_QUOTE).is_some() {
+        let advice = advice(suggest::field(name, known), &format!("known fields: {}", list(known)));
+        let detail = format!("unknown field: {}{advice}", quote(name));
+        if name.chars().nth(LONGEST_QUOTE).is_some() || name.chars().any(char::is_control) {
             return self.problem(Code::UnknownField, detail);
         }
         // One step of a JSON pointer (RFC 6901, section 3).
@@ -171,7 +172,7 @@ impl<'j> Node<'j, '_> {
         }
         if let Some(name) = repeated {
             let pointer = format!("{}/{name}", self.at);
-            return Err(Problem::new(Code::MalformedRequest, format!("field given twice: `{name}`")).pointer(pointer));
+            return Err(Problem::new(Code::MalformedRequest, format!("the field `{name}` is given twice")).pointer(pointer));
         }
         let given = values.map(|value| value.filter(|node| node.kind() != Kind::Null));
         unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))

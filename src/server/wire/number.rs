@@ -16,7 +16,7 @@ pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem
     if value.is_finite() {
         Ok(value)
     } else {
-        Err(node.problem(Code::NotFinite, format!("number beyond the range of 64 bits: {}", quote(node.text))))
+        Err(node.problem(Code::NotFinite, format!("the number exceeds the range of a 64-bit float: {}", quote(node.text))))
     }
 }
 

@@ -56,7 +56,7 @@ impl DragMessage {
         *number = optional(seq, |n| whole(n, NUMBER))?;
         match (optional(ack, |n| whole(n, NUMBER))?, *number, q) {
             (Some(ack), None, None) => Ok(Self::Ack(ack)),
-            (Some(_), ..) => Err(Problem::new(Code::BadValue, "`ack` stands alone: a pose is a message of its own").pointer("/ack")),
+            (Some(_), ..) => Err(Problem::new(Code::BadValue, "send `ack` in a message of its own, without a pose").pointer("/ack")),
             (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: UnreadHandles(q.text.into()) }),
             (None, None, _) => Err(root.missing("seq", NUMBER)),
             (None, _, None) => Err(root.missing("q", HANDLES)),

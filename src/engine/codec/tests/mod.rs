@@ -123,9 +123,25 @@ fn unsupported_formats_are_named() {
     assert_eq!(found(b"GIF89a\x01\0\x01\0\0\0\0;"), "GIF");
     assert_eq!(found(b"BM...................."), "BMP");
     assert_eq!(found(b"\0\0\0\x20ftypavif........"), "AVIF");
-    assert_eq!(found(b""), "nothing (0 bytes)");
-    assert_eq!(found(b"\x89PNG\r\n"), "6 bytes, too few for a picture");
-    assert_eq!(found(b"x"), "1 byte, too few for a picture");
+    for (head, name) in [
+        (&b"\0\0\0\x18ftypheic........"[..], "HEIC"),
+        (b"\0\0\0\x18ftypmif1........", "HEIC"),
+        (b"\0\0\0\x18ftypmp42........", "a video"),
+        (b"II*\0............", "TIFF, or a camera's raw format"),
+        (b"MM\0*............", "TIFF, or a camera's raw format"),
+        (b"8BPS\0\x01........", "Photoshop (PSD)"),
+        (b"%PDF-1.7........", "PDF"),
+        (b"\xFF\x0A..............", "JPEG XL"),
+        (b"PK\x03\x04............", "a ZIP archive"),
+        (b"{\"p\": [[1, 2]]}", "JSON"),
+        (b"data:image/png;base64,iVBORw0KGgo=", "a data URL; send the bytes of the file"),
+        (b"iVBORw0KGgoAAAANSUhEUgAA", "base64; send the bytes of the file"),
+    ] {
+        assert_eq!(found(head), name);
+    }
+    assert_eq!(found(b""), "an empty file (0 bytes)");
+    assert_eq!(found(b"\x89PNG\r\n"), "6 bytes, too short for an image");
+    assert_eq!(found(b"x"), "1 byte, too short for an image");
     assert_eq!(found(b"<?xml version=\"1.0\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\"/>"), "SVG");
     assert_eq!(found(b"<!doctype html><p>"), "XML or HTML");
     assert_eq!(found(b"RIFF\0\0\0\0WAVEfmt "), "an unknown format that begins with 52 49 46 46");

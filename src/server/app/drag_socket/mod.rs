@@ -143,7 +143,10 @@ impl Drag {
         match DragMessage::parse(text) {
             Ok(DragMessage::Ack(seq)) => {
                 if self.scheduler.ack(seq, now).is_err() {
-                    self.send_problem(None, &Problem::new(Code::BadValue, format!("no frame with seq {seq} was sent")).pointer("/ack"));
+                    self.send_problem(
+                        None,
+                        &Problem::new(Code::BadValue, format!("there is no frame {seq} to acknowledge")).pointer("/ack"),
+                    );
                 }
             }
             Ok(DragMessage::Pose { seq, q }) => {

@@ -5,12 +5,11 @@ use axum::http::Version;
 use axum::http::header::HOST;
 
 use crate::auth::hosts::{Authority, Host, Hosts};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// Health checks send any host, and the responses hold no user data.
 const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
-/// Maximum number of a host's characters in a problem.
-const MAX_QUOTED: usize = 100;
 
 /// Checks the host. `served`: the hosts that the listener serves; none: any host.
 /// Errors: [`Code::MalformedRequest`], [`Code::Misdirected`].
@@ -21,12 +20,11 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
         return Ok(());
     }
     let host = match host {
-        Some(Host::Name(name)) => name.chars().take(MAX_QUOTED).collect(),
-        _ => "no host".to_owned(),
+        Some(Host::Name(name)) => quote(&name),
+        _ => "of a request that names none".to_owned(),
     };
-    let detail =
-        "this server does not serve the host that the request names (--allowed-hosts lists names beside localhost and IP addresses)";
-    Err(Problem::new(Code::Misdirected, format!("{detail}: {host}")))
+    let detail = format!("this server does not serve the host {host}; --allowed-hosts adds names to localhost and IP addresses");
+    Err(Problem::new(Code::Misdirected, detail))
 }
 
 /// The host of the target if it has one, otherwise of the `Host` header.

@@ -158,9 +158,9 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     }
     let seconds = timeouts.request.as_secs_f64();
     Err(if waits.load(Ordering::Relaxed) {
-        Problem::new(Code::Timeout, format!("the body was incomplete after the {seconds} s that a request may take"))
+        Problem::new(Code::Timeout, format!("the body was not complete after {seconds} s, the time limit of a request"))
     } else {
-        let detail = format!("the server did not answer within the {seconds} s that a request may take");
+        let detail = format!("the server did not finish within {seconds} s, the time limit of a request");
         Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
     })
 }

@@ -1,11 +1,9 @@
 //! Problem documents as responses. A problem travels in the response's extensions until [`finish`] writes the document.
 
-use axum::http::header::{ALLOW, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
+use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 
-use crate::http::headers::elements;
-use crate::problem::words::series;
 use crate::problem::{Code, Problem};
 
 impl IntoResponse for Problem {
@@ -23,10 +21,7 @@ pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) ->
         return response;
     }
     let (mut head, _) = response.into_parts();
-    let mut problem = head.extensions.remove::<Problem>().unwrap_or_else(|| of_status(status));
-    if problem.code == Code::MethodNotAllowed {
-        problem.detail.push_str(&methods(&head.headers));
-    }
+    let problem = head.extensions.remove::<Problem>().unwrap_or_else(|| of_status(status));
     if let Some(seconds) = problem.retry_after {
         head.headers.insert(RETRY_AFTER, seconds.into());
     }
@@ -35,12 +30,6 @@ pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) ->
     head.headers.insert(CONTENT_TYPE, HeaderValue::from_static(Problem::MEDIA_TYPE));
     head.headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Response::from_parts(head, problem.to_json(public_path, Some(request_id)).to_string().into())
-}
-
-/// The methods of `Allow` as advice. `HEAD` is left out: whoever wants it knows that it goes with `GET`.
-fn methods(headers: &HeaderMap) -> String {
-    let methods: Vec<&str> = elements(headers, ALLOW).filter(|method| *method != "HEAD").collect();
-    if methods.is_empty() { String::new() } else { format!("; use {}", series(&methods, "or")) }
 }
 
 /// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.

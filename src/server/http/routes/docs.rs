@@ -1,74 +1,149 @@
-//! `GET /docs`: Swagger UI with `/openapi.json`. Its crate embeds an archive, of which two files (2 MB) are unpacked at the first request.
+//! `GET /docs`: the guide (`src/web/docs`), and `GET /docs/reference`: Scalar with `/openapi.json`. Scalar's crate embeds its script (5 MB), which
+//! is compressed at the first request. `notes.md` beside the guide compares it with others.
 
-use std::io::{Cursor, Read as _};
+use std::io::{Read as _, Write as _};
 use std::sync::LazyLock;
 
 use axum::Router;
 use axum::extract::Path;
-use axum::http::HeaderMap;
+use axum::http::header::{ACCEPT_ENCODING, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, VARY};
+use axum::http::{HeaderMap, HeaderValue};
 use axum::response::Response;
 use axum::routing::get;
 use bytes::Bytes;
-use utoipa_swagger_ui_vendored::SWAGGER_UI_VENDORED;
-use zip::ZipArchive;
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 
 use crate::app::App;
 use crate::http::assets::{Asset, CSS, HTML, JS, find};
+use crate::http::headers::elements;
 use crate::problem::{Code, Problem};
 
-static INDEX: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("docs/index.html"))));
-static ASSETS: LazyLock<[(&str, Asset); 4]> = LazyLock::new(|| {
-    [
-        ("docs.css", Asset::new(CSS, Bytes::from_static(include_bytes!("docs/docs.css")))),
-        ("docs.js", Asset::new(JS, Bytes::from_static(include_bytes!("docs/docs.js")))),
-        ("swagger-ui.css", Asset::new(CSS, library("/dist/swagger-ui.css"))),
-        ("swagger-ui-bundle.js", Asset::new(JS, library("/dist/swagger-ui-bundle.js"))),
-    ]
-});
+/// Scalar writes its styles into the page. The page shows only our document, and scripts come from this server only.
+const REFERENCE_POLICY: HeaderValue = HeaderValue::from_static(
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; connect-src \
+     'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+);
+const TEXT: &str = "text/plain; charset=utf-8";
 
-/// A file of Swagger UI, by the end of its path, which contains the version.
-fn library(end: &str) -> Bytes {
-    let read = || {
-        let mut archive = ZipArchive::new(Cursor::new(SWAGGER_UI_VENDORED)).ok()?;
-        let name = archive.file_names().filter_map(Result::ok).find(|name| name.ends_with(end))?.into_owned();
-        let mut bytes = Vec::new();
-        archive.by_name(&name).ok()?.read_to_end(&mut bytes).ok()?;
-        Some(Bytes::from(bytes))
+macro_rules! assets {
+    ($($name:literal $media:expr,)+) => {
+        [$(($name, Asset::new($media, Bytes::from_static(include_bytes!(concat!("../../../web/docs/", $name)))))),+]
     };
-    read().expect("the archive is compiled in, and a test reads it")
 }
 
-/// The page.
+static INDEX: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/index.html"))));
+static REFERENCE: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
+static FILES: LazyLock<[(&str, Asset); 4]> =
+    LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
+static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
+    assets![
+        "examples/here.js" JS,
+        "examples/errors.sh" TEXT, "examples/errors.py" TEXT, "examples/errors.js" JS,
+        "examples/landmarks.py" TEXT, "examples/landmarks.js" JS,
+        "examples/lines.sh" TEXT, "examples/lines.py" TEXT, "examples/lines.js" JS,
+        "examples/methods.sh" TEXT, "examples/methods.py" TEXT, "examples/methods.js" JS,
+        "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
+        "examples/points.sh" TEXT, "examples/points.py" TEXT, "examples/points.js" JS,
+        "examples/session.sh" TEXT, "examples/session.py" TEXT, "examples/session.js" JS,
+        "examples/socket.py" TEXT, "examples/socket.js" JS,
+        "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
+    ]
+});
+/// Scalar's script, compressed.
+static SCALAR: LazyLock<Option<Asset>> = LazyLock::new(|| {
+    let script = scalar_api_reference::get_asset("scalar.js")?;
+    let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
+    gzip.write_all(&script).ok()?;
+    Some(Asset::new(JS, Bytes::from(gzip.finish().ok()?)))
+});
+
+/// The guide.
 pub(crate) async fn page(headers: HeaderMap) -> Response {
     INDEX.response(&headers)
 }
 
-/// The page's files, which are not part of the contract.
+/// The reference, and the files of both pages, which are not part of the contract.
 pub(crate) fn files() -> Router<App> {
-    Router::new().route("/docs/{file}", get(file))
+    Router::new()
+        .route("/docs/reference", get(reference))
+        .route("/docs/scalar.js", get(scalar))
+        .route("/docs/{file}", get(file))
+        .route("/docs/examples/{file}", get(example))
+}
+
+async fn reference(headers: HeaderMap) -> Response {
+    let mut response = REFERENCE.response(&headers);
+    response.headers_mut().insert(CONTENT_SECURITY_POLICY, REFERENCE_POLICY);
+    response
 }
 
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    // Unpacking takes some milliseconds, once.
-    let unpacked = tokio::task::spawn_blocking(|| &*ASSETS).await;
-    let assets = unpacked.map_err(|_| Problem::new(Code::Internal, "internal error"))?;
-    find(assets, &name, &headers)
+    find(&*FILES, &name, &headers)
+}
+
+async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    find(&*EXAMPLES, &format!("examples/{name}"), &headers)
+}
+
+async fn scalar(headers: HeaderMap) -> Result<Response, Problem> {
+    let takes_gzip = elements(&headers, ACCEPT_ENCODING).any(|element| element.split(';').next().is_some_and(|name| name.trim() == "gzip"));
+    // Compressing takes some tenths of a second, once.
+    let asset = tokio::task::spawn_blocking(move || {
+        let compressed = SCALAR.as_ref()?;
+        if takes_gzip {
+            return Some(compressed.clone());
+        }
+        let mut script = Vec::new();
+        GzDecoder::new(&compressed.bytes[..]).read_to_end(&mut script).ok()?;
+        Some(Asset::new(JS, Bytes::from(script)))
+    });
+    let asset = asset.await.ok().flatten().ok_or_else(|| Problem::new(Code::Internal, "internal error"))?;
+    let mut response = asset.response(&headers);
+    response.headers_mut().insert(VARY, HeaderValue::from_static("accept-encoding"));
+    if takes_gzip {
+        response.headers_mut().insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+    }
+    Ok(response)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn text(asset: &Asset) -> &str {
+        std::str::from_utf8(&asset.bytes).expect("text is UTF-8")
+    }
+
     #[test]
-    fn whatever_the_page_asks_for_is_there_and_nothing_comes_from_elsewhere() {
-        let index = include_str!("docs/index.html");
-        let asked: Vec<&str> = index.split("\"docs/").skip(1).filter_map(|rest| rest.split('"').next()).collect();
-        assert_eq!(asked.len(), ASSETS.len());
-        for (name, asset) in ASSETS.iter() {
-            assert!(asked.contains(name), "{name}");
-            assert!(asset.bytes.len() > 100, "{name}");
+    fn the_guide_has_the_examples_that_are_served_and_no_others() {
+        let mut named = vec!["examples/here.js".to_owned()];
+        for example in text(&INDEX).split("data-name=\"").skip(1) {
+            let mut quoted = example.split('"');
+            let (name, languages) = (quoted.next().unwrap(), quoted.nth(1).unwrap());
+            named.extend(languages.split(' ').map(|language| format!("examples/{name}.{language}")));
         }
-        assert!(!index.contains("://") && !index.contains("<style") && !index.contains(" style=") && !index.contains("<script>"));
-        assert!(!include_str!("docs/docs.js").contains("://") && !include_str!("docs/docs.css").contains("://"));
+        let mut served: Vec<_> = EXAMPLES.iter().map(|(name, _)| (*name).to_owned()).collect();
+        named.sort_unstable();
+        served.sort_unstable();
+        assert_eq!(named, served);
+    }
+
+    #[test]
+    fn both_pages_ask_for_files_that_are_served_and_for_nothing_from_elsewhere() {
+        for (page, place) in [(&INDEX, "docs/"), (&REFERENCE, "")] {
+            let html = text(page);
+            assert!(!html.contains("://") && !html.contains("<style") && !html.contains(" style=") && !html.contains("<script>"));
+            for link in html.split(["\"", "'"]).filter(|part| part.ends_with(".css") || part.ends_with(".js")) {
+                let name = link.strip_prefix(place).expect(link);
+                assert!(name == "scalar.js" || FILES.iter().any(|(known, _)| *known == name), "{link}");
+            }
+        }
+        for (name, asset) in FILES.iter() {
+            let outside = text(asset).replace("http://127.0.0.1:8080", "");
+            assert!(!outside.contains("://"), "{name}");
+        }
+        assert!(SCALAR.as_ref().is_some_and(|script| script.bytes.len() > 100_000));
     }
 }

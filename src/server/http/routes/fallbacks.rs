@@ -3,18 +3,24 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
+use axum::extract::{MatchedPath, Request};
 use axum::http::{Method, Uri};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::service::OPENAPI;
-use crate::problem::words::{quote, similarity};
+use crate::problem::words::{quote, series, similarity};
 use crate::problem::{Code, Problem};
 
 /// Longest path that is compared with those of the contract, bytes.
 const LONGEST_COMPARED: usize = 200;
 /// Prefixes that other services have before such paths.
 const PREFIXES: [&str; 2] = ["api", "rest"];
+
+/// Longest method that a problem repeats.
+const LONGEST_METHOD: usize = 10;
+/// The methods of the contract, as the document and as requests write them.
+const METHODS: [(&str, &str); 4] = [("get", "GET"), ("post", "POST"), ("put", "PUT"), ("delete", "DELETE")];
 
 /// The paths of the contract with their methods.
 #[derive(Deserialize)]
@@ -34,16 +40,25 @@ pub(crate) async fn not_found(method: Method, uri: Uri) -> Problem {
     Problem::new(Code::NotFound, format!("nothing is served at {}{hint} {reference}", quote(path)))
 }
 
-/// Answers a method that a path does not have. axum adds `Allow`, from which [`complete`] names the methods that it has.
-pub(crate) async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
-    not_allowed(&method, uri.path())
+/// Answers a method that a path does not have. axum adds `Allow`.
+pub(crate) async fn method_not_allowed(request: Request) -> Problem {
+    not_allowed(&request)
 }
 
 /// See [`method_not_allowed`].
-pub(crate) fn not_allowed(method: &Method, path: &str) -> Problem {
+pub(crate) fn not_allowed(request: &Request) -> Problem {
     // A client may send any word as its method.
-    let method = if method.as_str().len() <= 10 { method.as_str() } else { "this method" };
-    Problem::new(Code::MethodNotAllowed, format!("{method} is not supported at {}", quote(path)))
+    let method = Some(request.method().as_str()).filter(|method| method.len() <= LONGEST_METHOD).unwrap_or("this method");
+    let route = request.extensions().get::<MatchedPath>().and_then(|route| CONTRACT.paths.get(route.as_str()));
+    // The other routes are files.
+    let methods = route.map_or_else(|| vec!["GET"], methods);
+    let detail = format!("{method} is not supported at {}; use {}", quote(request.uri().path()), series(&methods, "or"));
+    Problem::new(Code::MethodNotAllowed, detail)
+}
+
+/// The methods of a path of the contract.
+fn methods(operations: &BTreeMap<&str, IgnoredAny>) -> Vec<&'static str> {
+    METHODS.into_iter().filter(|(key, _)| operations.contains_key(key)).map(|(_, name)| name).collect()
 }
 
 /// The route of the contract that a path probably means.
@@ -60,10 +75,11 @@ fn meant(method: &str, path: &str) -> Option<String> {
         let alike = |(segment, pattern): (&&str, &&str)| if pattern.starts_with('{') { 1.0 } else { similarity(segment, pattern) };
         if pattern.len() == segments.len() { segments.iter().zip(&pattern).map(alike).product() } else { 0.0 }
     };
-    let scored = CONTRACT.paths.iter().map(|(pattern, methods)| (score(pattern), *pattern, methods));
-    let (_, pattern, methods) = scored.filter(|(score, ..)| *score > 0.0).reduce(|best, next| if next.0 > best.0 { next } else { best })?;
-    let named: Vec<String> = methods.keys().filter(|key| **key != "parameters").map(|key| key.to_ascii_uppercase()).collect();
-    match (named.iter().find(|name| *name == method), named.as_slice()) {
+    let scored = CONTRACT.paths.iter().map(|(pattern, operations)| (score(pattern), *pattern, operations));
+    let (_, pattern, operations) =
+        scored.filter(|(score, ..)| *score > 0.0).reduce(|best, next| if next.0 > best.0 { next } else { best })?;
+    let named = methods(operations);
+    match (named.iter().find(|name| **name == method), named.as_slice()) {
         (Some(name), _) => Some(format!("{name} {pattern}")),
         (None, [only]) => Some(format!("{only} {pattern}")),
         _ => Some(pattern.to_owned()),

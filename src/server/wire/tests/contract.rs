@@ -77,6 +77,21 @@ fn every_reference_resolves_and_every_component_is_used() {
     }
 }
 
+/// Generators make a function of each, in a module of its tag.
+#[test]
+fn every_operation_has_a_name_and_one_tag() {
+    let document = document();
+    let listed: Vec<&Value> = document["tags"].as_array().expect("tags").iter().map(|tag| &tag["name"]).collect();
+    let mut names = std::collections::HashSet::new();
+    for (route, operation) in operations(&document) {
+        let tags = operation["tags"].as_array().expect(&route);
+        assert!(tags.len() == 1 && listed.contains(&&tags[0]), "{route}: {tags:?}");
+        assert!(names.insert(operation["operationId"].as_str().expect(&route)), "{route}: its name is not its own");
+        let types = operation["requestBody"]["content"].as_object().map_or(1, serde_json::Map::len);
+        assert_eq!(types, 1, "{route}: one media type");
+    }
+}
+
 #[test]
 fn every_example_is_valid() {
     let document = document();

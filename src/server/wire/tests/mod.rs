@@ -133,7 +133,7 @@ fn malformed_is_400_before_any_meaning() {
 fn malformed_names_line_and_column() {
     assert_eq!(detail("{\"p\":\n [NaN]}"), "not JSON: expected value at line 2 column 3");
     assert!(detail("[1]").contains("found an array"));
-    assert_eq!(detail("{\"p\": [], \"p\": []}"), "field given twice: `p`");
+    assert_eq!(detail("{\"p\": [], \"p\": []}"), "the field `p` is given twice");
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn unknown_fields_are_named_with_what_is_known() {
     check(WarpObject::parse, table);
     check(DragObject::parse, &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
     check(PointsObject::parse_posed, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
-    assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known: `cell`, `columns`, `rows`");
+    assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known fields: `cell`, `columns`, `rows`");
 }
 
 #[test]
@@ -345,7 +345,7 @@ fn output_patch_replaces_only_what_it_gives() {
 
 #[test]
 fn points_begin_with_the_fields_of_the_warp() {
-    assert_eq!(rest::FIELDS_WITH_POINTS[..rest::FIELDS.len()], rest::FIELDS);
+    assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
 }
 
 #[test]
@@ -459,7 +459,7 @@ fn near_miss() -> impl Strategy<Value = Value> {
     ];
     scalar.prop_recursive(5, 48, 4, |inner| {
         let name = prop::sample::select(
-            rest::FIELDS_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
+            fields::WARP_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
         );
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
@@ -604,7 +604,7 @@ proptest! {
 
     #[test]
     fn null_fields_change_nothing(warp in warp_object()) {
-        let mut object = with_nulls(written(&warp), &rest::FIELDS);
+        let mut object = with_nulls(written(&warp), &fields::WARP);
         object["output"] = with_nulls(object["output"].take(), &["quality", "width", "canvas"]);
         if object["grid"].is_object() {
             object["grid"] = with_nulls(object["grid"].take(), &["cell", "columns", "rows"]);

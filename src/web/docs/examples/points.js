@@ -1,0 +1,10 @@
+import { headers, server, show } from "./here.js";
+
+const body = JSON.stringify({
+  extent: [451, 300],
+  p: [[168, 112], [316, 136], [262, 240]],
+  q: [[150, 104], [338, 126], [262, 262]],
+  points: [[168, 112], [240, 180]],
+});
+const options = { method: "POST", headers: { ...headers(), "Content-Type": "application/json" }, body };
+await show(await fetch(`${server}points`, options));

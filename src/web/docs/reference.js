@@ -1,0 +1,11 @@
+// The API reference: Scalar with /openapi.json, without anything that asks another host.
+
+Scalar.createApiReference("#reference", {
+  url: "../openapi.json",
+  withDefaultFonts: false,
+  telemetry: false,
+  agent: { disabled: true },
+  hideClientButton: true,
+  showDeveloperTools: "never",
+  defaultHttpClient: { targetKey: "shell", clientKey: "curl" },
+});
