@@ -1,5 +1,5 @@
-"""Runs the first block for Kubernetes in deploy/README.md as it is written there, with a `kubectl` that needs no cluster: it renders what would be
-created or applied. The objects must keep to their schemas and contain every Secret that they refer to."""
+"""Runs the first block for Kubernetes in deploy/README.md as it is written there, with a `kubectl` that needs no cluster: it renders what
+would be created or applied. The objects must keep to their schemas and contain every Secret that they refer to."""
 
 import shutil
 import subprocess
@@ -30,8 +30,8 @@ def run_block(script):
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(scratch)
         shutil.copytree(FOLDER, here / FOLDER)
-        certificate = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-subj", "/CN=test", "-days", "1")
-        subprocess.run(["openssl", "req", "-x509", *certificate, "-keyout", "key.pem", "-out", "cert.pem"], cwd=here, check=True, capture_output=True)
+        certificate = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj /CN=test -days 1 -keyout key.pem -out cert.pem"
+        subprocess.run(certificate.split(), cwd=here, check=True, capture_output=True)
         (here / "bin").mkdir()
         (here / "bin/kubectl").write_text(KUBECTL.replace("REAL", shutil.which("kubectl")))
         (here / "bin/kubectl").chmod(0o755)
@@ -59,7 +59,8 @@ def wanted(tree):
 def lacking(objects):
     """Secrets, and keys in them, that are referred to and not created."""
     made = {o["metadata"]["name"]: o["data"] for o in objects if o["kind"] == "Secret"}
-    return [f"no Secret {name}{f' with {key}' if key else ''}" for name, key in wanted(objects) if name not in made or key and key not in made[name]]
+    absent = [(name, key) for name, key in wanted(objects) if name not in made or key and key not in made[name]]
+    return [f"no Secret {name}{f' with {key}' if key else ''}" for name, key in absent]
 
 
 def check(kept):

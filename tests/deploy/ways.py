@@ -1,8 +1,8 @@
-"""The first block of every way to deploy in deploy/README.md, run as it is written there: with Docker and Compose in an engine whose networks and
-ports are those that Docker makes, in a network of its own; with systemd in a container that systemd has booted. Different is only:
+"""The first block for Docker, Docker Compose and systemd in deploy/README.md, run as it is written there. Docker and Compose use an engine with
+the bridges and ports that Docker makes, in a network of its own; systemd boots in a container. Different is only:
 
 - `docker build` uses the base image of this test and the network of the host, because nothing can be pulled;
-- `docker compose` is Debian's `docker-compose`, and the images of HAProxy, Valkey and Prometheus contain Debian's programs; that of Grafana sleeps;
+- `docker compose` is Debian's `docker-compose`; the images of HAProxy, Valkey and Prometheus contain Debian's programs, and Grafana sleeps;
 - `cargo build` takes the program from the image: Debian has no Rust of this version.
 
 The block for Kubernetes is checked by `files`, without a cluster.
@@ -26,6 +26,8 @@ COMPOSE = ROOT / "deploy" / "compose.yaml"
 # The program that an image of compose.yaml starts by itself; where it is not named, the services' image starts it.
 ENTRY = {"prometheus": '["/bin/prometheus"]', "grafana": '["/bin/sleep", "1000"]'}
 BOOT_SECONDS = 60.0
+# The name of the built image in the engine that builds, which may be one that others use.
+TAG = "mlswarp-test/ways"
 KEY = re.compile(r"ann (\S{16,})")
 
 
@@ -43,12 +45,23 @@ def docker_of(stage, engine, place):
     place.mkdir()
     # BuildKit finds every layer in its cache: the image was built from the same files.
     options = " ".join(["--network=host", "--build-arg", f"BUILDER={builder_image(stage.engine)}", *build_options()])
-    own = [*stage.engine.prefix, "env", f"DOCKER_BUILDKIT={int(stage.engine.buildkit)}", stage.engine.client, *stage.engine.host]
+    own = (*stage.engine.prefix, "env", f"DOCKER_BUILDKIT={int(stage.engine.buildkit)}", stage.engine.client, *stage.engine.host)
+    own = " ".join(map(str, own))
     other = " ".join(map(str, (*engine.prefix, engine.client, *engine.host)))
     script = place / "docker"
     script.write_text(f"""#!/bin/sh
+set -e
 case $1 in
-    build) shift; {" ".join(map(str, own))} build {options} "$@" && {" ".join(map(str, own))} save mlswarp | {other} load ;;
+    build)
+        shift
+        for word; do
+            shift
+            [ "$word" = mlswarp ] && word={TAG}
+            set -- "$@" "$word"
+        done
+        {own} build {options} "$@"
+        {own} save {TAG} | {other} load
+        {other} tag {TAG} mlswarp ;;
     compose) shift; exec {" ".join(engine.prefix)} env DOCKER_HOST={engine.host[1]} {where("docker-compose")} --ansi never "$@" ;;
     *) exec {other} "$@" ;;
 esac
@@ -62,7 +75,8 @@ def as_written(check, section, command):
     with timed(f"the commands of {section}"):
         done = run(*command, "bash", "-euo", "pipefail", "-c", block(section), check=False)
     printed = (done.stdout + done.stderr).decode(errors="replace").strip()
-    check(f"{section}: the commands succeed as they are written", done.returncode == 0, f"exit {done.returncode}\n{printed[-3000:]}" if done.returncode else "")
+    found = f"exit {done.returncode}\n{printed[-3000:]}" if done.returncode else ""
+    check(f"{section}: the commands succeed as they are written", done.returncode == 0, found)
     return done.returncode == 0
 
 
@@ -103,9 +117,9 @@ def check_compose(stage, engine, folder, inside):
 
 # In the order of their numbers (linux/capability.h).
 CAPABILITIES = (
-    "CHOWN DAC_OVERRIDE DAC_READ_SEARCH FOWNER FSETID KILL SETGID SETUID SETPCAP LINUX_IMMUTABLE NET_BIND_SERVICE NET_BROADCAST NET_ADMIN NET_RAW "
-    "IPC_LOCK IPC_OWNER SYS_MODULE SYS_RAWIO SYS_CHROOT SYS_PTRACE SYS_PACCT SYS_ADMIN SYS_BOOT SYS_NICE SYS_RESOURCE SYS_TIME SYS_TTY_CONFIG MKNOD "
-    "LEASE AUDIT_WRITE AUDIT_CONTROL SETFCAP MAC_OVERRIDE MAC_ADMIN SYSLOG WAKE_ALARM BLOCK_SUSPEND AUDIT_READ"
+    "CHOWN DAC_OVERRIDE DAC_READ_SEARCH FOWNER FSETID KILL SETGID SETUID SETPCAP LINUX_IMMUTABLE NET_BIND_SERVICE NET_BROADCAST "
+    "NET_ADMIN NET_RAW IPC_LOCK IPC_OWNER SYS_MODULE SYS_RAWIO SYS_CHROOT SYS_PTRACE SYS_PACCT SYS_ADMIN SYS_BOOT SYS_NICE SYS_RESOURCE "
+    "SYS_TIME SYS_TTY_CONFIG MKNOD LEASE AUDIT_WRITE AUDIT_CONTROL SETFCAP MAC_OVERRIDE MAC_ADMIN SYSLOG WAKE_ALARM BLOCK_SUSPEND AUDIT_READ"
 ).split()
 
 
@@ -156,13 +170,17 @@ def check_systemd(stage, engine, folder):
             say("the unit said:\n" + text(*inside, "journalctl", "--no-pager", "-n", "30", "-u", "mlswarp", check=False))
             say(text(*inside, "systemctl", "status", "--no-pager", "mlswarp", check=False))
             return
-        shown = dict(line.split("=", 1) for line in text(*inside, "systemctl", "show", "mlswarp", "-p", "ActiveState,MainPID,NRestarts").splitlines())
+        shown = text(*inside, "systemctl", "show", "mlswarp", "-p", "ActiveState,MainPID,NRestarts")
+        shown = dict(line.split("=", 1) for line in shown.splitlines())
         stage.check("systemd: the unit is active", shown["ActiveState"] == "active" and shown["NRestarts"] == "0", shown)
         status = text(*inside, "cat", f"/proc/{shown['MainPID']}/status")
         found = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
-        stage.check("systemd: the program is not root and has no capability", "0" not in found["Uid"].split() and int(found["CapEff"], 16) == 0, found["Uid"].split())
-        stage.check("systemd: it cannot gain privileges and its system calls are filtered", (found["NoNewPrivs"], found["Seccomp"]) == ("1", "2"))
-        ask = ("curl", "-sS", "--fail-with-body", "--retry", "20", "--retry-connrefused", "--retry-delay", "1", "-H", f"Authorization: Bearer {key(inside)}")
+        unprivileged = "0" not in found["Uid"].split() and int(found["CapEff"], 16) == 0
+        stage.check("systemd: the program is not root and has no capability", unprivileged, found["Uid"].split())
+        filtered = (found["NoNewPrivs"], found["Seccomp"]) == ("1", "2")
+        stage.check("systemd: it cannot gain privileges, and its system calls are filtered", filtered)
+        key = KEY.search(text(*inside, "cat", "/etc/mlswarp/keys"))[1]
+        ask = ("curl", "-sS", "--fail-with-body", "--retry", "20", "--retry-all-errors", "--retry-delay", "1", "-H", f"Authorization: Bearer {key}")
         opened = text(*inside, *ask, "-F", "image=@tests/images/chelsea.png", "-F", 'warp={"p":[[9,9]]}', "http://127.0.0.1:8080/sessions")
         run(*inside, "systemctl", "restart", "mlswarp")
         kept = run(*inside, *ask, f"http://127.0.0.1:8080/sessions/{json.loads(opened)['id']}", check=False)
@@ -170,10 +188,6 @@ def check_systemd(stage, engine, folder):
         run(*inside, "systemctl", "stop", "mlswarp")
         result = text(*inside, "systemctl", "show", "mlswarp", "-p", "Result", "--value")
         stage.check("systemd: it stops without a failure", result == "success", result)
-
-
-def key(inside):
-    return KEY.search(text(*inside, "cat", "/etc/mlswarp/keys"))[1]
 
 
 def check_ways(stage):
