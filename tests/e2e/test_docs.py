@@ -1,13 +1,20 @@
-"""The API reference page: it shows every operation of `/openapi.json`, sends no requests to other hosts, and can send requests."""
+"""The guide at /docs and the reference that follows it. Every example of the guide runs: the shell and Python files in a folder of their own, the
+JavaScript by the page's Run buttons. Neither page sends requests to other hosts."""
 
 import json
-import re
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 
 from support import KEPT, Server
 
 KEY = "a-key-of-the-tests-0123456789"
+EXAMPLES = Path(__file__).resolve().parents[2] / "src/web/docs/examples"
+WRITTEN = "http://127.0.0.1:8080"
 
 
 @pytest.fixture(scope="module")
@@ -19,20 +26,22 @@ def locked():
 
 @pytest.fixture
 def docs(browser):
-    """Opens the page; at the end there must be no browser errors and no requests to other hosts."""
+    """Opens a page; at the end there must be no browser errors and no requests to other hosts."""
     contexts, trouble = [], []
 
-    def opened(server, **options):
+    def opened(server, path="/docs", ready='body[data-state="ready"]', **options):
         context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options})
         contexts.append(context)
-        own = f"{server.address}/"
-        context.on("request", lambda request: request.url.startswith((own, "data:", "blob:")) or trouble.append(f"asked for {request.url}"))
+        own = (f"{server.address}/", f"ws{server.address[4:]}/")
+        context.on("request", lambda request: request.url.startswith((*own, "data:", "blob:")) or trouble.append(f"asked for {request.url}"))
         page = context.new_page()
-        page.on("console", lambda said: said.type in ("error", "warning") and trouble.append(said.text))
+        # The example of an error is answered 422, which the browser reports.
+        page.on("console", lambda said: said.type in ("error", "warning") and "422" not in said.text and trouble.append(said.text))
         page.on("pageerror", lambda error: trouble.append(str(error)))
-        answer = page.goto(f"{server.address}/docs")
-        assert answer.headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self';")
-        page.wait_for_selector(".opblock")
+        answer = page.goto(f"{server.address}{path}")
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self'") and "://" not in policy
+        page.wait_for_selector(ready)
         return page
 
     yield opened
@@ -41,64 +50,114 @@ def docs(browser):
     assert not trouble, "\n".join(trouble)
 
 
-def operations(server):
-    document = json.loads(server.ask("GET", "/openapi.json").body)
-    return [(method.upper(), path, operation) for path, item in document["paths"].items()
-            for method, operation in item.items() if method in ("get", "put", "post", "delete")]
+def names():
+    return sorted(file.stem for file in EXAMPLES.glob("*.js") if file.stem != "here")
 
 
-def test_every_operation_is_seen_and_opens(docs, server):
+@pytest.mark.parametrize("language", ["sh", "py"])
+def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
+    files = sorted(EXAMPLES.glob(f"*.{language}"), key=lambda file: (file.stem != "warp", file.stem))
+    assert len(files) >= 8
+    for file in files:
+        text = file.read_text()
+        assert WRITTEN in text or file.stem == "landmarks", file.name
+        copy = tmp_path / file.name
+        copy.write_text(text.replace(WRITTEN, server.address))
+        command = ["bash", "-euo", "pipefail", copy] if language == "sh" else [sys.executable, copy]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, f"{file.name}: {done.stdout}{done.stderr}"
+        if file.stem == "errors":
+            assert "unknown_field" in done.stdout and "method" in done.stdout, done.stdout
+    heads = {file.name: file.read_bytes()[:2] for file in tmp_path.glob("*.[pj][np]g") if file.name != "cat.jpg"}
+    assert set(heads) >= {"warped.png", "lines.png", "rigid.jpg", "small.jpg", "drag-130.png"}, heads
+    assert all(head == (b"\x89P" if name.endswith("png") else b"\xff\xd8") for name, head in heads.items()), heads
+
+
+def test_every_run_button_shows_a_result(docs, server):
     page = docs(server)
-    seen = [(block.locator(".opblock-summary-method").inner_text(), block.locator(".opblock-summary-path").inner_text().replace("\u200b", ""))
-            for block in page.locator(".opblock").all()]
-    listed = operations(server)
-    assert len(listed) > 15
-    assert {(method, path) for method, path, _ in listed} == set(seen)
-    # Parameters, bodies, answers and their schemas of the largest one.
-    block = page.locator(".opblock", has_text="Warp a picture").first
-    block.locator(".opblock-summary-control").click()
-    block.locator(".opblock-body").wait_for()
-    text = block.inner_text()
-    for word in ("session", "multipart/form-data", "200", "413", "422"):
-        assert word in text, word
+    assert page.locator(".example").count() == len(names())
+    for name in names():
+        example = page.locator(f'.example[data-name="{name}"]')
+        example.get_by_role("button", name="Run").click()
+        example.locator("figure").first.wait_for()
+        page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
+        text = example.locator(".results").inner_text()
+        assert '"error"' not in text, f"{name}: {text}"
+        pictures = {"lines": 1, "methods": 3, "output": 1, "session": 3, "socket": 1, "warp": 1}.get(name, 0)
+        assert example.locator("figure img").count() == pictures, f"{name}: {text}"
+        if name == "errors":
+            assert "unknown_field" in text, text
+    page.screenshot(path=KEPT / "docs-results.png", full_page=True)
 
 
-def test_a_request_is_tried_with_the_key_that_is_given(docs, locked):
+def test_the_examples_use_the_key_of_the_page(docs, locked):
     page = docs(locked)
-    page.get_by_role("button", name="Authorize").click()
-    page.locator(".auth-container input").fill(KEY)
-    page.locator(".auth-container button[type=submit]").click()
-    page.locator(".btn-done").click()
-    block = page.locator(".opblock", has_text="/metrics").first
-    block.locator(".opblock-summary-control").click()
-    block.get_by_role("button", name="Try it out").click()
-    with page.expect_response("**/metrics") as answered:
-        block.get_by_role("button", name="Execute").click()
-    assert answered.value.status == 200
-    assert answered.value.request.headers["authorization"] == f"Bearer {KEY}"
+    page.evaluate(f"sessionStorage.setItem('mlswarp.key', '{KEY}')")
     page.reload()
-    page.wait_for_selector(".opblock")
-    assert KEY not in page.evaluate("JSON.stringify([localStorage, sessionStorage])"), "it is not kept"
+    page.wait_for_selector('body[data-state="ready"]')
+    for name in ("points", "socket"):
+        example = page.locator(f'.example[data-name="{name}"]')
+        example.get_by_role("button", name="Run").click()
+        page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
+        text = example.locator(".results").inner_text()
+        assert "unauthorized" not in text and '"error"' not in text and text, text
+
+
+def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, server):
+    page = docs(server)
+    tab = page.locator('.example[data-name="warp"]').get_by_role("tab", name="curl")
+    tab.click()
+    assert page.locator("#lines-sh").is_visible() and page.locator("#lines-py").is_hidden()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.id") == "warp-py-tab"
+    assert page.locator("#lines-py").is_visible() and page.locator("#socket-py").is_visible()
+    assert server.address in page.locator("#warp-py").inner_text() and WRITTEN not in page.locator("main").inner_text()
+    page.reload()
+    page.wait_for_selector('body[data-state="ready"]')
+    assert page.locator("#lines-py").is_visible()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 360])
-def test_it_is_read_in_any_light_and_width(docs, server, scheme, width):
+def test_the_guide_is_read_in_any_light_and_width(docs, server, scheme, width):
     page = docs(server, viewport={"width": width, "height": 900}, color_scheme=scheme)
-    paper = page.evaluate("getComputedStyle(document.documentElement.classList.contains('dark-mode') ? document.documentElement : document.body).backgroundColor")
-    ink = page.evaluate("getComputedStyle(document.querySelector('.info .title')).color")
-    light = [sum(int(c) for c in re.findall(r"\d+", colour)[:3]) / 3 for colour in (paper, ink)]
-    assert (light[0] < 60 and light[1] > 180) if scheme == "dark" else light[1] < 100, (paper, ink)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page never scrolls sideways"
-    page.locator(".opblock", has_text="One step of a drag").first.locator(".opblock-summary-control").click()
-    page.locator(".opblock-body").wait_for()
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nor when something is opened"
+    found = Axe().run(page).response["violations"]
+    assert not found, json.dumps([(one["id"], [node["target"] for node in one["nodes"]]) for one in found])
     page.screenshot(path=KEPT / f"docs-{scheme}-{width}.png", full_page=True)
+    links = page.eval_on_selector_all("a[href]", "all => all.map((a) => a.href)")
+    assert all(link.startswith(f"{server.address}/") for link in links), links
+    for link in links:
+        assert "#" not in link or page.locator(f"#{link.split('#')[1]}").count() == 1, link
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 360])
+def test_the_reference_shows_every_operation(docs, server, scheme, width):
+    page = docs(server, "/docs/reference", "#reference h1", viewport={"width": width, "height": 900}, color_scheme=scheme)
+    document = json.loads(server.ask("GET", "/openapi.json").body)
+    summaries = [one["summary"] for item in document["paths"].values() for method, one in item.items() if method in ("get", "put", "post", "delete")]
+    assert len(summaries) > 15
+    page.get_by_text("mlswarp", exact=True).first.wait_for()
+    missing, until = summaries, time.monotonic() + 60
+    while missing and time.monotonic() < until:
+        # Sections are drawn when they come into view.
+        page.mouse.wheel(0, 1500)
+        page.wait_for_timeout(100)
+        text = page.evaluate("document.body.textContent")
+        missing = [summary for summary in missing if summary not in text]
+    assert not missing, missing
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page never scrolls sideways"
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.evaluate("scrollTo(0, 0)")
+    page.screenshot(path=KEPT / f"reference-{scheme}-{width}.png")
+    shown = page.eval_on_selector_all("a[href]", "all => all.filter((a) => a.checkVisibility()).map((a) => a.href)")
+    assert all(link.startswith((f"{server.address}/", "blob:")) for link in shown), (shown, dark)
 
 
 def test_the_page_at_the_root_leads_there(visit):
     visit.page.click("#help-open")
     with visit.page.expect_popup() as opened:
         visit.page.get_by_role("link", name="the API").click()
-    opened.value.wait_for_selector(".opblock")
+    opened.value.wait_for_selector('body[data-state="ready"]')
     assert opened.value.url == f"{visit.server.address}/docs"
