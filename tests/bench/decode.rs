@@ -1,5 +1,5 @@
 //! The longest time for which a decoder does not ask whether its picture is still wanted, on constructed files at the limits on pixels, sides and
-//! bytes of a request: the table "How long a decoder runs on" in deploy/README.md. `cargo bench --bench decode`.
+//! bytes of a request: the table "Decoder stop times" in deploy/capacity.md. `cargo bench --bench decode`.
 
 #![allow(
     missing_docs,

@@ -12,6 +12,9 @@ from commands import AS_ROOT, CACHE, ROOT, Failure, install, run, say, text, whe
 class Engine:
     """A Docker engine: a running one, or one started here and ended by `stop`."""
 
+    # The containers use the loopback of the host or no network, so the network of the machine is unchanged.
+    NETWORK = ["--bridge=none", "--iptables=false", "--ip-forward=false", "--ip-masq=false"]
+
     def __init__(self):
         self.prefix, self.host, self.daemon, self.pid, self.scratch = [], [], None, None, None
 
@@ -54,12 +57,10 @@ class Engine:
         self.scratch = Path(tempfile.mkdtemp(prefix="mlswarp-engine-"))
         socket_path, pidfile, log = (self.scratch / n for n in ("docker.sock", "docker.pid", "log"))
         self.host = ["--host", f"unix://{socket_path}"]
-        # The containers use the loopback of the host or no network, so the network of the machine is unchanged.
         # As root, the engine ends with this test even if the test is killed (sudo does not forward the signal).
         command = [
-            *AS_ROOT, "setpriv", "--pdeathsig=TERM", where("dockerd"), *self.host, "--data-root", CACHE / "engine",
-            "--exec-root", self.scratch / "exec", "--pidfile", pidfile,
-            "--bridge=none", "--iptables=false", "--ip-forward=false", "--ip-masq=false",
+            *AS_ROOT, "setpriv", "--pdeathsig=TERM", *self._start_in(), where("dockerd"), *self.host, "--data-root", self._data(),
+            "--exec-root", self.scratch / "exec", "--pidfile", pidfile, *self.NETWORK,
         ]  # fmt: skip
         with open(log, "wb") as out:
             self.daemon = subprocess.Popen(
@@ -71,6 +72,12 @@ class Engine:
                 raise Failure(f"dockerd did not start; the end of what it said:\n{log.read_text(errors='replace')[-4000:]}")
             time.sleep(0.2)
         self.pid = text(*AS_ROOT, "cat", pidfile)
+
+    def _start_in(self):
+        return []
+
+    def _data(self):
+        return CACHE / "engine"
 
     def stop(self):
         if self.daemon is not None and self.daemon.poll() is None:
@@ -104,3 +111,33 @@ class Engine:
         self("image", "prune", "--force", check=False)
         if self.buildkit:
             self("builder", "prune", "--force", "--keep-storage", "6GB", check=False)
+
+
+class Apart(Engine):
+    """An engine as Docker sets it up, with bridges, published ports and its own DNS server, in a network of its own: it changes nothing on
+    the machine, and every port is free. Its images are gone at the end."""
+
+    NETWORK = []
+
+    def open(self):
+        self.own, self.client, self.buildkit = True, *self._client()
+        self._start()
+        # A command in the network of the engine, where its published ports are.
+        self.inside = [*AS_ROOT, where("nsenter"), f"--net=/proc/{self.pid}/ns/net"]
+
+    def _start_in(self):
+        return ["unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "dockerd"]
+
+    def _data(self):
+        return self.scratch / "data"
+
+    def load(self, engine, tag, name, *lines):
+        """Takes an image of another engine under a name, with more lines of a Dockerfile."""
+        save = subprocess.Popen([str(c) for c in (*engine.prefix, engine.client, *engine.host, "save", tag)], stdout=subprocess.PIPE)
+        self("load", stdin=save.stdout)
+        save.stdout.close()
+        if save.wait() != 0:
+            raise Failure(f"the image {tag} could not be read")
+        with tempfile.TemporaryDirectory(dir=self.scratch) as context:
+            Path(context, "Dockerfile").write_text("\n".join([f"FROM {tag}", *lines, ""]))
+            run(*self.prefix, "env", "DOCKER_BUILDKIT=0", self.client, *self.host, "build", "--tag", name, context)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import files_kubernetes
 import files_systemd
+import files_ways
 
 
 def tracked(*patterns):
@@ -48,7 +49,7 @@ def simulation():
 
 def main(kept):
     held = failed = 0
-    for checks in (linters(), simulation(), files_systemd.check(), files_kubernetes.check(Path(kept))):
+    for checks in (linters(), simulation(), files_systemd.check(), files_kubernetes.check(Path(kept)), files_ways.check(Path(kept))):
         try:
             for what, complaints in checks:
                 print(f"{'FAILED' if complaints else '  held'}: {what}", flush=True)

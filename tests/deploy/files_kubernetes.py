@@ -315,18 +315,6 @@ def affinity(cluster):
     return said
 
 
-def secrets_of(tree):
-    """The names of all referenced Secrets."""
-    if isinstance(tree, list):
-        return set().union(*map(secrets_of, tree))
-    if not isinstance(tree, dict):
-        return set()
-    own = {tree["secretName"]} if "secretName" in tree else set()
-    own |= {tree["secretKeyRef"]["name"]} if "secretKeyRef" in tree else set()
-    own |= {tree["name"]} if tree.get("kind") == "Secret" and "name" in tree else set()
-    return own.union(*map(secrets_of, tree.values()))
-
-
 # --- tests of the checks ---------------------------------------------------------------------------------------------------------------
 
 
@@ -396,5 +384,3 @@ def check(kept):
     before = all_of(cluster)
     yield "mistakes are seen", [f"unseen: {what}" for what, changed in broken(objects) if not all_of(Cluster(changed)) - before]
     yield "the program starts with these variables, and answers what is asked of it", in_the_program(cluster)
-    told = open("deploy/README.md").read()
-    yield "the README makes every Secret", [f"no Secret {name}" for name in secrets_of(objects) if not re.search(rf"create secret \w+ {name}\b", told)]

@@ -14,6 +14,7 @@ from commands import AS_ROOT, CACHE, ROOT, Failure, install, run, text, timed, w
 SUITE = "bookworm"
 BUILDER_NAME = "mlswarp-test/builder"
 SERVICES_NAME = "mlswarp-test/services"
+SYSTEMD_NAME = "mlswarp-test/systemd"
 IMAGE = "mlswarp-test/mlswarp"
 
 
@@ -93,6 +94,7 @@ SERVICES = {
     "usr/local/bin/valkey-cli": "redis-cli",
     "bin/prometheus": "prometheus",
     "bin/wget": "busybox",
+    "bin/sleep": "busybox",
 }
 OWNED = {"data": "999:1000", "prometheus": "65534:65534"}
 
@@ -120,14 +122,33 @@ def services_image(engine):
     return tag
 
 
+def systemd_image(engine):
+    """A Debian that systemd boots, with curl and openssl."""
+    key = hashlib.sha256((SUITE + inspect.getsource(systemd_image)).encode())
+    tag = f"{SYSTEMD_NAME}:{key.hexdigest()[:16]}"
+    if has(engine, tag):
+        return tag
+    if where("debootstrap") is None:
+        install("debootstrap")
+    with planted("systemd") as tree, timed(f"making a Debian {SUITE} with systemd"):
+        run(*AS_ROOT, where("debootstrap"), "--variant=minbase", "--include=systemd,systemd-sysv,ca-certificates,curl,openssl", SUITE, tree)
+        run(*AS_ROOT, "rm", "-rf", tree / "var/cache/apt", tree / "var/lib/apt/lists", tree / "usr/share/doc", tree / "usr/share/man")
+        take(engine, tree, tag)
+    return tag
+
+
+def build_options():
+    """The proxies of this machine, as arguments of a build."""
+    proxies = [n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")]
+    return [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
+
+
 def build(engine, tag=IMAGE, *options):
     """Builds deploy/Dockerfile unchanged, on the network of the host."""
     base = builder_image(engine)
-    proxies = [n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")]
-    arguments = [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
     with timed(f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"):
         engine.build(
-            "--network=host", "--build-arg", f"BUILDER={base}", *arguments, *options, "-f", ROOT / "deploy/Dockerfile", "-t", tag
+            "--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options, "-f", ROOT / "deploy/Dockerfile", "-t", tag
         )  # fmt: skip
 
 

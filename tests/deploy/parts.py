@@ -13,6 +13,7 @@ import nginx
 import retries
 import scaling
 import start
+import ways
 from commands import Checks
 from engine import Engine
 from images import IMAGE, build, program, services_image
@@ -54,6 +55,7 @@ def check_again(stage):
 
 PARTS = {
     "image": check_image,
+    "ways": ways.check_ways,
     "stack": chaos.check_stack,
     "retries": retries.check_retries,
     "nginx": nginx.check_nginx,

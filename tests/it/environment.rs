@@ -10,12 +10,12 @@ use mlswarp_server::config::{Config, command};
 use crate::support::program::{Program, mlswarp};
 
 const HEAD: &str = "\
-# What can be set, with its default. Take away the # in front of a variable and change what follows the =.
+# All settings with their defaults. To change one, remove the # in front of it and edit the value after the =.
 #
-# systemd reads it by EnvironmentFile= (systemd/mlswarp.service), Docker and Compose by --env-file and env_file. What they agree on is little: a variable
-# a line, a comment is a line of its own, and a value is everything that follows the =, without quotes and without ${...}.
-# MLSWARP_KEYS and a MLSWARP_STORE with a password are secrets: then this file is for nobody else to read.
-# Written from the program's own declaration; tests/it/environment.rs compares.
+# systemd reads this file by EnvironmentFile= (systemd/mlswarp.service), Docker by --env-file, Compose by env_file. All of them accept one
+# variable per line, comments on lines of their own, and values without quotes and without ${...}.
+# MLSWARP_KEYS, and MLSWARP_STORE with a password, are secrets: if you set them, make this file unreadable for other users.
+# Generated from the options of the program; tests/it/environment.rs compares.
 ";
 
 fn path() -> PathBuf {
