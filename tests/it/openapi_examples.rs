@@ -97,7 +97,7 @@ fn same(shown: &Value, served: &Value) -> bool {
         (Value::Number(a), Value::Number(b)) => {
             let text = a.to_string();
             let digits = text.split_once('.').map_or("", |(_, digits)| digits);
-            let tolerance = if digits.is_empty() { 0.0 } else { 0.51 * 0.1_f64.powi(digits.len() as i32) };
+            let tolerance = if digits.is_empty() { 0.0 } else { digits.chars().fold(0.51, |unit, _| unit / 10.0) };
             (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() <= tolerance
         }
         _ => shown == served,
