@@ -135,9 +135,9 @@ mod tests {
     #[test]
     fn all_groups_are_counted_and_some_are_listed() {
         let mut found = Contradictions::new(1e-3);
-        for k in 0..5000 {
+        for k in 0..5000_u16 {
             found.add(Point::new(f64::from(k), 0.0), member(0, 0.0), member(1, 1.0));
-            found.add(Point::new(0.0, 0.0), member(0, 0.0), member(k as usize, 1.0));
+            found.add(Point::new(0.0, 0.0), member(0, 0.0), member(usize::from(k) + 1, 1.0));
         }
         let (groups, total) = found.finish();
         assert_eq!((groups.len(), total, groups[0].handles.len()), (MOST_GROUPS, 5000, MOST_HANDLES));
