@@ -116,7 +116,7 @@ def test_what_is_no_choice_is_refused(opened, tmp_path):
     wrong = tmp_path / "wrong-handles.json"
     wrong.write_text(json.dumps({"p": [[1, 2]], "q": [[3, 4]], "output": {"outside": "reflect"}}))
     opened.page.set_input_files("#file", wrong)
-    opened.body("[data-problem=bad_value][data-handles='0']")
+    opened.body("[data-problem=bad_handles_file][data-handles='0']")
 
 
 def test_the_page_says_where_pictures_are_kept(visits, tmp_path):
