@@ -89,14 +89,14 @@ def test_it_is_taken_along(shifted, visits, picture, tmp_path):
     assert shifted.warp()["output"] == {"outside": "#8020c0ff"}
     shutil.copy(picture, tmp_path)
     run(shifted.copied("copy-curl"), tmp_path)
-    assert (tmp_path / "discs-bent.png").read_bytes() == png
+    assert (tmp_path / "discs-warped.png").read_bytes() == png
     # A link, whose picture the other one's command asks of the session.
     link = shifted.copied("copy-link")
     other = visits(path=link[link.index("#"):])
     other.ready()
     assert other.page.input_value("#outside-colour") == PURPLE and other.saved("download")[1] == png
     run(other.copied("copy-curl"), tmp_path)
-    assert (tmp_path / "discs-bent.png").read_bytes() == png
+    assert (tmp_path / "discs-warped.png").read_bytes() == png
     assert at(choose(other, "edge"), *BARE) == (*GREY, 255)
     # A reload, and a file of handles.
     shifted.page.reload()

@@ -46,7 +46,7 @@ static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
         "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
         "examples/points.sh" TEXT, "examples/points.py" TEXT, "examples/points.js" JS,
         "examples/session.sh" TEXT, "examples/session.py" TEXT, "examples/session.js" JS,
-        "examples/socket.py" TEXT, "examples/socket.js" JS,
+        "examples/drag.py" TEXT, "examples/drag.js" JS,
         "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
     ]
 });
