@@ -174,6 +174,9 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         ("all out of view", json!({"p": [[10, 10], [290, 50]], "q": [[410, 10], [690, 50]]}), &[NOTHING]),
         ("all far away", json!({"p": [[10, 10], [290, 50]], "q": [[300_010, 10], [300_290, 50]]}), &[OUTSIDE, NOTHING]),
     ];
+    let (tiny, shares) = (photo(1, 1), json!([[0.1, 0.2], [0.9, 0.8]]));
+    let response = server.upload("/warp", &tiny, &json!({"p": shares, "q": shares, "units": "normalized"})).await;
+    assert!(!warnings(&response).contains(&NORMALIZED), "correct, however small");
     for (name, warp, expected) in cases {
         let relevant = |response: &reqwest::Response| -> Vec<String> {
             let codes = warnings(response);

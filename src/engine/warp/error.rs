@@ -59,8 +59,8 @@ pub enum Warning {
     Deform(deform::Warning),
     /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far.
     HandlesOutsidePicture,
-    /// The units are px and all of p or of q is within 0 to 1.5 and not just a corner of the picture, or the units are normalised and a value is
-    /// beyond 4.
+    /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
+    /// value is beyond 4.
     LooksNormalized,
     /// No posed cell intersects the picture.
     NothingVisible,

@@ -25,8 +25,8 @@ const MAX_OVERHEAD: u64 = 16 << 10;
 const PARSER_BYTES: u64 = 128 << 10;
 
 const PARTS: [&str; 2] = ["image", "warp"];
-const NO_BOUNDARY: &str = "the `Content-Type` of the request has no valid `boundary`: do not set `Content-Type` yourself; the client library adds \
-                           the boundary";
+const NO_BOUNDARY: &str =
+    "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
 /// Extensions of the files that people send.
 const EXTENSIONS: [&str; 18] =
     ["json", "txt", "csv", "pts", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg", "psd", "pdf"];
