@@ -36,9 +36,10 @@ static REFERENCE: LazyLock<Asset> =
     LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
-static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
+static EXAMPLES: LazyLock<[(&str, Asset); 28]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
+        "examples/caricature.py" TEXT, "examples/caricature.js" JS,
         "examples/errors.sh" TEXT, "examples/errors.py" TEXT, "examples/errors.js" JS,
         "examples/landmarks.py" TEXT, "examples/landmarks.js" JS,
         "examples/lines.sh" TEXT, "examples/lines.py" TEXT, "examples/lines.js" JS,
@@ -46,7 +47,7 @@ static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
         "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
         "examples/points.sh" TEXT, "examples/points.py" TEXT, "examples/points.js" JS,
         "examples/session.sh" TEXT, "examples/session.py" TEXT, "examples/session.js" JS,
-        "examples/socket.py" TEXT, "examples/socket.js" JS,
+        "examples/drag.py" TEXT, "examples/drag.js" JS,
         "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
     ]
 });
