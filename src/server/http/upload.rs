@@ -6,22 +6,30 @@ use std::task::{Poll, ready};
 
 use axum::body::Body;
 use axum::extract::multipart::Field;
-use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
+use axum::extract::{DefaultBodyLimit, FromRequest as _, MatchedPath, Multipart, Request};
 use bytes::Bytes;
 use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, read_problem};
+use super::body::{BodyBuffer, read_problem, sent};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::limits::memory::Purpose;
 use crate::problem::words::{advice, nearest, quote};
 use crate::problem::{Code, Problem};
+use crate::wire::fields;
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
 const MAX_OVERHEAD: u64 = 16 << 10;
 /// Memory of the parser: that, a frame before, a frame after, and capacity to grow.
 const PARSER_BYTES: u64 = 128 << 10;
+
+const PARTS: [&str; 2] = ["image", "warp"];
+const NO_BOUNDARY: &str =
+    "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
+/// Extensions of the files that people send.
+const EXTENSIONS: [&str; 18] =
+    ["json", "txt", "csv", "pts", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg", "psd", "pdf"];
 
 /// The two parts.
 #[derive(Debug)]
@@ -35,12 +43,11 @@ pub(crate) struct Upload {
 /// Reads both parts. The limit of the whole body is checked before; `warp` has a limit of its own.
 pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload, Problem> {
     if media_type(request.headers()).as_deref() != Some("multipart/form-data") {
-        let detail = format!(
-            "{} {} takes multipart/form-data with the parts `image` and `warp`; to warp the picture of a session, send JSON to POST \
-             /sessions/{{id}}/warp",
-            request.method(),
-            request.uri().path()
-        );
+        let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+        let of_session = "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
+        let hint = if route == "/warp" { of_session } else { "" };
+        let sent = sent(request.headers());
+        let detail = format!("{} {route} takes multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     // axum's default limit is lower than that of `LimitedBody`.
@@ -49,7 +56,7 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
     let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|error| malformed(error.body_text()))?;
+    let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
     let (mut image, mut warp) = (None, None);
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
@@ -58,7 +65,10 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
             "image" => (&mut image, u64::MAX),
             "warp" => (&mut warp, app.config().max_warp_json_bytes),
             _ => {
-                let hint = nearest(&name, ["image", "warp"]).map(|meant| format!("did you mean `{meant}`?"));
+                if fields::is_unsupported(&name, &PARTS) {
+                    return Err(fields::unsupported(&name, &PARTS));
+                }
+                let hint = nearest(&name, PARTS).map(|meant| format!("did you mean `{meant}`?"));
                 let advice = advice(hint, "the parts are `image` and `warp`");
                 return Err(malformed(format!("unknown part: {}{advice}", quote(&name))));
             }
@@ -79,28 +89,36 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
     }
 }
 
-/// Rejects parts that contain the path of a file instead of its contents, as curl sends them without `@`.
+/// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends it without `@`.
 fn require_contents(image: &[u8], warp: &[u8]) -> Result<(), Problem> {
     for (name, code, part) in [("image", Code::UnsupportedFormat, image), ("warp", Code::MalformedRequest, warp)] {
-        if let Some(path) = as_path(part) {
-            let detail =
-                format!("the part `{name}` is the text {}, which looks like a path; curl sends a file with `-F {name}=@path`", quote(path));
-            return Err(Problem::new(code, detail));
-        }
+        let Some(text) = as_line(part) else { continue };
+        let hint = match text {
+            _ if is_url(text) => "a URL; the server fetches no URLs: send the file itself".to_owned(),
+            _ if is_path(text) => format!("which looks like a path; curl sends a file with `-F {name}=@path`"),
+            _ => continue,
+        };
+        return Err(Problem::new(code, format!("the part `{name}` is the text {}, {hint}", quote(text))));
     }
     Ok(())
 }
 
-/// The path that a part consists of: one short line that ends with a file name extension, without characters that JSON has.
-fn as_path(part: &[u8]) -> Option<&str> {
-    const LONGEST_PATH: usize = 1024;
-    const LONGEST_EXTENSION: usize = 5;
-    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_PATH)?).ok()?.trim();
-    let is_path = !text.contains(|c: char| c.is_control() || matches!(c, '{' | '}' | '<' | '>' | '"'));
-    let (_, extension) = text.rsplit_once('.').filter(|_| is_path)?;
-    let is_extension = (1..=LONGEST_EXTENSION).contains(&extension.len()) && extension.bytes().all(|b| b.is_ascii_alphanumeric());
-    // A number is JSON.
-    (is_extension && text.parse::<f64>().is_err()).then_some(text)
+/// A part that is one short line of text.
+fn as_line(part: &[u8]) -> Option<&str> {
+    const LONGEST_LINE: usize = 1024;
+    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_LINE)?).ok()?.trim();
+    (!text.contains(char::is_control)).then_some(text)
+}
+
+fn is_url(text: &str) -> bool {
+    text.split_once("://")
+        .is_some_and(|(scheme, _)| ["http", "https", "ftp", "file", "s3"].iter().any(|known| scheme.eq_ignore_ascii_case(known)))
+}
+
+/// Whether a line ends with the extension of a file that people send, without characters that JSON has.
+fn is_path(text: &str) -> bool {
+    let extension = text.rsplit_once('.').map_or("", |(_, extension)| extension);
+    !text.contains(['{', '}', '<', '>', '"']) && EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
 fn malformed(detail: impl Into<String>) -> Problem {
@@ -149,24 +167,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_that_is_a_path_is_recognised() {
+    fn a_part_that_is_a_path_or_a_url_is_recognised() {
         for (part, path) in [
-            ("photo.jpg", Some("photo.jpg")),
-            ("warp.json\n", Some("warp.json")),
-            ("@warp.json", Some("@warp.json")),
-            ("/home/ann/My pictures/cat.PNG", Some("/home/ann/My pictures/cat.PNG")),
-            ("C:\\Users\\ann\\w.json", Some("C:\\Users\\ann\\w.json")),
-            ("", None),
-            ("hello", None),
-            ("1.5", None),
-            ("{}", None),
-            ("{\"a\": 1.5e3}", None),
-            ("two\nlines.txt", None),
-            ("no extension.", None),
+            ("photo.jpg", true),
+            ("warp.json\n", true),
+            ("@warp.json", true),
+            ("/home/ann/My pictures/cat.PNG", true),
+            ("C:\\Users\\ann\\w.json", true),
+            ("", false),
+            ("hello", false),
+            ("1.5", false),
+            ("[[1,2],3.5", false),
+            ("0.5,0.5", false),
+            ("p=1.5", false),
+            ("See example.com", false),
+            ("{}", false),
+            ("{\"a\": 1.5e3}", false),
+            ("two\nlines.txt", false),
+            ("no extension.", false),
         ] {
-            assert_eq!(as_path(part.as_bytes()), path, "{part:?}");
+            assert_eq!(as_line(part.as_bytes()).is_some_and(is_path), path, "{part:?}");
         }
-        assert_eq!(as_path(b"\x89PNG.png"), None);
-        assert_eq!(as_path(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
+        assert_eq!(as_line(b"\x89PNG.png"), None);
+        assert_eq!(as_line(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
+        for (text, url) in [("https://example.com/a.png", true), ("HTTP://x", true), ("http", false), ("see https://x", false)] {
+            assert_eq!(is_url(text), url, "{text}");
+        }
     }
 }
