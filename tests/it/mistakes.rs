@@ -39,7 +39,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     let both = "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go";
     let cases: &[(&str, &str, &str, &[&str])] = &[
         (r#"{"q": [[10, 10], [20, 20]]}"#, "bad_value", "/p", &["`p` is missing: where do the handles start?"]),
-        (r#"{"p": [[10, 10]]}"#, "bad_value", "/q", &["`q` is missing"]),
+        (r#"{"p": [[10, 10]]}"#, "bad_value", "/q", &["`q` is missing: where do the handles go?"]),
         (r#"{"p": [["10", "10"]], "q": [[10, 10]]}"#, "bad_value", "/p/0/0", &["expected a number; found a string; remove the quotes"]),
         (r#"{"p": "[[10, 10]]", "q": [[10, 10]]}"#, "bad_value", "/p", &["found a string; remove the quotes"]),
         (r#"{"p": [], "alpha": "1.5"}"#, "bad_value", "/alpha", &["expected a number; found a string; remove the quotes"]),
@@ -53,9 +53,9 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"p": [], "method": "Rigid"}"#, "bad_value", "/method", &["found `Rigid`; did you mean `rigid`?"]),
         (r#"{"p": [], "units": "pixels"}"#, "bad_value", "/units", &["did you mean `px`?"]),
         (r#"{"p": [], "output": {"format": "jpg"}}"#, "bad_value", "/output/format", &["found `jpg`; did you mean `jpeg`?"]),
-        (r#"{"p": [], "output": {"outside": "red"}}"#, "bad_value", "/output/outside", &["found `red`; did you mean `#ff0000ff`?"]),
-        (r##"{"p": [], "output": {"outside": "#fff"}}"##, "bad_value", "/output/outside", &["found `#fff`; did you mean `#ffffffff`?"]),
-        (r#"{"p": [], "output": {"outside": "white"}}"#, "bad_value", "/output/outside", &["did you mean `#ffffffff`?"]),
+        (r#"{"p": [], "output": {"outside": "red"}}"#, "bad_value", "/output/outside", &["found `red`; did you mean `#ff0000`?"]),
+        (r##"{"p": [], "output": {"outside": "#fff"}}"##, "bad_value", "/output/outside", &["found `#fff`; did you mean `#ffffff`?"]),
+        (r#"{"p": [], "output": {"outside": "white"}}"#, "bad_value", "/output/outside", &["did you mean `#ffffff`?"]),
         (r#"{"p": [], "output": {"method": "rigid"}}"#, "unknown_field", "/output/method", &["put it beside `output`, not in it"]),
         (r#"{"p": [], "cell": 5}"#, "unknown_field", "/cell", &["put it in `grid`: `grid.cell`"]),
         (r#"{"p": [], "grid": {"cells": 5}}"#, "unknown_field", "/grid/cells", &["did you mean `cell`?", "`cell`, `columns`, `rows`"]),
@@ -177,6 +177,12 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
     let (tiny, shares) = (photo(1, 1), json!([[0.1, 0.2], [0.9, 0.8]]));
     let response = server.upload("/warp", &tiny, &json!({"p": shares, "q": shares, "units": "normalized"})).await;
     assert!(!warnings(&response).contains(&NORMALIZED), "correct, however small");
+    let landscape = photo(320, 214);
+    let swapped = json!({"p": [[100, 40], [120, 300], [60, 200]], "q": [[100, 50], [120, 290], [60, 200]]});
+    assert!(
+        warnings(&server.upload("/warp", &landscape, &swapped).await).contains(&OUTSIDE),
+        "swapped, and inside if x and y are exchanged"
+    );
     for (name, warp, expected) in cases {
         let relevant = |response: &reqwest::Response| -> Vec<String> {
             let codes = warnings(response);

@@ -12,6 +12,8 @@ const LARGEST_NORMALIZED: f64 = 4.0;
 const LEAST_SIZE: f64 = 0.25;
 /// Distance from the picture, in sizes of the picture, beyond which a rest handle and a posed handle are probably not meant.
 const FAR_AT_REST: f64 = 1.0;
+/// Handles that are just outside the picture may hold its border; in larger sides of the picture.
+const MARGIN: f64 = 0.02;
 const FAR_POSED: f64 = 10.0;
 
 /// The warnings of rest handles, which are in px.
@@ -22,8 +24,16 @@ pub(super) fn of_rest(handles: &Handles, grid: &Grid, units: Units) -> Vec<Warni
         Units::Px => places().all(|p| is_share(*p)) && places().any(|p| !is_whole(*p)),
         Units::Normalized => places().any(|p| is_beyond_normalized(*p, grid)),
     };
-    let is_outside = places().any(|p| is_far(*p, grid, FAR_AT_REST));
+    let is_outside = places().any(|p| is_far(*p, grid, FAR_AT_REST)) || looks_swapped(handles, grid);
     list(is_outside, looks_normalized)
+}
+
+/// Whether handles lie outside the picture, and all would lie inside if x and y were exchanged.
+fn looks_swapped(handles: &Handles, grid: &Grid) -> bool {
+    let places = || handles.handles().iter().flat_map(Handle::places);
+    let margin = MARGIN * grid.width().max(grid.height());
+    let is_inside = |x: f64, y: f64| (-margin..=grid.width() + margin).contains(&x) && (-margin..=grid.height() + margin).contains(&y);
+    places().any(|p| !is_inside(p.x, p.y)) && places().all(|p| is_inside(p.y, p.x))
 }
 
 /// The warnings of posed handles.

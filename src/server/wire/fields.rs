@@ -24,6 +24,14 @@ pub(crate) const GRID: [&str; 3] = ["cell", "columns", "rows"];
 /// The fields of `output`, in the order of `OutputPatch::read`.
 pub(crate) const OUTPUT: [&str; 7] = ["format", "quality", "compression", "width", "filter", "outside", "canvas"];
 
+/// Fields that this version accepts with one value only: nobody needs to send them.
+const ONE_VALUED: [&str; 6] = ["metric", "canvas", "polygons", "boxes", "inverse", "refine"];
+
+/// The names without those that this version accepts with one value only.
+pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
+    known.iter().copied().filter(|name| !ONE_VALUED.contains(name)).collect()
+}
+
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
 const UNSUPPORTED: [(&str, &str); 15] = [
     ("coincident", "p"),
@@ -50,5 +58,5 @@ pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {
 
 /// The problem of a name that [`is_unsupported`].
 pub(crate) fn unsupported(name: &str, known: &[&str]) -> Problem {
-    Problem::new(Code::NotSupported, format!("not supported by this version: `{name}`; supported: {}", list(known)))
+    Problem::new(Code::NotSupported, format!("not supported by this version: `{name}`; supported: {}", list(&useful(known))))
 }

@@ -130,7 +130,11 @@ impl<'j> Node<'j, '_> {
     }
 
     pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
-        Problem::new(Code::BadValue, format!("`{name}` is missing: expected {expected}")).pointer(format!("{}/{name}", self.at))
+        let detail = match name {
+            "q" => "`q` is missing: where do the handles go?".to_owned(),
+            _ => format!("`{name}` is missing: expected {expected}"),
+        };
+        Problem::new(Code::BadValue, detail).pointer(format!("{}/{name}", self.at))
     }
 
     fn unknown(&self, name: &str, known: &[&str]) -> Problem {
@@ -138,7 +142,8 @@ impl<'j> Node<'j, '_> {
         if fields::is_unsupported(name, known) {
             return fields::unsupported(name, known).pointer(pointer);
         }
-        let advice = advice(suggest::field(name, known), &format!("known fields: {}", list(known)));
+        let useful = fields::useful(known);
+        let advice = advice(suggest::field(name, &useful), &format!("known fields: {}", list(&useful)));
         let detail = format!("unknown field: {}{advice}", quote(name));
         let problem = Problem::new(Code::UnknownField, detail);
         if pointer.is_empty() { problem } else { problem.pointer(pointer) }

@@ -1,6 +1,6 @@
 //! What a client probably meant by a field, a name or a colour that the contract does not have.
 
-use super::fields::{GRID, OUTPUT, WARP};
+use super::fields::{self, GRID, OUTPUT, WARP};
 use crate::problem::words::nearest;
 
 /// What other programs call the handles at rest, posed, and both.
@@ -42,26 +42,26 @@ const OTHER_VALUES: [(&str, &str); 8] = [
 ];
 /// The colours that people write by name.
 const COLOURS: [(&str, &str); 20] = [
-    ("black", "#000000ff"),
-    ("white", "#ffffffff"),
-    ("red", "#ff0000ff"),
-    ("green", "#008000ff"),
-    ("blue", "#0000ffff"),
-    ("yellow", "#ffff00ff"),
-    ("orange", "#ffa500ff"),
-    ("purple", "#800080ff"),
-    ("pink", "#ffc0cbff"),
-    ("brown", "#a52a2aff"),
-    ("gray", "#808080ff"),
-    ("grey", "#808080ff"),
-    ("silver", "#c0c0c0ff"),
-    ("cyan", "#00ffffff"),
-    ("magenta", "#ff00ffff"),
-    ("lime", "#00ff00ff"),
-    ("navy", "#000080ff"),
-    ("teal", "#008080ff"),
-    ("olive", "#808000ff"),
-    ("maroon", "#800000ff"),
+    ("black", "#000000"),
+    ("white", "#ffffff"),
+    ("red", "#ff0000"),
+    ("green", "#008000"),
+    ("blue", "#0000ff"),
+    ("yellow", "#ffff00"),
+    ("orange", "#ffa500"),
+    ("purple", "#800080"),
+    ("pink", "#ffc0cb"),
+    ("brown", "#a52a2a"),
+    ("gray", "#808080"),
+    ("grey", "#808080"),
+    ("silver", "#c0c0c0"),
+    ("cyan", "#00ffff"),
+    ("magenta", "#ff00ff"),
+    ("lime", "#00ff00"),
+    ("navy", "#000080"),
+    ("teal", "#008080"),
+    ("olive", "#808000"),
+    ("maroon", "#800000"),
 ];
 
 fn in_table<'a>(table: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
@@ -107,14 +107,15 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
         (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))
     };
     let nested = |name: &str| inside("output", &OUTPUT, name).or_else(|| inside("grid", &GRID, name));
+    let is_output = known.contains(&"compression");
     let outside = || {
-        let object = if known == OUTPUT { "output" } else { "grid" };
-        ((known == OUTPUT || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
+        let object = if is_output { "output" } else { "grid" };
+        ((is_output || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
     };
     nested(name)
         .or_else(outside)
         .or_else(|| nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?")))
-        .or_else(|| nested(nearest(name, OUTPUT.into_iter().chain(GRID))?))
+        .or_else(|| nested(nearest(name, fields::useful(&OUTPUT).into_iter().chain(GRID))?))
 }
 
 const OF_SESSION: &str = "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
@@ -140,8 +141,7 @@ pub(crate) fn colour(text: &str) -> Option<String> {
         6 | 8 => digits.to_owned(),
         _ => return None,
     };
-    let alpha = if digits.len() == 6 { "ff" } else { "" };
-    Some(format!("#{}{alpha}", digits.to_ascii_lowercase()))
+    Some(format!("#{}", digits.to_ascii_lowercase()))
 }
 
 #[cfg(test)]
@@ -210,11 +210,11 @@ mod tests {
     #[test]
     fn colours_are_suggested_in_full() {
         for (text, meant) in [
-            ("red", Some("#ff0000ff")),
-            ("White", Some("#ffffffff")),
-            ("#fff", Some("#ffffffff")),
+            ("red", Some("#ff0000")),
+            ("White", Some("#ffffff")),
+            ("#fff", Some("#ffffff")),
             ("#F0a8", Some("#ff00aa88")),
-            ("0A141E", Some("#0a141eff")),
+            ("0A141E", Some("#0a141e")),
             ("0x0a141e80", Some("#0a141e80")),
             ("ede", None),
             ("decade", None),
