@@ -218,7 +218,7 @@ mod tests {
             ("0x0a141e80", Some("#0a141e80")),
             ("ede", None),
             ("decade", None),
-            ("#ede", Some("#eeddeeff")),
+            ("#ede", Some("#eeddee")),
             ("#12345", None),
             ("#xyz", None),
             ("", None),
