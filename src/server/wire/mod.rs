@@ -9,6 +9,7 @@ mod fields;
 pub mod formats;
 mod handles;
 mod json;
+pub mod landmarks;
 mod mesh;
 mod number;
 mod output;
