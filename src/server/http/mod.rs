@@ -41,6 +41,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
         ("/points", Keyed, uploads(post(routes::points::once))),
+        ("/landmarks", Keyed, uploads(post(routes::landmarks::convert))),
         ("/healthz", Open, get(routes::service::healthz)),
         ("/readyz", Open, get(routes::service::readyz)),
         ("/metrics", metrics_access, get(routes::service::metrics)),

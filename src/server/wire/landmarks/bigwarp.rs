@@ -5,9 +5,9 @@
 //! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open
 //! the images uncalibrated for px.) Rows that are not active are left out, as BigWarp does; `Infinity` is a side that is not set yet.
 
+use super::File;
 use super::bad::Bad;
 use super::collect::Collector;
-use super::File;
 use super::table::{Row, Rows, flag};
 
 const CENTRE: f64 = 0.5;

@@ -6,7 +6,7 @@
 use super::bad::Bad;
 use super::collect::Collector;
 use super::table::{Row, Rows};
-use super::{File, FORMATS};
+use super::{FORMATS, File};
 use crate::problem::words::quote;
 
 const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
@@ -30,7 +30,9 @@ pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result
     let mut row = if header.is_some() { rows.next_row()? } else { Some(first) };
     while let Some(Row { at, fields }) = &row {
         row.as_ref().map_or(Ok(()), |row| row.require_width(columns.width, columns.like))?;
-        let side = |[x, y]: [usize; 2]| Ok::<_, Bad>([fields[x].located().parse(rows.decimal_comma)?, fields[y].located().parse(rows.decimal_comma)?]);
+        let side = |[x, y]: [usize; 2]| {
+            Ok::<_, Bad>([fields[x].located().parse(rows.decimal_comma)?, fields[y].located().parse(rows.decimal_comma)?])
+        };
         out.point(*at, side(columns.p)?, columns.q.map(side).transpose()?, columns.name.map(|name| fields[name].located()))?;
         row = rows.next_row()?;
     }

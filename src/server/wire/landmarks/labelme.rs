@@ -4,8 +4,8 @@
 //! Source: `labelme/_label_file.py` and the canvas, whose positions are those of the pixmap: the corner of the image is 0, 0, as in the
 //! contract. Nothing is added.
 
-use mlswarp::geometry::Point;
 use mlswarp::deform::Handle;
+use mlswarp::geometry::Point;
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Landmark, Located};

@@ -23,7 +23,8 @@ mod tests;
 
 use bad::Bad;
 use collect::Collector;
-pub use files::{LandmarkFiles, Landmarks, Unmatched};
+use files::Unmatched;
+pub use files::{LandmarkFiles, Landmarks, UNMATCHED, extent};
 use mlswarp::deform::Handle;
 use mlswarp::warp::Units;
 

@@ -3,9 +3,9 @@
 //! Source: the annotations of the 300-W challenge, and the reader of menpo (`menpo/io/input/landmark.py`, `PTSImporter`: "Here we make the
 //! assumption (as is common) that PTS landmarks are 1-based"). The centre of the first pixel is 1, 1: 1/2 is subtracted.
 
+use super::File;
 use super::bad::Bad;
 use super::collect::{Collector, Located};
-use super::File;
 use super::words::Lines;
 use crate::problem::words::quote;
 

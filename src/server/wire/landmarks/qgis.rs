@@ -5,9 +5,9 @@
 //! covers x from 0 to W and y from 0 down to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
 //! that are not enabled are left out.
 
+use super::File;
 use super::bad::Bad;
 use super::collect::Collector;
-use super::File;
 use super::table::{Row, Rows, flag};
 
 const X: [&str; 2] = ["sourcex", "pixelx"];

@@ -68,7 +68,13 @@ impl<'t> Rows<'t> {
         let first = text[start..].lines().find(is_row).unwrap_or_default();
         // Outside of quotes.
         let has = |separator: char| first.split('"').step_by(2).any(|part| part.contains(separator));
-        let separator = if has('\t') { b'\t' } else if has(';') { b';' } else { b',' };
+        let separator = if has('\t') {
+            b'\t'
+        } else if has(';') {
+            b';'
+        } else {
+            b','
+        };
         let reader = ReaderBuilder::new().delimiter(separator).build();
         Self { text, at: start, reader, is_first: true, decimal_comma: separator != b',' }
     }

@@ -7,9 +7,9 @@
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 
+use super::File;
 use super::bad::Bad;
 use super::collect::{Collector, Landmark};
-use super::File;
 use super::words::Lines;
 use crate::problem::words::quote;
 
@@ -51,7 +51,12 @@ pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File,
 }
 
 /// One contour, counted.
-fn contour(lines: &mut Lines<'_>, points: &[(usize, Point)], is_free: &mut [bool], out: &mut Collector) -> Result<(usize, Vec<Point>), Bad> {
+fn contour(
+    lines: &mut Lines<'_>,
+    points: &[(usize, Point)],
+    is_free: &mut [bool],
+    out: &mut Collector,
+) -> Result<(usize, Vec<Point>), Bad> {
     let line = lines.line("1 for a closed contour or 0 for an open one")?;
     let is_closed = match line.text {
         "0" => false,

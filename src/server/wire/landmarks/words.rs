@@ -53,7 +53,9 @@ impl<'t> Located<'t> {
     /// The words of a line.
     pub(super) fn words(self) -> impl Iterator<Item = Located<'t>> {
         let line = self;
-        line.text.split_whitespace().map(move |word| Located { at: line.at + (word.as_ptr().addr() - line.text.as_ptr().addr()), text: word })
+        line.text
+            .split_whitespace()
+            .map(move |word| Located { at: line.at + (word.as_ptr().addr() - line.text.as_ptr().addr()), text: word })
     }
 
     /// A line of two numbers.
