@@ -4,7 +4,7 @@ use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 
 use super::App;
-use super::warp::json_unless;
+use super::json_text::json_unless;
 use crate::client::Client;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::pool::{QueueKey, WorkClass};

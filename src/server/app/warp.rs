@@ -1,7 +1,6 @@
 //! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
 //! computation runs on the pool with one ticket per request.
 
-use std::io;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -9,7 +8,6 @@ use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Setup, WarpError};
-use serde::Serialize;
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
@@ -267,26 +265,6 @@ pub(crate) fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cance
     let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
-}
-
-/// Serialises a value to JSON in a buffer of this initial capacity, unless it is cancelled.
-pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
-    struct Text<'a>(Vec<u8>, &'a Cancel);
-    impl io::Write for Text<'_> {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            if self.1.is_cancelled() {
-                return Err(io::ErrorKind::BrokenPipe.into());
-            }
-            self.0.write(bytes)
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-    let mut text = Text(Vec::with_capacity(capacity), cancel);
-    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::Cancelled)?;
-    Ok(text.0)
 }
 
 /// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.

@@ -1,5 +1,5 @@
-//! BigWarp's landmark table in two dimensions: `name, active, moving x, moving y, fixed x, fixed y`, without a header. The moving image is the
-//! one that is warped, so `p` is moving and `q` is fixed.
+//! BigWarp's landmark table in two dimensions: `name, active, moving x, moving y, fixed x, fixed y`, without a header. The moving image is
+//! the one that is warped, so `p` is moving and `q` is fixed.
 //!
 //! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after `active`). Positions are those of
 //! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open

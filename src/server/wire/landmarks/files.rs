@@ -160,7 +160,8 @@ fn two([p, q]: [File; 2], extents: [Option<Extent>; 2], text_p: &[u8], text_q: &
             let surplus = [(&p.at, "landmarks_p", text_p), (&q.at, "landmarks_q", text_q)];
             if let Some((at, part, text)) = surplus.into_iter().find_map(|(at, part, text)| Some((*at.get(shorter)?, part, text))) {
                 let detail = format!(
-                    "expected {shorter} landmarks, as the other file has; found {}: without names in both files they are matched by order",
+                    "expected {shorter} landmark{}, as the other file has; found {}: without names in both files they are matched by order",
+                    if shorter == 1 { "" } else { "s" },
                     p.p.len().max(q.p.len())
                 );
                 return Err(Bad::new(at, detail).problem(part, text));

@@ -1,9 +1,10 @@
-//! Lists of normalised landmarks in JSON, as programs write the results of MediaPipe and ARKit: objects with `x` and `y` (further fields such
-//! as `z` and `visibility` are ignored; `name` is the name), or arrays `[x, y]`, from 0 to 1, y down. Nothing is added: 0 and 1 are the edges.
+//! Lists of normalised landmarks in JSON, as programs write the results of MediaPipe and ARKit: objects with `x` and `y` (further fields
+//! such as `z` and `visibility` are ignored; `name` is the name), or arrays `[x, y]`, from 0 to 1, y down. Nothing is added: 0 and 1 are the
+//! edges of the image.
 //!
-//! Sources: MediaPipe's `NormalizedLandmark` (`mediapipe/framework/formats/landmark.proto`: "normalized to [0.0, 1.0] by the image width" and
-//! height) and the results of its tasks (`faceLandmarks`, a list for each face); ARKit's `ARSkeleton2D.jointLandmarks` ("where 0 is the upper
-//! left, and 1 is the bottom right"). Apple's Vision framework counts y from the bottom and has no file format: convert it before.
+//! Sources: MediaPipe's `NormalizedLandmark` (`mediapipe/framework/formats/landmark.proto`) and the results of its tasks, "in normalized
+//! image coordinates" (`faceLandmarks`, a list for each face); ARKit's `ARSkeleton2D.jointLandmarks` ("where 0 is the upper left, and 1 is
+//! the bottom right"). Apple's Vision framework counts y from the bottom and has no file format: convert it before.
 
 use mlswarp::warp::Units;
 
@@ -11,7 +12,7 @@ use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
 use super::own::read_names;
 use super::{File, offset};
-use crate::wire::handles::{PLACE, place};
+use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
 
@@ -35,6 +36,7 @@ const LISTS: [&str; 16] = [
     "jointNames",
 ];
 const LIST: &str = "a list of landmarks {\"x\", \"y\"}";
+const ARRAY: &str = "at least 2 numbers, x and y";
 const SHARE: &str = "a share of the image, 0 to 1";
 
 pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Result<File, BadJson> {
@@ -113,8 +115,16 @@ fn is_list_of_lists(list: &Node<'_, '_>) -> bool {
 
 fn read_item(item: &Node<'_, '_>) -> Result<([f64; 2], Option<String>), BadJson> {
     if item.kind() == Kind::Array {
-        let place = place(item, PLACE)?;
-        return Ok(([place.x, place.y], None));
+        // Further numbers are the depth and the like.
+        let (mut place, mut count) = ([0.0; 2], 0);
+        item.items::<Problem>(ARRAY, |index, value| {
+            if let Some(coordinate) = place.get_mut(index) {
+                *coordinate = number(&value, SHARE)?;
+            }
+            count += 1;
+            Ok(())
+        })?;
+        return if count < 2 { Err(item.unexpected(ARRAY, count).into()) } else { Ok((place, None)) };
     }
     let [x, y, name] = item.find(&["x", "y", "name"])?;
     let x = number(&x.ok_or_else(|| item.missing("x", SHARE))?, SHARE)?;

@@ -1,8 +1,8 @@
-//! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three lines:
-//! 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment.
+//! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three
+//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment.
 //!
-//! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added. Contours
-//! become polylines, a closed one ends where it begins; points on no contour become points. Points come first, then contours.
+//! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added.
+//! Contours become polylines, a closed one ends where it begins; points on no contour become points. Points come first, then contours.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
