@@ -4,7 +4,7 @@
 import * as api from "./api.js";
 import { outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
-import { bentPicture, copy, curlLine, pictureName, save } from "./share.js";
+import { warpedPicture, copy, curlLine, pictureName, save } from "./share.js";
 import { EXPORT, bytes, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(`export-${id}`);
@@ -168,7 +168,7 @@ export class ExportDialog {
       this.#stop();
       const cancel = new AbortController();
       this.#cancel = cancel;
-      const blob = await bentPicture(this.sync, this.store, output, cancel.signal);
+      const blob = await warpedPicture(this.sync, this.store, output, cancel.signal);
       cancel.signal.throwIfAborted();
       this.#prepared = { key, blob };
     }

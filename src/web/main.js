@@ -11,7 +11,7 @@ import { Opener } from "./open.js";
 import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
-import { bentPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
+import { warpedPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
 import { Store, steps } from "./state.js";
 import { strengthOf } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
@@ -203,7 +203,7 @@ const copying = (words, what) =>
     const copied = await copy(words(sync, store.state), find("copied"));
     toast(copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`);
   });
-find("download").addEventListener("click", taking(async (state) => save(await bentPicture(sync, store), pictureName(state.picture.name))));
+find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
 find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
 find("copy-link").addEventListener("click", copying(linkTo, "Link"));

@@ -5,7 +5,7 @@ import * as api from "./api.js";
 import { warpOf, wire } from "./edits.js";
 
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
-export const pictureName = (name, format = "png") => `${stem(name)}-bent.${format === "jpeg" ? "jpg" : format}`;
+export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
 export const handlesName = (name) => `${stem(name)}-handles.json`;
 
 export function save(blob, name) {
@@ -17,7 +17,7 @@ export function save(blob, name) {
 }
 
 /** The picture of the current document: the shown PNG, otherwise requested from the server. `output`: fields that differ from its defaults. */
-export async function bentPicture(sync, store, output = {}, signal = undefined) {
+export async function warpedPicture(sync, store, output = {}, signal = undefined) {
   await sync.settled();
   signal?.throwIfAborted();
   const { revision, document } = store.state;

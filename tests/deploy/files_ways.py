@@ -74,7 +74,7 @@ def check(kept):
     rendered = yaml.safe_dump_all(objects)
     said = [f"{name} is not used: {value}" for name, value in values.items() if value not in rendered]
     for o in objects:
-        if o["kind"] in ("Gateway", "HTTPRoute") and "bend.example.com" in str(o) or "registry.example/" in str(o):
+        if o["kind"] in ("Gateway", "HTTPRoute") and "warp.example.com" in str(o) or "registry.example/" in str(o):
             said.append(f"{name_of(o)} has a value of the example")
     yield "host name, image and network are those of the first line", said
     waited = calls[-1].split()[-2:]

@@ -57,7 +57,7 @@ def names():
 @pytest.mark.parametrize("language", ["sh", "py"])
 def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
     files = sorted(EXAMPLES.glob(f"*.{language}"), key=lambda file: (file.stem != "warp", file.stem))
-    assert len(files) >= 8
+    assert len(files) >= 7
     for file in files:
         text = file.read_text()
         assert WRITTEN in text or file.stem == "landmarks", file.name
@@ -83,7 +83,7 @@ def test_every_run_button_shows_a_result(docs, server):
         page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
         text = example.locator(".results").inner_text()
         assert '"error"' not in text, f"{name}: {text}"
-        pictures = {"lines": 1, "methods": 3, "output": 1, "session": 3, "socket": 1, "warp": 1}.get(name, 0)
+        pictures = {"lines": 1, "methods": 3, "output": 1, "session": 3, "drag": 1, "warp": 1, "caricature": 2}.get(name, 0)
         assert example.locator("figure img").count() == pictures, f"{name}: {text}"
         if name == "errors":
             assert "unknown_field" in text, text
@@ -95,7 +95,7 @@ def test_the_examples_use_the_key_of_the_page(docs, locked):
     page.evaluate(f"sessionStorage.setItem('mlswarp.key', '{KEY}')")
     page.reload()
     page.wait_for_selector('body[data-state="ready"]')
-    for name in ("points", "socket"):
+    for name in ("points", "drag"):
         example = page.locator(f'.example[data-name="{name}"]')
         example.get_by_role("button", name="Run").click()
         page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
@@ -110,7 +110,7 @@ def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, 
     assert page.locator("#lines-sh").is_visible() and page.locator("#lines-py").is_hidden()
     page.keyboard.press("ArrowRight")
     assert page.evaluate("document.activeElement.id") == "warp-py-tab"
-    assert page.locator("#lines-py").is_visible() and page.locator("#socket-py").is_visible()
+    assert page.locator("#lines-py").is_visible() and page.locator("#drag-py").is_visible()
     assert server.address in page.locator("#warp-py").inner_text() and WRITTEN not in page.locator("main").inner_text()
     page.reload()
     page.wait_for_selector('body[data-state="ready"]')
@@ -142,6 +142,7 @@ def test_the_reference_shows_every_operation(docs, server, scheme, width):
     missing, until = summaries, time.monotonic() + 60
     while missing and time.monotonic() < until:
         # Sections are drawn when they come into view.
+        page.mouse.move(width / 2, 450)
         page.mouse.wheel(0, 1500)
         page.wait_for_timeout(100)
         text = page.evaluate("document.body.textContent")

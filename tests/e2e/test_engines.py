@@ -41,7 +41,7 @@ def test_a_picture_is_opened_bent_saved_and_restored(drive, server, picture):
 
     warp = json.loads(drive.downloaded("save-handles", "discs-handles.json"))
     assert near(warp["p"][0], RED, 1.5) and near(warp["q"][0], moved, 3), warp
-    png = drive.downloaded("download", "discs-bent.png")
+    png = drive.downloaded("download", "discs-warped.png")
     assert Image.open(io.BytesIO(png)).size == (400, 300)
     answer = server.ask("POST", f"/sessions/{state['session']}/warp", {"q": warp["q"]})
     assert (answer.status, answer.body == png) == (200, True), "the saved file is the server's"

@@ -74,7 +74,7 @@ def test_the_file_is_what_the_dialog_shows(bent, tmp_path, settings, output, siz
     format = settings.get("format", "png")
     assert image.size == size and image.format == NAMES[format]
     assert abs(length - len(saved)) <= max(1, 0.05 * 1024 if length < 100 * 1024 else 512)
-    assert name == saved_name == f"discs-bent.{ {'jpeg': 'jpg'}.get(format, format) }"
+    assert name == saved_name == f"discs-warped.{ {'jpeg': 'jpg'}.get(format, format) }"
     assert not bent.page.locator("#export").is_visible()
 
 
@@ -165,7 +165,7 @@ def test_by_keys_alone(bent):
     shown(bent)
     with bent.page.expect_download() as download:
         bent.keys("Enter")
-    assert download.value.suggested_filename == "discs-bent.jpg"
+    assert download.value.suggested_filename == "discs-warped.jpg"
     assert Image.open(download.value.path()).size == (320, 240)
 
 

@@ -73,7 +73,7 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     assert KEY not in visit.copied("copy-link")
     (tmp_path / picture.name).write_bytes(picture.read_bytes())
     subprocess.run(["sh", "-c", line], cwd=tmp_path, env={**os.environ, "MLSWARP_KEY": KEY}, check=True)
-    assert (tmp_path / f"{picture.stem}-bent.png").read_bytes() == png
+    assert (tmp_path / f"{picture.stem}-warped.png").read_bytes() == png
 
 
 def test_the_key_lives_as_long_as_is_wished(visits, locked, picture):

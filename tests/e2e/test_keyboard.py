@@ -277,7 +277,7 @@ def test_what_is_made_is_taken_along(pinned):
     with pinned.page.expect_download() as download:
         tab_to(pinned, "download", back=True)
         pinned.keys("Enter")
-    assert download.value.suggested_filename == "discs-bent.png"
+    assert download.value.suggested_filename == "discs-warped.png"
     with pinned.page.expect_download() as download:
         tab_to(pinned, "save-handles")
         pinned.keys("Enter")

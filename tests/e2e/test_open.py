@@ -36,7 +36,7 @@ def test_a_sample_comes_bent(visit, name, size):
     data = visit.data
     assert int(data["handles"]) >= 3 and data["webgl"].startswith("webgl")
     file_name, png = visit.saved("download")
-    assert file_name == f"{name}-bent.png"
+    assert file_name == f"{name}-warped.png"
     bent, source = Image.open(io.BytesIO(png)), Image.open(io.BytesIO(file))
     assert bent.size == source.size and (size is None or bent.size == size)
     assert bent.convert("RGB").tobytes() != source.convert("RGB").tobytes()

@@ -40,7 +40,7 @@ def test_the_command_repeats_the_picture(visit, picture, tmp_path, name):
     assert "\n" not in line
     run(line, here)
     made = [file for file in here.iterdir() if file.name not in (name, "line.sh")]
-    assert [file.name for file in made] == [f"{name.removesuffix('.png')}-bent.png"]
+    assert [file.name for file in made] == [f"{name.removesuffix('.png')}-warped.png"]
     assert made[0].read_bytes() == png == visit.of_server().body
     assert Image.open(io.BytesIO(png)).size == (400, 300)
 
@@ -61,7 +61,7 @@ def test_the_command_repeats_a_photograph_with_lines_and_every_choice(visit, tmp
     visit.ready()
     png = visit.saved("download")[1]
     run(visit.copied("copy-curl"), tmp_path)
-    assert (tmp_path / f"{photograph.split('.')[0]}-bent.png").read_bytes() == png
+    assert (tmp_path / f"{photograph.split('.')[0]}-warped.png").read_bytes() == png
 
 
 @pytest.mark.parametrize("sample", ["cat", "horse"])
@@ -69,7 +69,7 @@ def test_the_command_of_a_sample_fetches_it_first(visit, tmp_path, sample):
     visit.sample(sample)
     png = visit.saved("download")[1]
     run(visit.copied("copy-curl"), tmp_path)
-    assert (tmp_path / f"{sample}-bent.png").read_bytes() == png
+    assert (tmp_path / f"{sample}-warped.png").read_bytes() == png
 
 
 def test_the_handles_bend_the_picture_offline_too(visit, picture, tmp_path):
@@ -105,7 +105,7 @@ def test_a_link_reopens_the_session_elsewhere(visit, visits, picture, tmp_path):
     assert other.look().differs(look) == 0
     # Its command asks the session, as it has no file.
     run(other.copied("copy-curl"), tmp_path)
-    assert (tmp_path / "discs-bent.png").read_bytes() == png
+    assert (tmp_path / "discs-warped.png").read_bytes() == png
     # It can be bent on, and the one who gave the link keeps what they have.
     other.drag((140, 130), (100, 160))
     other.ready()

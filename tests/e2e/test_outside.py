@@ -89,14 +89,14 @@ def test_it_is_taken_along(shifted, visits, picture, tmp_path):
     assert shifted.warp()["output"] == {"outside": "#8020c0ff"}
     shutil.copy(picture, tmp_path)
     run(shifted.copied("copy-curl"), tmp_path)
-    assert (tmp_path / "discs-bent.png").read_bytes() == png
+    assert (tmp_path / "discs-warped.png").read_bytes() == png
     # A link, whose picture the other one's command asks of the session.
     link = shifted.copied("copy-link")
     other = visits(path=link[link.index("#"):])
     other.ready()
     assert other.page.input_value("#outside-colour") == PURPLE and other.saved("download")[1] == png
     run(other.copied("copy-curl"), tmp_path)
-    assert (tmp_path / "discs-bent.png").read_bytes() == png
+    assert (tmp_path / "discs-warped.png").read_bytes() == png
     assert at(choose(other, "edge"), *BARE) == (*GREY, 255)
     # A reload, and a file of handles.
     shifted.page.reload()
@@ -116,7 +116,7 @@ def test_what_is_no_choice_is_refused(opened, tmp_path):
     wrong = tmp_path / "wrong-handles.json"
     wrong.write_text(json.dumps({"p": [[1, 2]], "q": [[3, 4]], "output": {"outside": "reflect"}}))
     opened.page.set_input_files("#file", wrong)
-    opened.body("[data-problem=bad_value][data-handles='0']")
+    opened.body("[data-problem=bad_handles_file][data-handles='0']")
 
 
 def test_the_page_says_where_pictures_are_kept(visits, tmp_path):

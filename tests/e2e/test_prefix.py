@@ -34,14 +34,14 @@ def test_the_page_works_by_socket_and_exports(proxied, visits, tmp_path):
     page.page.mouse.up()
     page.ready()
     name, png = page.saved("download")
-    assert name == "cat-bent.png" and Image.open(io.BytesIO(png)).size == (451, 300)
+    assert name == "cat-warped.png" and Image.open(io.BytesIO(png)).size == (451, 300)
     assert page.of_server().body == png
     page.keep(f"prefix-{proxied.port}")
 
     command = page.copied("copy-curl")
     assert f"{proxied.address}/warp" in command, command
     subprocess.run(["bash", "-o", "pipefail", "-c", command], cwd=tmp_path, check=True, timeout=60)
-    assert (tmp_path / "cat-bent.png").read_bytes() == png
+    assert (tmp_path / "cat-warped.png").read_bytes() == png
 
     link = page.copied("copy-link")
     assert link.startswith(f"{proxied.address}/#session="), link

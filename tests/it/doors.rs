@@ -91,15 +91,15 @@ async fn who_finds_no_place_is_told_at_once_and_places_come_back() {
 #[tokio::test]
 async fn pages_of_listed_sites_may_ask_and_no_others() {
     let server =
-        Server::start(&["--cors-origin", "https://bend.example,http://127.0.0.1:3000", "--keys", "ann ann-s-key-0123456789"]).await;
+        Server::start(&["--cors-origin", "https://warp.example,http://127.0.0.1:3000", "--keys", "ann ann-s-key-0123456789"]).await;
     let preflight = |origin: &'static str| {
         let request = server.client.request(Method::OPTIONS, server.url("/sessions/8f3b1c1e-6f0a-4c8e-9d53-0f1a2b3c4d5e/warp"));
         let request = request.header("Origin", origin).header("Access-Control-Request-Method", "POST");
         request.header("Access-Control-Request-Headers", "authorization,content-type").send()
     };
-    let may = preflight("https://bend.example").await.unwrap();
+    let may = preflight("https://warp.example").await.unwrap();
     assert_eq!(may.status(), 204);
-    assert_eq!(header(&may, "access-control-allow-origin"), "https://bend.example");
+    assert_eq!(header(&may, "access-control-allow-origin"), "https://warp.example");
     for (name, words) in [("methods", &["POST", "PUT", "DELETE"][..]), ("headers", &["authorization", "content-type"])] {
         let allowed = header(&may, &format!("access-control-allow-{name}"));
         assert!(words.iter().all(|word| allowed.contains(word)), "{allowed}");
@@ -124,14 +124,14 @@ async fn pages_of_listed_sites_may_ask_and_no_others() {
 /// A browser sends a form of any page to any server, and only hides the answer.
 #[tokio::test]
 async fn pages_of_other_sites_open_nothing_unseen() {
-    let server = Server::start(&["--cors-origin", "https://bend.example"]).await;
+    let server = Server::start(&["--cors-origin", "https://warp.example"]).await;
     let ask = |site: &'static str, origin: &'static str| {
         server.post("/points").json(&points()).header("Sec-Fetch-Site", site).header("Origin", origin).send()
     };
     for site in ["cross-site", "same-site"] {
         problem(ask(site, "https://evil.example").await.unwrap(), 403, "forbidden").await;
         problem(ask(site, "null").await.unwrap(), 403, "forbidden").await;
-        assert_eq!(ask(site, "https://bend.example").await.unwrap().status(), 200);
+        assert_eq!(ask(site, "https://warp.example").await.unwrap().status(), 200);
     }
     assert_eq!(ask("same-origin", "http://127.0.0.1").await.unwrap().status(), 200);
     // To a server that it reaches without TLS beyond the loopback, a browser says the page's origin and no more.
@@ -140,7 +140,7 @@ async fn pages_of_other_sites_open_nothing_unseen() {
         problem(ask(origin.to_owned()).await.unwrap(), 403, "forbidden").await;
     }
     assert_eq!(ask(server.url("")).await.unwrap().status(), 200);
-    assert_eq!(ask("https://bend.example".to_owned()).await.unwrap().status(), 200);
+    assert_eq!(ask("https://warp.example".to_owned()).await.unwrap().status(), 200);
     // Following a link is no harm.
     assert_eq!(server.get("/").header("Sec-Fetch-Site", "cross-site").send().await.unwrap().status(), 200);
 }

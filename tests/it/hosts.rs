@@ -31,7 +31,7 @@ async fn names_that_dns_may_lead_here_are_misdirected() {
     {
         assert_eq!(upload(&server, host).await.status(), 201, "{host}");
     }
-    for host in ["evil.example", &format!("evil.example:{port}"), "localhost.evil.example", "127.0.0.1.evil.example", "bend.example"] {
+    for host in ["evil.example", &format!("evil.example:{port}"), "localhost.evil.example", "127.0.0.1.evil.example", "warp.example"] {
         let document = problem(upload(&server, host).await, 421, "misdirected").await;
         let name = host.split(':').next().unwrap();
         assert!(document["detail"].as_str().unwrap().contains(&format!("`{name}`")), "{document}");
@@ -48,7 +48,7 @@ async fn names_that_dns_may_lead_here_are_misdirected() {
 
 #[tokio::test]
 async fn sockets_are_misdirected_too() {
-    let server = Server::start(&["--allowed-hosts", "bend.example"]).await;
+    let server = Server::start(&["--allowed-hosts", "warp.example"]).await;
     let id = server.session(&photo(16, 12), &json!({"p": [[2, 2]]})).await;
     let open = |host: &str| {
         let request = server.get(&format!("/sessions/{id}/drag")).header(HOST, host).header(ORIGIN, format!("http://{host}"));
@@ -56,7 +56,7 @@ async fn sockets_are_misdirected_too() {
         request.header(SEC_WEBSOCKET_KEY, "dGhlIHNhbXBsZSBub25jZQ==").send()
     };
     problem(open("evil.example").await.unwrap(), 421, "misdirected").await;
-    for host in ["localhost:1", "bend.example", "Bend.Example:8080"] {
+    for host in ["localhost:1", "warp.example", "Warp.Example:8080"] {
         assert_eq!(open(host).await.unwrap().status(), 101, "{host}");
     }
 }
@@ -66,8 +66,8 @@ async fn keys_need_no_list_and_may_have_one() {
     let keys = ["--keys", &format!("ann {KEY}")];
     let server = Server::start(&keys).await;
     assert_eq!(upload(&server, "any.example").await.status(), 201);
-    let server = Server::start(&[&keys[..], &["--allowed-hosts", "bend.example, other.example"]].concat()).await;
-    for host in ["bend.example", "other.example:443", "BEND.example.", "localhost", "127.0.0.1"] {
+    let server = Server::start(&[&keys[..], &["--allowed-hosts", "warp.example, other.example"]].concat()).await;
+    for host in ["warp.example", "other.example:443", "WARP.example.", "localhost", "127.0.0.1"] {
         assert_eq!(upload(&server, host).await.status(), 201, "{host}");
     }
     problem(upload(&server, "any.example").await, 421, "misdirected").await;
@@ -75,10 +75,10 @@ async fn keys_need_no_list_and_may_have_one() {
 
 #[test]
 fn a_list_that_is_none_is_a_mistake() {
-    let ended = mlswarp(&["--allowed-hosts", "https://bend.example"]).output().unwrap();
+    let ended = mlswarp(&["--allowed-hosts", "https://warp.example"]).output().unwrap();
     let said = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(2), "{said}");
-    assert!(said.contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS): `https://bend.example` is not a host name"), "{said}");
+    assert!(said.contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS): `https://warp.example` is not a host name"), "{said}");
 }
 
 /// Status and document of the answer to these bytes.

@@ -337,12 +337,13 @@ async fn mistakes_in_handles_that_meet_are_all_reported() {
     let p = json!([[10, 10], [10, 10], [50, 60], [50, 60], [50, 60], [300, 200], [300, 200], [20, 250]]);
     let q = json!([[12, 10], [12, 10], [50, 60], [53, 64], [50, 60], [301, 200], [307, 208], [20, 250]]);
     let words = [
-        "handles 2 and 3 meet at rest at (50, 60) but their targets there are 5 px apart",
+        "handles 2, 3, 4 meet at rest at (50, 60) but their targets there are up to 3.33 px from their mean",
         "handles 5 and 6 meet at rest at (300, 200) but their targets there are 10 px apart",
     ];
     let document = told(warp(p, q), 422, "contradictory_handles", Some("/q/2"), &words).await;
     assert_eq!((&document["handle"], document["coincident"].as_array().unwrap().len()), (&json!(2), 2));
     assert_eq!(document["coincident"][1], json!({"handles": [5, 6], "position": [300.0, 200.0], "spread": 5.0}));
+    assert_eq!(document["coincident"][0]["handles"], json!([2, 3, 4]));
     // Many: the report is bounded, and says how many there are.
     let p: Vec<[u32; 2]> = (0..2000).map(|k| [k / 2 % 40 * 10, k / 2 / 40 * 10]).collect();
     let q: Vec<[u32; 2]> = p.iter().enumerate().map(|(k, [x, y])| [x + k as u32 % 2 * 3, *y]).collect();

@@ -177,7 +177,7 @@ async fn warm_sessions_go_on_while_redis_is_away() {
     refused(server.client.delete(server.url(&format!("/sessions/{warm}"))).send().await.unwrap()).await;
     // All replicas have lost it: none is better than another, and this one still serves who is here.
     let ready = server.get("/readyz").send().await.unwrap();
-    assert_eq!((ready.status(), ready.json::<Value>().await.unwrap()["store"].clone()), (reqwest::StatusCode::OK, json!("away")));
+    assert_eq!((ready.status(), ready.json::<Value>().await.unwrap()["store"].clone()), (reqwest::StatusCode::OK, json!("unavailable")));
     assert!(server.get("/metrics").send().await.unwrap().text().await.unwrap().contains("mlswarp_store_up 0\n"));
     let newcomer = Server::start(&["--store", &redis.address()]).await;
     refused(newcomer.get("/readyz").send().await.unwrap()).await;
@@ -187,7 +187,7 @@ async fn warm_sessions_go_on_while_redis_is_away() {
 
     redis.start_again();
     for _ in 0..100 {
-        let whole = server.get("/readyz").send().await.unwrap().json::<Value>().await.unwrap()["store"] == "there";
+        let whole = server.get("/readyz").send().await.unwrap().json::<Value>().await.unwrap()["store"] == "available";
         if whole && newcomer.get("/readyz").send().await.unwrap().status() == 200 {
             break;
         }

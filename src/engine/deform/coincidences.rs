@@ -9,7 +9,7 @@
 use std::collections::HashMap;
 
 use super::columns::{Element, ONE_PLACE, Segment};
-use super::contradictions::Contradictions;
+use super::contradictions::{Contradictions, Member};
 use super::handles::COINCIDENT_SHARE;
 use super::{DeformError, Pose};
 use crate::geometry::{Point, Vec2};
@@ -94,21 +94,30 @@ impl Coincidences {
         }
     }
 
-    /// Compares the targets of every coincidence. `owners`: the handle of every element.
+    /// Compares the targets of every coincidence. `owners`: the handle of every element; `weights`: of every handle.
     ///
     /// # Errors
     /// The contradictions by position: all are counted, the first 100 are listed.
-    pub(super) fn check(&self, elements: &[Element], owners: &[usize], pose: &Pose) -> Result<(), DeformError> {
+    pub(super) fn check(&self, elements: &[Element], owners: &[usize], weights: &[f64], pose: &Pose) -> Result<(), DeformError> {
+        let at = |(element, t): On| (place(&elements[element], t), displacement(&elements[element], t, pose));
         let mut found = Contradictions::new(self.tolerance);
         for &(x, y) in &self.touching {
-            let apart = target(&elements[x.0], x.1, pose) - target(&elements[y.0], y.1, pose);
-            if apart.norm() > self.tolerance {
-                let [a, b] = [x, y].map(|(element, t)| (owners[element], displacement(&elements[element], t, pose)));
-                found.add(place(&elements[x.0], x.1), a, b);
+            let ((p, dp), (r, dr)) = (at(x), at(y));
+            if ((p + dp) - (r + dr)).norm() > self.tolerance {
+                found.add_position(p);
             }
         }
+        if found.is_empty() {
+            return Ok(());
+        }
+        // Handles that agree with each other belong to the group too.
+        for on in self.touching.iter().flat_map(|(x, y)| [*x, *y]) {
+            let ((position, displacement), element) = (at(on), on.0);
+            let handle = owners[element];
+            found.add_member(position, Member { element, handle, weight: weights[handle], displacement });
+        }
         let (listed, total) = found.finish();
-        if total == 0 { Ok(()) } else { Err(DeformError::Contradictory { listed, total }) }
+        Err(DeformError::Contradictory { listed, total })
     }
 
     /// Whether some points nearer than 1 px move more than ten times as far apart.

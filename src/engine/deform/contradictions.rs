@@ -8,32 +8,45 @@ use crate::geometry::{Point, Vec2};
 /// Groups that an error lists, and handles that it lists of each.
 const MOST_GROUPS: usize = 100;
 const MOST_HANDLES: usize = 100;
+/// Handles that a sentence lists.
+const MOST_NAMED: usize = 5;
 
-/// Handles that coincide at rest and have different targets, or one polyline that visits a position twice.
+/// Handles that coincide at rest and have different targets, or one polyline that visits a position more than once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contradiction {
     /// Indices of the handles, ascending, each once, at most 100; one if it is a polyline that meets itself.
     pub handles: Vec<usize>,
+    /// The number of all handles of the group.
+    pub total: usize,
     /// Their position at rest, px.
     pub position: Point,
-    /// Largest distance of two of their targets that were compared, px.
-    pub apart: f64,
-    /// Largest difference of a displacement from the mean displacement, px.
+    /// Largest difference of a displacement from the weighted mean displacement, px.
     pub spread: f64,
+    /// The distance of the two targets, px, if there are two.
+    pub apart: Option<f64>,
 }
 
 impl fmt::Display for Contradiction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { handles, position, apart, .. } = self;
-        let (place, apart) = (format!("({}, {})", Short(position.x), Short(position.y)), Short(*apart));
+        let Self { handles, total, position, spread, apart } = self;
         match handles.as_slice() {
-            [handle] => write!(f, "handle {handle} visits {place} twice, with targets {apart} px apart"),
-            [a, b] => write!(f, "handles {a} and {b} meet at rest at {place} but their targets there are {apart} px apart"),
+            [handle] => write!(f, "handle {handle} visits ")?,
+            [a, b] if *total == 2 => write!(f, "handles {a} and {b} meet at rest at ")?,
             _ => {
-                let list: Vec<String> = handles.iter().take(5).map(ToString::to_string).collect();
-                let more = if handles.len() > 5 { ", ..." } else { "" };
-                write!(f, "handles {}{more} meet at rest at {place} but their targets there are up to {apart} px apart", list.join(", "))
+                let list: Vec<String> = handles.iter().take(MOST_NAMED).map(ToString::to_string).collect();
+                write!(f, "handles {}", list.join(", "))?;
+                if *total > MOST_NAMED {
+                    write!(f, " and {} more", total - MOST_NAMED)?;
+                }
+                f.write_str(" meet at rest at ")?;
             }
+        }
+        write!(f, "({}, {})", Short(position.x), Short(position.y))?;
+        match (handles.len(), apart) {
+            (1, Some(apart)) => write!(f, " twice, with targets {} px apart", Short(*apart)),
+            (1, None) => write!(f, " several times, with targets up to {} px from their mean", Short(*spread)),
+            (_, Some(apart)) => write!(f, " but their targets there are {} px apart", Short(*apart)),
+            (_, None) => write!(f, " but their targets there are up to {} px from their mean", Short(*spread)),
         }
     }
 }
@@ -52,24 +65,26 @@ impl fmt::Display for Short {
     }
 }
 
-/// One handle at a position: its index and the displacement of the position by it.
-type Member = (usize, Vec2);
-
-#[derive(Debug)]
-struct Group {
-    position: Point,
-    members: Vec<Member>,
-    apart: f64,
+/// An element at a position that it shares with others.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Member {
+    pub(super) element: usize,
+    pub(super) handle: usize,
+    /// The weight of the handle.
+    pub(super) weight: f64,
+    /// The displacement of the position by this element.
+    pub(super) displacement: Vec2,
 }
 
-/// Collects contradictory pairs. Allocates nothing before the first.
+/// Groups of elements by position.
 #[derive(Debug)]
 pub(super) struct Contradictions {
     /// Positions nearer than this are one, px.
     within: f64,
-    groups: Vec<Group>,
-    /// The index in `groups` of each cell of positions; one beyond the end: counted only.
-    cells: HashMap<[i64; 2], usize>,
+    /// The positions of the first 100 groups and what meets there.
+    groups: Vec<(Point, Vec<Member>)>,
+    /// The groups by the cell of their position; an index beyond the end: counted only.
+    cells: HashMap<[i64; 2], (usize, Point)>,
 }
 
 impl Contradictions {
@@ -77,37 +92,66 @@ impl Contradictions {
         Self { within, groups: Vec::new(), cells: HashMap::new() }
     }
 
-    /// Adds two handles that meet at `position`.
-    pub(super) fn add(&mut self, position: Point, a: Member, b: Member) {
-        #[expect(clippy::cast_possible_truncation, reason = "a position is at most 1e6 px, and the tolerance at least a millionth")]
-        let cell = [position.x, position.y].map(|c| (c / self.within).round() as i64);
-        let index = *self.cells.entry(cell).or_insert(self.groups.len());
-        if index == self.groups.len() && index < MOST_GROUPS {
-            self.groups.push(Group { position, members: Vec::new(), apart: 0.0 });
-        }
-        let Some(group) = self.groups.get_mut(index) else { return };
-        group.apart = group.apart.max((a.1 - b.1).norm());
-        for member in [a, b] {
-            let is_new = group.members.iter().all(|(handle, d)| *handle != member.0 || (*d - member.1).norm() > self.within);
-            if is_new && group.members.len() < MOST_HANDLES {
-                group.members.push(member);
+    pub(super) fn is_empty(&self) -> bool {
+        self.cells.is_empty()
+    }
+
+    /// Counts a position at which two targets differ.
+    pub(super) fn add_position(&mut self, position: Point) {
+        if self.group(position).is_none() {
+            let index = self.cells.len();
+            self.cells.insert(self.cell(position), (index, position));
+            if index < MOST_GROUPS {
+                self.groups.push((position, Vec::new()));
             }
         }
     }
 
-    /// The groups in the order in which they were found, at most 100, and the number of all.
-    pub(super) fn finish(self) -> (Vec<Contradiction>, usize) {
-        let contradiction = |Group { position, members, apart }: Group| {
-            #[expect(clippy::cast_precision_loss, reason = "at most 100 members")]
-            let mean = members.iter().fold(Vec2::ZERO, |sum, (_, d)| sum + *d) * (1.0 / members.len() as f64);
-            let spread = members.iter().map(|(_, d)| (*d - mean).norm()).fold(0.0, f64::max);
-            let mut handles: Vec<usize> = members.iter().map(|(handle, _)| *handle).collect();
-            handles.sort_unstable();
-            handles.dedup();
-            Contradiction { handles, position, apart, spread }
-        };
-        (self.groups.into_iter().map(contradiction).collect(), self.cells.len())
+    /// Adds an element at a position, if it is one of the groups that are listed.
+    pub(super) fn add_member(&mut self, position: Point, member: Member) {
+        let Some((_, members)) = self.group(position).and_then(|index| self.groups.get_mut(index)) else { return };
+        members.push(member);
     }
+
+    /// The groups in the order of their first position, at most 100, and the number of all.
+    pub(super) fn finish(self) -> (Vec<Contradiction>, usize) {
+        let total = self.cells.len();
+        (self.groups.into_iter().map(|(position, members)| contradiction(position, members, self.within)).collect(), total)
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a position is at most 1e6 px, and the tolerance at least a millionth")]
+    fn cell(&self, position: Point) -> [i64; 2] {
+        [position.x, position.y].map(|c| (c / self.within).floor() as i64)
+    }
+
+    /// The group of a position: one nearer than `within`, which may be in a neighbouring cell.
+    fn group(&self, position: Point) -> Option<usize> {
+        let [x, y] = self.cell(position);
+        let around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| [x, y]));
+        let mut known = around.filter_map(|cell| self.cells.get(&cell));
+        known.find(|(_, other)| position.distance(*other) < self.within).map(|(index, _)| *index)
+    }
+}
+
+/// The report of a group.
+fn contradiction(position: Point, mut members: Vec<Member>, within: f64) -> Contradiction {
+    members.sort_unstable_by_key(|member| member.element);
+    members.dedup_by_key(|member| member.element);
+    // Neighbouring segments of a polyline share a position and its target.
+    members.sort_by_key(|member| member.handle);
+    members.dedup_by(|b, a| b.handle == a.handle && (b.displacement - a.displacement).norm() <= within);
+    let weight: f64 = members.iter().map(|member| member.weight).sum();
+    let mean = members.iter().fold(Vec2::ZERO, |sum, member| sum + member.displacement * (member.weight / weight));
+    let spread = members.iter().map(|member| (member.displacement - mean).norm()).fold(0.0, f64::max);
+    let apart = match members.as_slice() {
+        [a, b] => Some((a.displacement - b.displacement).norm()),
+        _ => None,
+    };
+    let mut handles: Vec<usize> = members.iter().map(|member| member.handle).collect();
+    handles.dedup();
+    let total = handles.len();
+    handles.truncate(MOST_HANDLES);
+    Contradiction { handles, total, position, spread, apart }
 }
 
 #[cfg(test)]
@@ -115,32 +159,65 @@ mod tests {
     use super::*;
 
     fn member(handle: usize, x: f64) -> Member {
-        (handle, Vec2::new(x, 0.0))
+        Member { element: handle, handle, weight: 1.0, displacement: Vec2::new(x, 0.0) }
+    }
+
+    fn groups(members: &[(Point, Member)], wrong: &[Point]) -> (Vec<Contradiction>, usize) {
+        let mut found = Contradictions::new(1e-3);
+        wrong.iter().for_each(|position| found.add_position(*position));
+        members.iter().for_each(|(position, member)| found.add_member(*position, *member));
+        found.finish()
     }
 
     #[test]
-    fn pairs_of_one_position_are_one_group() {
-        let mut found = Contradictions::new(1e-3);
+    fn all_members_of_a_position_count_and_each_once() {
         let at = Point::new(120.0, 80.0);
-        found.add(at, member(2, 0.0), member(5, 6.0));
-        found.add(Point::new(120.000_1, 80.0), member(2, 0.0), member(7, 12.0));
-        found.add(Point::new(10.0, 20.5), member(3, 0.0), member(3, 4.0));
-        let (groups, total) = found.finish();
-        assert_eq!(total, 2);
-        assert_eq!((groups[0].handles.as_slice(), groups[0].apart, groups[0].spread), (&[2, 5, 7][..], 12.0, 6.0));
-        assert_eq!(groups[0].to_string(), "handles 2, 5, 7 meet at rest at (120, 80) but their targets there are up to 12 px apart");
-        assert_eq!(groups[1].to_string(), "handle 3 visits (10, 20.5) twice, with targets 4 px apart");
+        let [a, b, c] = [member(5, 6.0), member(2, 0.0), member(7, 12.0)];
+        let (found, total) = groups(&[(at, a), (at, b), (at, b), (at, c), (Point::new(1.0, 2.0), a)], &[at]);
+        assert_eq!(
+            (total, found[0].handles.as_slice(), found[0].total, found[0].spread, found[0].apart),
+            (1, &[2, 5, 7][..], 3, 6.0, None)
+        );
+        assert_eq!(
+            found[0].to_string(),
+            "handles 2, 5, 7 meet at rest at (120, 80) but their targets there are up to 6 px from their mean"
+        );
+        let heavy = Member { weight: 5.0, ..b };
+        let (found, _) = groups(&[(at, heavy), (at, a)], &[at]);
+        assert_eq!((found[0].spread, found[0].apart), (5.0, Some(6.0)));
+        assert_eq!(found[0].to_string(), "handles 2 and 5 meet at rest at (120, 80) but their targets there are 6 px apart");
+    }
+
+    #[test]
+    fn a_polyline_meets_itself() {
+        let at = Point::new(10.0, 20.5);
+        let on = |element, x| Member { element, ..member(3, x) };
+        let (found, _) = groups(&[(at, on(0, 0.0)), (at, on(1, 0.0)), (at, on(4, 4.0))], &[at]);
+        assert_eq!(found[0].to_string(), "handle 3 visits (10, 20.5) twice, with targets 4 px apart");
+        let (found, _) = groups(&[(at, on(0, 0.0)), (at, on(2, 2.0)), (at, on(4, 4.0))], &[at]);
+        assert_eq!(found[0].to_string(), "handle 3 visits (10, 20.5) several times, with targets up to 2 px from their mean");
+    }
+
+    #[test]
+    fn a_position_at_the_border_of_cells_is_one_group() {
+        for at in [Point::new(0.0, 0.0), Point::new(0.001, -0.001), Point::new(120.0, 80.0)] {
+            for (dx, dy) in [(1e-9, 0.0), (-1e-9, 1e-9), (0.0, -1e-9), (5e-4, 5e-4)] {
+                let near = Point::new(at.x + dx, at.y + dy);
+                let (found, total) = groups(&[(at, member(0, 0.0)), (near, member(1, 3.0))], &[at, near]);
+                assert_eq!((total, found[0].handles.as_slice()), (1, &[0, 1][..]), "{at:?} {dx} {dy}");
+            }
+        }
     }
 
     #[test]
     fn all_groups_are_counted_and_some_are_listed() {
-        let mut found = Contradictions::new(1e-3);
-        for k in 0..5000 {
-            found.add(Point::new(f64::from(k), 0.0), member(0, 0.0), member(1, 1.0));
-            found.add(Point::new(0.0, 0.0), member(0, 0.0), member(k as usize, 1.0));
-        }
-        let (groups, total) = found.finish();
-        assert_eq!((groups.len(), total, groups[0].handles.len()), (MOST_GROUPS, 5000, MOST_HANDLES));
+        let positions: Vec<Point> = (0..5000_u16).map(|k| Point::new(f64::from(k), 0.0)).collect();
+        let members: Vec<_> = (0..150).map(|k| (positions[0], member(k, if k == 149 { 100.0 } else { 0.0 }))).collect();
+        let (found, total) = groups(&members, &positions);
+        assert_eq!((found.len(), total, found[0].handles.len(), found[0].total), (MOST_GROUPS, 5000, MOST_HANDLES, 150));
+        // The one that differs counts though it is not listed.
+        assert!(found[0].spread > 99.0);
+        assert!(found[0].to_string().starts_with("handles 0, 1, 2, 3, 4 and 145 more meet at rest at (0, 0)"), "{}", found[0]);
     }
 
     #[test]

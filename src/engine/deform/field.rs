@@ -120,7 +120,7 @@ impl Field {
     /// Shapes, numbers, contradictory targets.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
         let pose = Pose::new(&self.handles, posed)?;
-        self.coincidences.check(&self.elements, &self.owners, &pose)?;
+        self.coincidences.check(&self.elements, &self.owners, self.handles.weights(), &pose)?;
         Ok(pose)
     }
 

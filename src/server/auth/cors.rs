@@ -17,7 +17,7 @@ impl Origins {
             [] => Ok(Self::Own),
             ["*"] => Ok(Self::Any),
             listed => match listed.iter().find(|origin| !is_origin(origin)) {
-                Some(wrong) => Err(format!("`{wrong}` is no origin such as https://bend.example or http://127.0.0.1:3000")),
+                Some(wrong) => Err(format!("`{wrong}` is no origin such as https://warp.example or http://127.0.0.1:3000")),
                 None => Ok(Self::Listed(listed.iter().map(ToString::to_string).collect())),
             },
         }
@@ -49,15 +49,15 @@ mod tests {
 
     #[test]
     fn origins_are_compared_exactly() {
-        let listed = Origins::parse("https://bend.example, http://127.0.0.1:3000").unwrap();
-        assert!(listed.has("https://bend.example") && listed.has("http://127.0.0.1:3000"));
-        for other in ["http://bend.example", "https://bend.example.evil", "https://bend.example:8443", "null", ""] {
+        let listed = Origins::parse("https://warp.example, http://127.0.0.1:3000").unwrap();
+        assert!(listed.has("https://warp.example") && listed.has("http://127.0.0.1:3000"));
+        for other in ["http://warp.example", "https://warp.example.evil", "https://warp.example:8443", "null", ""] {
             assert!(!listed.has(other), "{other}");
         }
         assert!(Origins::parse("*").unwrap().has("null"));
         assert_eq!(Origins::parse("").unwrap(), Origins::Own);
         for wrong in
-            ["bend.example", "https://bend.example/", "https://Bend.example", "https://a.example,*", "https://a:443", "ftp://a", "null"]
+            ["warp.example", "https://warp.example/", "https://Warp.example", "https://a.example,*", "https://a:443", "ftp://a", "null"]
         {
             assert!(Origins::parse(wrong).is_err(), "{wrong}");
         }

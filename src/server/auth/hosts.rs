@@ -56,7 +56,7 @@ impl Hosts {
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let host = |entry: &str| match Authority::parse(entry) {
             Some(Authority { host, port: None }) if !entry.contains(['*', ':']) => Ok(host),
-            _ => Err(format!("`{entry}` is not a host name such as bend.example (no scheme, no port, no wildcard)")),
+            _ => Err(format!("`{entry}` is not a host name such as warp.example (no scheme, no port, no wildcard)")),
         };
         text.split(',').map(str::trim).filter(|entry| !entry.is_empty()).map(host).collect::<Result<_, _>>().map(Self)
     }
@@ -77,14 +77,14 @@ mod tests {
 
     #[test]
     fn hosts_are_compared_without_case_port_and_root_dot() {
-        let hosts = Hosts::parse("Bend.example., other.example").unwrap();
+        let hosts = Hosts::parse("Warp.example., other.example").unwrap();
         let allowed = |text: &str| hosts.allow(&Authority::parse(text).unwrap_or_else(|| panic!("{text} is well-formed")).host);
         for host in
             ["localhost", "LOCALHOST:8080", "localhost.", "127.0.0.1", "192.0.2.7:80", "127.0.0.1.", "[::1]", "[::1]:8080", "[::1]:"]
         {
             assert!(allowed(host), "{host}");
         }
-        for host in ["bend.example", "BEND.example:443", "bend.example.", "bend.example.:8080", "other.example:1"] {
+        for host in ["warp.example", "WARP.example:443", "warp.example.", "warp.example.:8080", "other.example:1"] {
             assert!(allowed(host), "{host}");
         }
         for host in
@@ -128,8 +128,8 @@ mod tests {
     #[test]
     fn a_list_has_names_alone() {
         assert!(Hosts::parse(" , ").unwrap().is_empty());
-        assert!(!Hosts::parse("bend.example").unwrap().is_empty());
-        for wrong in ["https://bend.example", "bend.example:443", "*.example", "*", "a b", "bend.example/"] {
+        assert!(!Hosts::parse("warp.example").unwrap().is_empty());
+        for wrong in ["https://warp.example", "warp.example:443", "*.example", "*", "a b", "warp.example/"] {
             assert!(Hosts::parse(&format!("ok.example, {wrong}")).unwrap_err().contains(&format!("`{wrong}`")), "{wrong}");
         }
     }

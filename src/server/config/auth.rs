@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn hosts_are_checked_on_the_loopback_without_keys_and_where_they_are_listed() {
-        const LIST: [&str; 2] = ["--allowed-hosts", "bend.example"];
+        const LIST: [&str; 2] = ["--allowed-hosts", "warp.example"];
         const KEYS: [&str; 2] = ["--keys", "ann 0123456789abcdef"];
         let are_checked = |args: &[&[&str]]| {
             let config = serve(&args.concat()).unwrap();

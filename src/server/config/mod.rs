@@ -125,7 +125,7 @@ pub struct Config {
     /// Maximum width and height of a source or target, px.
     #[arg(long, value_name = "N", default_value = "16384", value_parser = Checked(whole::<u32>(1, 1_000_000)))]
     max_image_side: u32,
-    /// Maximum number of columns of a plan: 1 per point, 2 per segment.
+    /// Maximum size of a set of handles: a point counts 1, a segment 2.
     #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(1, 1_000_000)))]
     max_columns: usize,
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.

@@ -96,7 +96,7 @@ async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, 
 pub(crate) fn find(files: &[(&str, Asset)], name: &str, headers: &HeaderMap) -> Result<Response, Problem> {
     match files.iter().find(|(known, _)| *known == name) {
         Some((_, asset)) => Ok(asset.response(headers)),
-        None => Err(Problem::new(Code::NotFound, format!("the page has no file {}", quote(name)))),
+        None => Err(Problem::new(Code::NotFound, format!("there is no file {} here; see /docs", quote(name)))),
     }
 }
 

@@ -72,7 +72,7 @@ impl Default for Metrics {
             problems,
             durations,
             stages: stages.map(|stage| by_stage.get_or_create_owned(&[("stage", stage.to_owned())])),
-            pictures_begun: picture("begun"),
+            pictures_begun: picture("started"),
             pictures_finished: picture("finished"),
             pictures_abandoned: picture("abandoned"),
             requests_superseded: by("request"),

@@ -37,7 +37,7 @@ macro_rules! codes {
 
 codes! {
     MalformedRequest = 400, "malformed_request", "Malformed request";
-    Unauthorized = 401, "unauthorized", "Key missing";
+    Unauthorized = 401, "unauthorized", "API key required";
     Forbidden = 403, "forbidden", "Forbidden";
     NotFound = 404, "not_found", "No such route";
     NoSuchSession = 404, "no_such_session", "No such session";

@@ -130,7 +130,7 @@ mod tests {
 
     #[test]
     fn contradiction_names_both_handles() {
-        let contradiction = Contradiction { handles: vec![2, 9], position: Point::new(1.0, 2.0), apart: 3.0, spread: 1.5 };
+        let contradiction = Contradiction { handles: vec![2, 9], total: 2, position: Point::new(1.0, 2.0), spread: 1.5, apart: Some(3.0) };
         let error = DeformError::Contradictory { listed: vec![contradiction], total: 1 };
         let problem = expect(WarpError::Posed(error), Code::ContradictoryHandles, Some("/q/2"), Some(2));
         assert!(problem.detail.contains("handles 2 and 9"), "{}", problem.detail);

@@ -100,7 +100,8 @@ async function build(example) {
 }
 
 await Promise.all([...document.querySelectorAll(".example")].map(build));
-select("js");
 const chosen = kept();
+// For examples that do not have the chosen language.
+select("js");
 select(chosen in LANGUAGES ? chosen : "sh");
 document.body.dataset.state = "ready";

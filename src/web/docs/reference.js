@@ -5,6 +5,7 @@ Scalar.createApiReference("#reference", {
   withDefaultFonts: false,
   telemetry: false,
   agent: { disabled: true },
+  defaultOpenAllTags: true,
   hideClientButton: true,
   showDeveloperTools: "never",
   defaultHttpClient: { targetKey: "shell", clientKey: "curl" },

@@ -32,7 +32,7 @@ impl Counted for App {
         Counters {
             plans_built: read("mlswarp_cache_builds_total{cache=\"plans\"}"),
             images_decoded: read("mlswarp_cache_builds_total{cache=\"images\"}"),
-            pictures_begun: read("mlswarp_pictures_total{state=\"begun\"}"),
+            pictures_begun: read("mlswarp_pictures_total{state=\"started\"}"),
             pictures_finished: read("mlswarp_pictures_total{state=\"finished\"}"),
             pictures_abandoned: read("mlswarp_pictures_total{state=\"abandoned\"}"),
             superseded: read("mlswarp_superseded_total{by=\"request\"}"),

@@ -48,7 +48,7 @@ pub(super) fn cors_layer(origins: &Origins) -> Option<CorsLayer> {
 /// without keys they would open sessions for any site that a user visits.
 ///
 /// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it rejects pages of this server behind a
-/// proxy that sends `Host: bend.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
+/// proxy that sends `Host: warp.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
 pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Problem> {
     let headers = request.headers();
     // Browsers send Sec-Fetch-Site to servers that they reach by TLS or on the loopback, and no script can change it (W3C Fetch Metadata).

@@ -100,7 +100,7 @@ mod tests {
         let misdirected = Err(Code::Misdirected);
         for (version, target, fields, answer) in [
             (one, "/warp", &["localhost:8080"][..], Ok(())),
-            (one, "/warp", &["bend.example"], Ok(())),
+            (one, "/warp", &["warp.example"], Ok(())),
             (one, "/warp", &["evil.example"], misdirected),
             (one, "http://evil.example/warp", &["localhost"], misdirected),
             (one, "http://localhost/warp", &["evil.example"], Ok(())),
@@ -112,7 +112,7 @@ mod tests {
             (one, "/readyz", &["evil.example"], Ok(())),
             (one, "/metrics", &["evil.example"], misdirected),
         ] {
-            assert_eq!(checked(version, target, fields, Some("bend.example")), answer, "{version:?} {target} {fields:?}");
+            assert_eq!(checked(version, target, fields, Some("warp.example")), answer, "{version:?} {target} {fields:?}");
         }
     }
 }

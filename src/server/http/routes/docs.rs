@@ -1,23 +1,21 @@
 //! `GET /docs`: the guide (`src/web/docs`), and `GET /docs/reference`: Scalar with `/openapi.json`. Scalar's crate embeds its script (5 MB), which
 //! is compressed at the first request. `notes.md` beside the guide compares it with others.
 
-use std::io::{Read as _, Write as _};
+use std::io::Write as _;
 use std::sync::LazyLock;
 
 use axum::Router;
 use axum::extract::Path;
-use axum::http::header::{ACCEPT_ENCODING, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, VARY};
+use axum::http::header::{CONTENT_ENCODING, CONTENT_SECURITY_POLICY};
 use axum::http::{HeaderMap, HeaderValue};
 use axum::response::Response;
 use axum::routing::get;
 use bytes::Bytes;
 use flate2::Compression;
-use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 
 use crate::app::App;
 use crate::http::assets::{Asset, CSS, HTML, JS, find};
-use crate::http::headers::elements;
 use crate::problem::{Code, Problem};
 
 /// Scalar writes its styles into the page. The page shows only our document, and scripts come from this server only.
@@ -38,9 +36,10 @@ static REFERENCE: LazyLock<Asset> =
     LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
-static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
+static EXAMPLES: LazyLock<[(&str, Asset); 28]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
+        "examples/caricature.py" TEXT, "examples/caricature.js" JS,
         "examples/errors.sh" TEXT, "examples/errors.py" TEXT, "examples/errors.js" JS,
         "examples/landmarks.py" TEXT, "examples/landmarks.js" JS,
         "examples/lines.sh" TEXT, "examples/lines.py" TEXT, "examples/lines.js" JS,
@@ -48,7 +47,7 @@ static EXAMPLES: LazyLock<[(&str, Asset); 26]> = LazyLock::new(|| {
         "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
         "examples/points.sh" TEXT, "examples/points.py" TEXT, "examples/points.js" JS,
         "examples/session.sh" TEXT, "examples/session.py" TEXT, "examples/session.js" JS,
-        "examples/socket.py" TEXT, "examples/socket.js" JS,
+        "examples/drag.py" TEXT, "examples/drag.js" JS,
         "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
     ]
 });
@@ -88,24 +87,12 @@ async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Respons
     find(&*EXAMPLES, &format!("examples/{name}"), &headers)
 }
 
+/// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and nothing else reads this file.
 async fn scalar(headers: HeaderMap) -> Result<Response, Problem> {
-    let takes_gzip = elements(&headers, ACCEPT_ENCODING).any(|element| element.split(';').next().is_some_and(|name| name.trim() == "gzip"));
     // Compressing takes some tenths of a second, once.
-    let asset = tokio::task::spawn_blocking(move || {
-        let compressed = SCALAR.as_ref()?;
-        if takes_gzip {
-            return Some(compressed.clone());
-        }
-        let mut script = Vec::new();
-        GzDecoder::new(&compressed.bytes[..]).read_to_end(&mut script).ok()?;
-        Some(Asset::new(JS, Bytes::from(script)))
-    });
-    let asset = asset.await.ok().flatten().ok_or_else(|| Problem::new(Code::Internal, "internal error"))?;
-    let mut response = asset.response(&headers);
-    response.headers_mut().insert(VARY, HeaderValue::from_static("accept-encoding"));
-    if takes_gzip {
-        response.headers_mut().insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
-    }
+    let asset = tokio::task::spawn_blocking(|| SCALAR.as_ref()).await.ok().flatten();
+    let mut response = asset.ok_or_else(|| Problem::new(Code::Internal, "internal error"))?.response(&headers);
+    response.headers_mut().insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
     Ok(response)
 }
 

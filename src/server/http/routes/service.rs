@@ -23,8 +23,8 @@ pub(crate) async fn healthz() -> Response {
 /// `GET /readyz`: work would be admitted now. 503 while the queue is full, until the store has been reachable, and while the server stops.
 pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
     let store = match app.ready().await? {
-        Ready::Whole => "there",
-        Ready::WithoutStore => "away",
+        Ready::Whole => "available",
+        Ready::WithoutStore => "unavailable",
     };
     Ok(response::json(&json!({"status": "ready", "store": store})))
 }

@@ -89,25 +89,25 @@ mod tests {
             }
             check_origin(&headers, None, &others).is_ok()
         };
-        assert!(may("bend.example", None));
+        assert!(may("warp.example", None));
         for (host, origin) in [
             ("127.0.0.1:8080", "http://127.0.0.1:8080"),
-            ("bend.example", "https://bend.example"),
-            ("Bend.example:443", "https://bend.example"),
-            ("bend.example", "http://bend.example:80"),
+            ("warp.example", "https://warp.example"),
+            ("Warp.example:443", "https://warp.example"),
+            ("warp.example", "http://warp.example:80"),
             ("[::1]:8080", "http://[::1]:8080"),
-            ("bend.example", "https://other.example"),
+            ("warp.example", "https://other.example"),
         ] {
             assert!(may(host, Some(origin)), "{host} {origin}");
         }
         for (host, origin) in [
             ("127.0.0.1:8080", "http://127.0.0.1:8081"),
-            ("bend.example", "https://bend.example.evil"),
-            ("bend.example", "https://evil"),
-            ("bend.example:443", "http://bend.example"),
-            ("bend.example", "null"),
-            ("bend.example", "http://other.example"),
-            ("bend.example", "bend.example"),
+            ("warp.example", "https://warp.example.evil"),
+            ("warp.example", "https://evil"),
+            ("warp.example:443", "http://warp.example"),
+            ("warp.example", "null"),
+            ("warp.example", "http://other.example"),
+            ("warp.example", "warp.example"),
         ] {
             assert!(!may(host, Some(origin)), "{host} {origin}");
         }

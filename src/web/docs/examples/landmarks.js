@@ -1,11 +1,11 @@
 import { show } from "./here.js";
 
-// ibug and dlib .pts: pixel indices that count from 1.
+// ibug and 300-W .pts: pixel indices that count from 1.
 const pts = (text) =>
   text.slice(text.indexOf("{") + 1, text.indexOf("}")).trim().split("\n")
     .map((line) => line.trim().split(/\s+/).map((number) => Number(number) - 0.5));
 
-// OpenCV, dlib in Python, scikit-image: pixel indices that count from 0.
+// OpenCV, dlib: pixel indices that count from 0.
 const pixelIndices = (points) => points.map(([x, y]) => [x + 0.5, y + 0.5]);
 
 // MediaPipe: objects with x and y from 0 to 1.

@@ -4,13 +4,13 @@ import json
 
 
 def pts(text):
-    """ibug and dlib .pts: pixel indices that count from 1."""
+    """ibug and 300-W .pts: pixel indices that count from 1."""
     inside = text[text.index("{") + 1 : text.index("}")]
     return [[float(x) - 0.5, float(y) - 0.5] for x, y in (line.split() for line in inside.split("\n") if line.strip())]
 
 
 def pixel_indices(points):
-    """OpenCV, dlib in Python, scikit-image, labelme from a detector: indices that count from 0."""
+    """OpenCV, dlib: pixel indices that count from 0."""
     return [[x + 0.5, y + 0.5] for x, y in points]
 
 

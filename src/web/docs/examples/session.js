@@ -4,7 +4,8 @@ const form = new FormData();
 form.set("image", await (await fetch(`${server}page/cat.jpg`)).blob());
 form.set("warp", JSON.stringify({ p: [[168, 112], [316, 136], [262, 240]] }));
 const created = await fetch(`${server}sessions`, { method: "POST", headers: headers(), body: form });
-const { id } = await created.json();
+const { id, detail } = await created.json();
+if (!created.ok) throw new Error(detail);
 
 for (const [seq, x] of [150, 140, 130].entries()) {
   const body = JSON.stringify({ seq, q: [[x, 104], [338, 126], [262, 262]] });

@@ -12,7 +12,9 @@ session = f"/sessions/{created.json()['id']}"
 
 for seq, x in enumerate([150, 140, 130]):
     pose = {"seq": seq, "q": [[x, 104], [338, 126], [262, 262]]}
-    picture = server.post(f"{session}/warp", json=pose).raise_for_status()
-    open(f"drag-{x}.png", "wb").write(picture.content)
+    answer = server.post(f"{session}/warp", json=pose)
+    if answer.is_error:
+        raise SystemExit(answer.json()["detail"])
+    open(f"drag-{x}.png", "wb").write(answer.content)
 
 server.delete(session).raise_for_status()

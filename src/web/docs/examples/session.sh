@@ -1,3 +1,4 @@
+set -e -o pipefail
 SESSION=$(curl -sS --fail-with-body http://127.0.0.1:8080/sessions \
   -F image=@cat.jpg \
   -F 'warp={"p": [[168, 112], [316, 136], [262, 240]]}' | jq -r '.id // empty')

@@ -4,7 +4,8 @@ const form = new FormData();
 form.set("image", await (await fetch(`${server}page/cat.jpg`)).blob());
 form.set("warp", JSON.stringify({ p: [[168, 112], [316, 136], [262, 240]] }));
 const created = await fetch(`${server}sessions`, { method: "POST", headers: headers(), body: form });
-const { id } = await created.json();
+const { id, detail } = await created.json();
+if (!created.ok) throw new Error(detail);
 
 const socket = new WebSocket(`${server.replace("http", "ws")}sessions/${id}/drag?frames=jpeg`, protocols());
 socket.binaryType = "arraybuffer";

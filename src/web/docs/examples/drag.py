@@ -11,7 +11,9 @@ async def main():
         image = (await server.get("/page/cat.jpg")).raise_for_status().content
         rest = {"p": [[168, 112], [316, 136], [262, 240]]}
         created = await server.post("/sessions", files={"image": image}, data={"warp": json.dumps(rest)})
-        session = created.raise_for_status().json()["id"]
+        if created.is_error:
+            raise SystemExit(created.json()["detail"])
+        session = created.json()["id"]
         url = f"{address.replace('http', 'ws', 1)}/sessions/{session}/drag?frames=jpeg"
         async with connect(url, max_size=None) as socket:
             print("grid", json.loads(await socket.recv()))
