@@ -92,7 +92,7 @@ impl<'t> Rows<'t> {
             if line.is_empty() {
                 return Ok(None);
             }
-            if !line.trim().is_empty() && !(self.is_first && line.starts_with('#')) {
+            if !(line.trim().is_empty() || self.is_first && line.starts_with('#')) {
                 break;
             }
             self.at += line.len();
