@@ -67,4 +67,8 @@ def test_a_sample_is_opened(drive, server, sample):
 
 def test_the_documentation_is_shown(drive, server):
     drive.driver.get(f"{server.address}/docs")
-    drive.until("the operations", lambda _: len(drive.driver.find_elements("css selector", ".opblock")) > 15)
+    drive.until("the guide", lambda _: drive.driver.find_elements("css selector", "body[data-state=ready]"))
+    drive.driver.find_element("css selector", "#warp .run").click()
+    drive.until("the warped picture", lambda _: drive.driver.find_elements("css selector", "#warp .results img"))
+    drive.driver.get(f"{server.address}/docs/reference")
+    drive.until("the operations", lambda _: "Delete a session" in drive.driver.find_element("css selector", "#reference").text)

@@ -85,16 +85,20 @@ def test_the_reference_and_the_page_of_a_problem_stay_below_the_prefix(proxied, 
         page = context.new_page()
         page.goto(f"{proxied.address}/problems/too_large")
         page.click("nav a >> text=API")
-        block = page.locator(".opblock", has_text="/healthz").first
-        block.locator(".opblock-summary-control").click()
-        block.get_by_role("button", name="Try it out").click()
+        page.wait_for_selector('body[data-state="ready"]')
+        page.get_by_role("button", name='Run the example "warp"').click()
+        page.wait_for_selector(".results img")
+        page.click("header >> text=API reference")
+        page.get_by_role("link", name="Liveness").first.click()
+        page.locator("button", has_text="Test Request").filter(has_text="/healthz").click()
         with page.expect_response("**/healthz") as answered:
-            block.get_by_role("button", name="Execute").click()
+            page.get_by_role("button", name="Send get request").click()
         assert answered.value.url == f"{proxied.address}/healthz" and answered.value.status == 200
         page.screenshot(path=KEPT / f"prefix-docs-{proxied.port}.png")
-        page.click("nav a >> text=openapi.json")
         page.goto(f"{proxied.address}/docs")
-        page.click("nav a >> text=mlswarp")
+        page.click("header >> text=openapi.json")
+        page.goto(f"{proxied.address}/docs")
+        page.click("header >> text=mlswarp")
         page.wait_for_selector("body[data-webgl]", state="attached")
         assert page.url == f"{proxied.address}/"
         assert not strange, strange

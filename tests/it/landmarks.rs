@@ -147,6 +147,9 @@ async fn files_are_converted_without_an_image() {
     let (status, document) = problem(server.post("/landmarks").multipart(parts).send().await.unwrap()).await;
     assert_eq!((status, &document["code"]), (422, &json!("bad_landmarks")), "{document}");
     assert!(document["detail"].as_str().unwrap().starts_with("landmarks_p, line 5, column 1: expected 1 landmark"), "{document}");
+    let parts = Form::new().text("landmarks", list).text("extent_p", "20,18");
+    let (_, document) = problem(server.post("/landmarks?extent_p=1,2").multipart(parts).send().await.unwrap()).await;
+    assert_eq!(document["detail"], "`extent_p` is given twice: in the query and as a part");
     assert_eq!(server.app.budget().taken_for(Purpose::Upload), 0);
 }
 

@@ -2,7 +2,7 @@
 //! problem, or the warnings of the response.
 
 use reqwest::RequestBuilder;
-use reqwest::multipart::Form;
+use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
 use crate::support::hand::Said;
@@ -21,6 +21,10 @@ async fn told(request: RequestBuilder, status: u16, code: &str, pointer: Option<
     document
 }
 
+fn part(bytes: &[u8]) -> Part {
+    Part::bytes(bytes.to_vec())
+}
+
 /// The codes of `Warp-Warning`.
 fn warnings(response: &reqwest::Response) -> Vec<&str> {
     assert_eq!(response.status(), 200);
@@ -35,7 +39,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     let both = "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go";
     let cases: &[(&str, &str, &str, &[&str])] = &[
         (r#"{"q": [[10, 10], [20, 20]]}"#, "bad_value", "/p", &["`p` is missing: where do the handles start?"]),
-        (r#"{"p": [[10, 10]]}"#, "bad_value", "/q", &["`q` is missing"]),
+        (r#"{"p": [[10, 10]]}"#, "bad_value", "/q", &["`q` is missing: where do the handles go?"]),
         (r#"{"p": [["10", "10"]], "q": [[10, 10]]}"#, "bad_value", "/p/0/0", &["expected a number; found a string; remove the quotes"]),
         (r#"{"p": "[[10, 10]]", "q": [[10, 10]]}"#, "bad_value", "/p", &["found a string; remove the quotes"]),
         (r#"{"p": [], "alpha": "1.5"}"#, "bad_value", "/alpha", &["expected a number; found a string; remove the quotes"]),
@@ -49,17 +53,39 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"p": [], "method": "Rigid"}"#, "bad_value", "/method", &["found `Rigid`; did you mean `rigid`?"]),
         (r#"{"p": [], "units": "pixels"}"#, "bad_value", "/units", &["did you mean `px`?"]),
         (r#"{"p": [], "output": {"format": "jpg"}}"#, "bad_value", "/output/format", &["found `jpg`; did you mean `jpeg`?"]),
-        (r#"{"p": [], "output": {"outside": "red"}}"#, "bad_value", "/output/outside", &["found `red`; did you mean `#ff0000ff`?"]),
-        (r##"{"p": [], "output": {"outside": "#fff"}}"##, "bad_value", "/output/outside", &["found `#fff`; did you mean `#ffffffff`?"]),
-        (r#"{"p": [], "output": {"outside": "white"}}"#, "bad_value", "/output/outside", &["did you mean `#ffffffff`?"]),
+        (r#"{"p": [], "output": {"outside": "red"}}"#, "bad_value", "/output/outside", &["found `red`; did you mean `#ff0000`?"]),
+        (r##"{"p": [], "output": {"outside": "#fff"}}"##, "bad_value", "/output/outside", &["found `#fff`; did you mean `#ffffff`?"]),
+        (r#"{"p": [], "output": {"outside": "white"}}"#, "bad_value", "/output/outside", &["did you mean `#ffffff`?"]),
         (r#"{"p": [], "output": {"method": "rigid"}}"#, "unknown_field", "/output/method", &["put it beside `output`, not in it"]),
         (r#"{"p": [], "cell": 5}"#, "unknown_field", "/cell", &["put it in `grid`: `grid.cell`"]),
         (r#"{"p": [], "grid": {"cells": 5}}"#, "unknown_field", "/grid/cells", &["did you mean `cell`?", "`cell`, `columns`, `rows`"]),
+        (r#"{"height": 10}"#, "unknown_field", "/height", &["the height follows from `output.width`"]),
+        (r#"{"output": {"scale": 2}}"#, "unknown_field", "/output/scale", &["the height follows from `output.width`"]),
+        (r#"{"warp": {"p": []}}"#, "unknown_field", "/warp", &["send the content of `warp`, without `warp`"]),
+        (r#"{"image": "a.png"}"#, "unknown_field", "/image", &["the image is a part of its own, beside the part `warp`"]),
+        (r#"{"output.format": "jpeg"}"#, "unknown_field", "/output.format", &[r#"nest it: {"output": {"format": ...}}"#]),
+        (r#"{"output": "jpeg"}"#, "bad_value", "/output", &[r#"expected an object, such as {"format": "jpeg"}; found a string"#]),
+        (r#"{"p": [[[1, 1], [2, 2]], [[3, 3], [4, 4]]]}"#, "bad_value", "/q", &["arrays of their own, not an array of pairs"]),
+        (r#"{"p": [], "output": {"outside": "ede"}}"#, "bad_value", "/output/outside", &["did you mean `edge`?"]),
+        (r#"{"point_mass": -1e300, "p": [[1, 1]], "q": [[1, 1]]}"#, "bad_value", "/point_mass", &["`point_mass` is -1e300; it must"]),
+        (r#"{"alpha": 1e300, "p": [[1, 1]], "q": [[1, 1]]}"#, "alpha_out_of_range", "/alpha", &["`alpha` is 1e300; it must be above 0"]),
+        (r#"{"p": [[1, 1e300]], "q": [[1, 1]]}"#, "bad_value", "/p/0", &["a coordinate of 1e300 px"]),
+        (r#"{"grid": {"cell": -1e300}}"#, "bad_value", "/grid/cell", &["found -1e300"]),
+        (r#"{"method": "auto"}"#, "not_supported", "/method", &["`auto`; supported: `rigid`"]),
+        (r#"{"method": "global_affine"}"#, "not_supported", "/method", &["supported: `rigid`"]),
+        (r#"{"output": {"format": "tiff"}}"#, "not_supported", "/output/format", &["supported: `png`, `jpeg`, `webp`"]),
+        (r#"{"output": {"canvas": {"x": 0}}}"#, "not_supported", "/output/canvas", &["supported: `same`"]),
+        (r#"{"output": {"subsampling": "4:2:0"}}"#, "not_supported", "/output/subsampling", &["supported: `format`"]),
+        (r#"{"grid": {"tolerance": 0.25}}"#, "not_supported", "/grid/tolerance", &["supported: `cell`, `columns`, `rows`"]),
+        (r#"{"coincident": {"policy": "mean"}}"#, "not_supported", "/coincident", &["not supported by this version: `coincident`"]),
+        (r#"{"strength": 0.5}"#, "not_supported", "/strength", &["supported: `p`, `q`"]),
         (r#"{"p": [], "frobnicate": 1}"#, "unknown_field", "/frobnicate", &["unknown field: `frobnicate`; known fields: `p`, `q`"]),
     ];
     for (warp, code, pointer, words) in cases {
         told(server.post("/warp").multipart(form(&image, *warp)), 422, code, Some(pointer), words).await;
     }
+    let nulls = r#"{"coincident": null, "strength": null, "grid": {"tolerance": null, "cell": 9}, "output": {"subsampling": null}}"#;
+    assert_eq!(server.post("/warp").multipart(form(&image, nulls)).send().await.unwrap().status(), 200);
     for name in ["format", "quality", "compression", "width", "filter", "outside"] {
         let warp = json!({"p": [[10, 10]], "q": [[12, 10]], name: 1}).to_string();
         let hint = format!("put it in `output`: `output.{name}`");
@@ -73,10 +99,17 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     for (body, pointer, words) in [
         (json!({"p": [[10, 10]], "q": [[12, 10]]}), "/p", "the session has `p`; send only `q`"),
         (json!({"dst": [[12, 10]]}), "/dst", "did you mean `q`?"),
+        (json!({"q": [[12, 10]], "method": "affine"}), "/method", "the session has `method`; replace it with PUT /sessions/{id}/handles"),
         (json!({"q": [[12, 10]], "width": 32}), "/width", "put it in `output`: `output.width`"),
     ] {
         told(server.post(&format!("/sessions/{id}/warp")).json(&body), 422, "unknown_field", Some(pointer), &[words]).await;
     }
+    for name in ["landmarks", "pins"] {
+        let points = server.post(&format!("/sessions/{id}/points")).json(&json!({"q": [[12, 10]], name: []}));
+        told(points, 422, "unknown_field", Some(&format!("/{name}")), &["did you mean `points`?"]).await;
+    }
+    let inverse = server.post(&format!("/sessions/{id}/points")).json(&json!({"q": [[12, 10]], "inverse": "true"}));
+    told(inverse, 422, "bad_value", Some("/inverse"), &["found a string; remove the quotes"]).await;
     // New handles of a session may come with q alone.
     let response = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&json!({"q": [[12, 10]]})).send().await.unwrap();
     assert_eq!(response.status(), 200);
@@ -122,6 +155,10 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         ("beside the picture", json!({"p": [[-200, 30], [550, 30]], "q": [[-200, 30], [550, 30]]}), &[]),
         ("x and y swapped", json!({"p": [[10, 10], [50, 290]], "q": [[10, 20], [50, 280]]}), &[OUTSIDE]),
         ("a line that is swapped", json!({"p": [[[10, 10], [50, 290]]], "q": [[[10, 20], [50, 280]]]}), &[OUTSIDE]),
+        ("a corner", json!({"p": [[0, 0]], "q": [[30, 20]]}), &[]),
+        ("below a strip", json!({"p": [[10, 10], [290, 130]], "q": [[10, 12], [290, 130]]}), &[]),
+        ("fractions as px in q", json!({"p": [[10, 10], [290, 50]], "q": [[0.1, 0.2], [0.9, 0.8]]}), &[NORMALIZED]),
+        ("corners as px", json!({"p": [[0, 0], [1, 1]], "q": [[0, 0], [1, 1]]}), &[NORMALIZED]),
         ("fractions as px", json!({"p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.2, 0.2], [0.8, 0.8]]}), &[NORMALIZED]),
         (
             "px as fractions",
@@ -137,6 +174,15 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         ("all out of view", json!({"p": [[10, 10], [290, 50]], "q": [[410, 10], [690, 50]]}), &[NOTHING]),
         ("all far away", json!({"p": [[10, 10], [290, 50]], "q": [[300_010, 10], [300_290, 50]]}), &[OUTSIDE, NOTHING]),
     ];
+    let (tiny, shares) = (photo(1, 1), json!([[0.1, 0.2], [0.9, 0.8]]));
+    let response = server.upload("/warp", &tiny, &json!({"p": shares, "q": shares, "units": "normalized"})).await;
+    assert!(!warnings(&response).contains(&NORMALIZED), "correct, however small");
+    let landscape = photo(320, 214);
+    let swapped = json!({"p": [[100, 40], [120, 300], [60, 200]], "q": [[100, 50], [120, 290], [60, 200]]});
+    assert!(
+        warnings(&server.upload("/warp", &landscape, &swapped).await).contains(&OUTSIDE),
+        "swapped, and inside if x and y are exchanged"
+    );
     for (name, warp, expected) in cases {
         let relevant = |response: &reqwest::Response| -> Vec<String> {
             let codes = warnings(response);
@@ -179,6 +225,32 @@ async fn mistakes_with_curl_are_recognised_by_the_parts() {
         let hint = format!("the part `image` is the text `{path}`, which looks like a path; curl sends a file with `-F image=@path`");
         told(server.post("/sessions").multipart(parts), 415, "unsupported_format", None, &[&hint]).await;
     }
+    for (image, warp, status, code, part) in [
+        (photo(16, 12), "https://example.com/warp.json", 400, "malformed_request", "warp"),
+        (b"http://example.com/photo.png".to_vec(), "{}", 415, "unsupported_format", "image"),
+    ] {
+        let hint = format!("the part `{part}` is the text `http");
+        let words = [hint.as_str(), "the server fetches no URLs: send the file itself"];
+        told(server.post("/warp").multipart(form(&image, warp)), status, code, None, &words).await;
+    }
+    for text in ["[[1,2],3.5", "0.5,0.5", "p=1.5", "See example.com"] {
+        let document = told(server.post("/warp").multipart(form(&image, text)), 400, "malformed_request", None, &["not JSON"]).await;
+        assert!(!document["detail"].as_str().unwrap().contains("path"), "{document}");
+    }
+    // The parts exchanged, and a content type that the client wrote itself.
+    let exchanged = Form::new().text("image", "{}").part("warp", part(&image));
+    let words = ["the part `warp`: not JSON: this is an image"];
+    told(server.post("/warp").multipart(exchanged), 400, "malformed_request", None, &words).await;
+    let request = server.post("/warp").header("content-type", "multipart/form-data").body("--x--");
+    told(request, 400, "malformed_request", None, &["do not set `Content-Type` yourself; the client library adds the boundary"]).await;
+    let request = server.post("/warp").header("content-type", "image/png").body(image.clone());
+    let words = ["POST /warp takes multipart/form-data", "found `image/png`", "to warp the picture of a session"];
+    told(request, 415, "unsupported_media_type", None, &words).await;
+    let document =
+        told(server.post("/sessions").json(&json!({})), 415, "unsupported_media_type", None, &["found `application/json`"]).await;
+    assert!(!document["detail"].as_str().unwrap().contains("of a session"), "{document}");
+    let region = Form::new().text("image", "x").text("region", "x").text("warp", "{}");
+    told(server.post("/warp").multipart(region), 422, "not_supported", None, &["`region`; supported: `image`, `warp`"]).await;
     told(server.post("/warp").multipart(form(&image, "not JSON")), 400, "malformed_request", None, &["the part `warp`: not JSON"]).await;
     let misnamed = Form::new().text("images", "x").text("warp", "{}");
     told(server.post("/warp").multipart(misnamed), 400, "malformed_request", None, &["`images`; did you mean `image`?"]).await;
@@ -203,6 +275,8 @@ async fn mistakes_in_the_method_and_the_path_name_the_route() {
     }
     told(server.post("/session"), 404, "not_found", None, &["did you mean POST /sessions?"]).await;
     told(server.get("/health"), 404, "not_found", None, &["did you mean GET /healthz?"]).await;
+    let document = told(server.get("/version"), 404, "not_found", None, &["nothing is served at `/version`; see /docs"]).await;
+    assert!(!document["detail"].as_str().unwrap().contains("did you mean"), "{document}");
     told(server.get("/nothing-like-it"), 404, "not_found", None, &["nothing is served at `/nothing-like-it`; see /docs"]).await;
     told(server.get(&"/long".repeat(2000)), 404, "not_found", None, &["...`; see /docs"]).await;
     told(server.get("/problems/superseeded"), 404, "not_found", None, &["`superseeded`; did you mean `superseded`?"]).await;
@@ -236,6 +310,28 @@ async fn mistakes_in_the_format_of_the_image_name_it() {
 }
 
 #[tokio::test]
+async fn mistakes_of_writing_json_and_of_accept_are_named() {
+    let server = Server::start(&[]).await;
+    let image = photo(16, 12);
+    for (warp, words) in [
+        (&b"{'p': []}"[..], "; names and strings have double quotes"),
+        (b"{\"p\": [[1, 2],]}", "; remove the comma before it"),
+        (b"{\"alpha\": NaN}", "; JSON has neither NaN nor infinity"),
+        (b"", "not JSON: the text is empty"),
+        (b"\xef\xbb\xbf{}", "byte order mark (BOM)"),
+        (b"\xff\xfe{\0}\0", "the text is UTF-16; send UTF-8"),
+        (b"\x1f\x8b\x08\0", "compressed with gzip"),
+    ] {
+        let parts = Form::new().part("image", part(&image)).part("warp", part(warp));
+        told(server.post("/warp").multipart(parts), 400, "malformed_request", None, &["the part `warp`: not JSON", words]).await;
+        let body = server.post("/points").header("content-type", "application/json").body(warp.to_vec());
+        told(body, 400, "malformed_request", None, &[words]).await;
+    }
+    let upload = server.post("/warp").multipart(form(&image, r#"{"output": {"format": "png"}}"#)).header("accept", "image/jpeg");
+    told(upload, 406, "not_acceptable", None, &["`output.format` is png, but `Accept` excludes image/png"]).await;
+}
+
+#[tokio::test]
 async fn mistakes_with_sessions_say_how_to_open_one() {
     let server = Server::start(&["--session-idle", "1s"]).await;
     let image = photo(16, 12);
@@ -265,8 +361,20 @@ async fn mistakes_in_the_query_are_named() {
     let words = ["unknown field in the query: `sesion`; did you mean `session`? Known fields: `session`"];
     told(upload("sesion=true"), 422, "unknown_field", None, &words).await;
     told(upload("width=100"), 422, "unknown_field", None, &["unknown field in the query: `width`; known fields: `session`"]).await;
+    let words = ["the field `session` is given twice in the query"];
+    told(upload("session=true&session=false"), 400, "malformed_request", None, &words).await;
     told(upload("session=yes"), 422, "bad_value", None, &["`session` in the query must be `true` or `false`; found `yes`"]).await;
     let id = server.session(&image, &json!({"p": [[2, 2]]})).await;
+    let words = ["unknown field in the query: `width`; this route has none"];
+    for path in ["warp", "mesh", "points"] {
+        let request = server.post(&format!("/sessions/{id}/{path}?width=9")).json(&json!({"q": [[2, 2]]}));
+        told(request, 422, "unknown_field", None, &words).await;
+    }
+    told(server.post("/points?width=9").json(&json!({})), 422, "unknown_field", None, &words).await;
+    told(server.post("/sessions?width=9").multipart(form(&image, "{}")), 422, "unknown_field", None, &words).await;
+    let put = |path: String| server.client.put(server.url(&path));
+    told(put(format!("/sessions/{id}?width=9")).multipart(form(&image, "{}")), 422, "unknown_field", None, &words).await;
+    told(put(format!("/sessions/{id}/handles?width=9")).json(&json!({"p": []})), 422, "unknown_field", None, &words).await;
     let socket = |query: &str| {
         let request = server.get(&format!("/sessions/{id}/drag?{query}")).header("connection", "upgrade").header("upgrade", "websocket");
         request.header("sec-websocket-version", "13").header("sec-websocket-key", "AAAAAAAAAAAAAAAAAAAAAA==")
@@ -274,6 +382,9 @@ async fn mistakes_in_the_query_are_named() {
     let words = ["unknown field in the query: `frame`; did you mean `frames`?"];
     told(socket("frame=png"), 422, "unknown_field", None, &words).await;
     told(socket("frames=jpg"), 422, "bad_value", None, &["`frames` in the query must be one of", "found `jpg`"]).await;
+    told(socket("width=9&width=9"), 400, "malformed_request", None, &["the field `width` is given twice in the query"]).await;
+    told(socket("frames=auto"), 422, "not_supported", None, &["supported: `png`, `jpeg`, `webp`, `mesh`"]).await;
+    told(socket("window=auto"), 422, "not_supported", None, &["`window`; supported: `frames`, `width`, `report`"]).await;
     told(socket("width=0"), 422, "bad_value", None, &["`width` in the query must be `auto` or a whole number", "found `0`"]).await;
 }
 
@@ -310,6 +421,13 @@ async fn mistakes_in_authorization_name_the_scheme() {
         let document = told(with(&value), 401, "unauthorized", None, &words).await;
         assert!(!document.to_string().contains(KEY), "a key is never repeated");
     }
+    for value in [format!("Bearer \"{KEY}\""), format!("Bearer <{KEY}>")] {
+        let words = ["invalid API key; send the key without quotes or brackets"];
+        let document = told(with(&value), 403, "forbidden", None, &words).await;
+        assert!(!document.to_string().contains(KEY), "a key is never repeated");
+    }
+    let accented = server.get("/sessions/x").header("authorization", "Bearer cl\u{e9}0123456789".as_bytes());
+    told(accented, 401, "unauthorized", None, &["the key in `Authorization` has characters outside ASCII"]).await;
     let twice = with(&format!("Bearer {KEY}")).header("authorization", "Bearer other");
     told(twice, 401, "unauthorized", None, &["`Authorization` must be given once"]).await;
     told(server.get("/sessions/x"), 401, "unauthorized", None, &["API key required: send `Authorization: Bearer <key>`"]).await;

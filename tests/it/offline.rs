@@ -52,12 +52,12 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
         assert!(written(name).starts_with(first), "{name}: the extension selects the format; without one it is PNG");
     }
     // The extension is checked before the image is read.
-    for (image, name) in [("in.png", "out.gif"), ("missing.png", "out.tif"), ("in.png", "out.json")] {
+    for (image, name) in [("in.png", "out.gif"), ("missing.png", "out.tif"), ("in.png", "out.json"), ("in.png", "out.")] {
         let output = mlswarp(&["warp", &path(image), &path("warp.json"), "-o", &path(name)]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(1), "{said}");
         let extension = &name[name.find('.').unwrap()..];
-        assert!(said.starts_with("unsupported_format: ") && said.contains(&format!("{extension} is not supported")), "{said}");
+        assert!(said.starts_with("unsupported_format: ") && said.contains(&format!("`{extension}` is not supported")), "{said}");
         assert!(said.contains("supported: .png, .jpg, .jpeg, .webp") && !directory.join(name).exists(), "{said}");
     }
     let named = json!({"p": [[20, 20]], "q": [[40, 20]], "output": {"format": "webp"}});
@@ -75,8 +75,18 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(said.starts_with("unknown_field: ") && said.contains("(/methd)"), "{said}");
     assert!(!directory.join("never.png").exists());
-    let output = mlswarp(&["warp", &path("missing.png"), &path("warp.json"), "-o", &path("never.png")]).output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
+    std::fs::write(path("warp.json"), "{}").unwrap();
+    for (image, out, sentence) in [
+        ("missing.png", "never.png", "error: cannot read the image "),
+        ("in.png", "missing/never.png", "error: cannot write "),
+        ("in.png", "never.\u{1b}[31m", "unsupported_format: cannot write "),
+    ] {
+        let output = mlswarp(&["warp", &path(image), &path("warp.json"), "-o", &path(out)]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(said.starts_with(sentence) && !said.trim_end().contains(char::is_control), "{said:?}");
+        assert_eq!(said.contains("there is no directory"), out.starts_with("missing"), "{said}");
+    }
     assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 3, "no half picture is left behind");
     std::fs::remove_dir_all(directory).unwrap();
 }

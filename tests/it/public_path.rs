@@ -49,6 +49,20 @@ async fn locations_problem_types_and_servers_start_with_it() {
     follow(&server, &hand.text().await).await;
     let document: Value = server.get("/openapi.json").send().await.unwrap().json().await.unwrap();
     assert_eq!(document["servers"], json!([{"url": PREFIX}]));
+    for (path, expected) in [
+        ("/v1/warp", "; did you mean POST /tools/warp/warp? See /tools/warp/docs"),
+        ("/nothing", "; see /tools/warp/docs"),
+        ("/tools/warp/warp", "; the proxy must remove /tools/warp from the path before it forwards a request. See /tools/warp/docs"),
+        ("/tools/warp", "; the proxy must remove /tools/warp from"),
+        ("/tools/warped", "; see /tools/warp/docs"),
+    ] {
+        let document: Value = server.get(path).send().await.unwrap().json().await.unwrap();
+        let detail = document["detail"].as_str().unwrap();
+        assert!(detail.contains(expected), "{path}: {document}");
+    }
+    let first = server.get("/openapi.json").send().await.unwrap();
+    let again = server.get("/openapi.json").header("if-none-match", header(&first, "etag")).send().await.unwrap();
+    assert_eq!(again.status(), 304);
 }
 
 #[tokio::test]

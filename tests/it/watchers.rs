@@ -28,7 +28,8 @@ async fn they_need_no_key_and_serve_nothing_else() {
     assert_eq!(header(&metrics, "content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
     assert!(metrics.text().await.unwrap().contains("mlswarp_requests_total"));
     for path in ["/", "/docs", "/openapi.json", "/sessions/x"] {
-        problem(get(path).await, 404, "not_found").await;
+        let document = problem(get(path).await, 404, "not_found").await;
+        assert_eq!(document["detail"], format!("nothing is served at `{path}`; this port serves /healthz, /readyz and /metrics"));
     }
     problem(Client::new().post(format!("http://{watched}/metrics")).send().await.unwrap(), 405, "method_not_allowed").await;
     problem(server.get("/metrics").send().await.unwrap(), 401, "unauthorized").await;

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::contradictions::Contradiction;
+use crate::geometry::Compact;
 
 /// Why a set of handles, or a pose of it, has no deformation.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,7 +104,11 @@ impl fmt::Display for DeformError {
         match self {
             Self::NotFinite { handle } => write!(f, "handle {handle} has a coordinate that is not a finite number"),
             Self::OutOfRange { handle, value, limit } => {
-                write!(f, "handle {handle} has a coordinate of {value} px; coordinates must lie between -{limit} and {limit} px")
+                write!(
+                    f,
+                    "handle {handle} has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px",
+                    Compact(*value)
+                )
             }
             Self::TooFewPlaces { handle, places } => {
                 write!(f, "handle {handle} is a line of {}; a line needs at least 2", counted(*places, "position"))
@@ -114,10 +119,10 @@ impl fmt::Display for DeformError {
                 write!(f, "`weights` has {}, but `p` has {}", counted(*weights, "number"), counted(*rest, "handle"))
             }
             Self::BadWeight { handle, value } => {
-                write!(f, "the weight of handle {handle} is {value}; weights must lie between 1e-9 and 1e9")
+                write!(f, "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9", Compact(*value))
             }
             Self::BadPointMass { value } => {
-                write!(f, "`point_mass` is {value}; it must lie between 1e-9 and 1e9 px")
+                write!(f, "`point_mass` is {}; it must lie between 1e-9 and 1e9 px", Compact(*value))
             }
             Self::DegenerateLine { handle, segment } => {
                 write!(f, "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead")
@@ -140,7 +145,7 @@ impl fmt::Display for DeformError {
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
             Self::AlphaOutOfRange { alpha, lines } => {
                 let range = if *lines { "between 0.5 and 8 if a handle is a line" } else { "above 0 and at most 8" };
-                write!(f, "`alpha` is {alpha}; it must be {range}")
+                write!(f, "`alpha` is {}; it must be {range}", Compact(*alpha))
             }
         }
     }

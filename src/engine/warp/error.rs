@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use crate::codec::CodecError;
 use crate::deform::{self, DeformError};
+use crate::geometry::Compact;
 
 /// Why an image was not warped.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -18,7 +19,7 @@ pub enum WarpError {
     #[error("{0}")]
     Posed(DeformError),
     /// A position to be mapped is invalid.
-    #[error("point {index} has a coordinate of {value:e} px; coordinates must lie between -{limit} and {limit} px")]
+    #[error("point {index} has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px", Compact(*value))]
     BadPlace {
         /// Index of the position.
         index: usize,
@@ -58,7 +59,8 @@ pub enum Warning {
     Deform(deform::Warning),
     /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far.
     HandlesOutsidePicture,
-    /// The units are px and all rest handles are within 0 to 1.5, or the units are normalised and a value is beyond 4.
+    /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
+    /// value is beyond 4.
     LooksNormalized,
     /// No posed cell intersects the picture.
     NothingVisible,

@@ -11,7 +11,7 @@ use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plaus
 use crate::deform::{
     self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
 };
-use crate::geometry::{Grid, Mesh, Point};
+use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
 
 /// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics section 12, step 1).
@@ -30,8 +30,8 @@ const PLACES_PER_TASK: usize = 64;
 pub struct Setup {
     field: Arc<Field>,
     grid: Grid,
-    /// px in one unit of the client's coordinates, per axis.
-    unit: (f64, f64),
+    /// Of the client's coordinates.
+    units: Units,
     mixed: bool,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
@@ -68,12 +68,8 @@ impl Setup {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
-        let unit = match rest.units {
-            Units::Px => (1.0, 1.0),
-            Units::Normalized => (width, height),
-        };
         let grid = resolve_grid(rest.grid, width, height, limits)?;
-        let handles = Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
+        let handles = Handles::new(to_px(&rest.p, unit(rest.units, &grid)), rest.weights.clone()).map_err(WarpError::Rest)?;
         let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
         let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
@@ -82,11 +78,11 @@ impl Setup {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
-        let warnings = plausibility::of_rest(field.handles(), &grid, unit);
+        let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         let plan_key = plan_key(&field, &grid, mixed);
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let plan_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
-        Ok(Self { field: Arc::new(field), grid, unit, mixed, warnings, plan_key, plan_bytes })
+        Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, plan_key, plan_bytes })
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, effective alpha and point mass, family,
@@ -136,7 +132,8 @@ impl Setup {
     /// # Errors
     /// Shapes, numbers, contradictory targets.
     pub fn pose(&self, q: &[Handle]) -> Result<Pose, WarpError> {
-        if self.unit == (1.0, 1.0) { self.field.pose(q) } else { self.field.pose(&to_px(q, self.unit)) }.map_err(WarpError::Posed)
+        let posed = if self.units == Units::Px { self.field.pose(q) } else { self.field.pose(&to_px(q, self.unit())) };
+        posed.map_err(WarpError::Posed)
     }
 
     /// Effective alpha.
@@ -163,7 +160,7 @@ impl Setup {
     /// # Errors
     /// A coordinate that is not finite or out of range; cancelled.
     pub fn map(&self, pose: &Pose, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Point>, WarpError> {
-        let (ux, uy) = self.unit;
+        let (ux, uy) = self.unit();
         for (index, p) in places.iter().enumerate() {
             if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
                 return Err(WarpError::BadPlace { index, value, limit: MAX_COORDINATE });
@@ -185,15 +182,16 @@ impl Setup {
         self.grid.cell()
     }
 
-    pub(super) const fn unit(&self) -> (f64, f64) {
-        self.unit
+    /// px in one unit of the client's coordinates, per axis.
+    pub(super) fn unit(&self) -> (f64, f64) {
+        unit(self.units, &self.grid)
     }
 
     /// The warnings of the rest handles and of a pose, each once, in their order.
     pub(super) fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
         warnings.extend(&self.warnings);
-        warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.unit));
+        warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.units));
         warnings.sort_unstable();
         warnings.dedup();
         warnings
@@ -233,7 +231,9 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
-        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!("the cell of a grid must be a positive number of pixels; found {cell}"))),
+        GridSpec::Cell(cell) => {
+            Err(WarpError::BadGrid(format!("the cell of a grid must be a positive number of pixels; found {}", Compact(cell))))
+        }
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
             check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
@@ -241,6 +241,13 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         GridSpec::Counts { columns, rows } => {
             Err(WarpError::BadGrid(format!("a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}")))
         }
+    }
+}
+
+fn unit(units: Units, grid: &Grid) -> (f64, f64) {
+    match units {
+        Units::Px => (1.0, 1.0),
+        Units::Normalized => (grid.width(), grid.height()),
     }
 }
 

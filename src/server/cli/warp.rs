@@ -8,9 +8,10 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, Posed, Report, Setup, Warp};
+use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError};
 
 use crate::config::Config;
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED};
 use crate::wire::{WarpObject, WarpPatch};
@@ -30,41 +31,67 @@ pub struct Input {
 
 impl Input {
     /// Errors: Standard input cannot be read twice.
-    fn require_one_stdin(&self) -> Result<(), Problem> {
+    fn require_one_stdin(&self) -> Result<(), Failure> {
         let files = [Some(&self.image), self.warp.as_ref(), self.landmarks.as_ref(), self.landmarks_q.as_ref()];
         if files.into_iter().flatten().filter(|path| is_stdio(path)).count() < 2 {
             return Ok(());
         }
-        Err(Problem::new(Code::MalformedRequest, "standard input can be one of the input files only"))
+        Err(Failure::Local("standard input can be one of the input files only".to_owned()))
     }
 
     /// Errors: A file that cannot be read.
-    fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Problem> {
+    fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
         let Some(path) = &self.landmarks else { return Ok(None) };
         let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
         let files = match &self.landmarks_q {
             Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..LandmarkFiles::default() },
             None => LandmarkFiles { both: Some(file(path)?), ..LandmarkFiles::default() },
         };
-        files.read(config.limits().columns).map(Some)
+        Ok(Some(files.read(config.limits().columns)?))
     }
 }
 
 /// Warps one image and returns what a server sends in response headers; `-` is standard output.
-/// Errors: The problem that a server would answer, as `code: detail (pointer)`.
+/// Errors: The problem that a server would answer, as `code: detail (pointer)`; a file that cannot be read or written, as `error: ...`.
 pub fn run(config: &Config, input: &Input, out: &Path) -> Result<String, String> {
-    run_with_problem(config, input, out).map_err(|Problem { code, detail, pointer, .. }| {
-        let place = pointer.map_or_else(String::new, |pointer| format!(" ({pointer})"));
-        format!("{}: {detail}{place}", code.as_str())
+    run_with_failure(config, input, out).map_err(|failure| match failure {
+        Failure::Problem(Problem { code, detail, pointer, .. }) => {
+            let place = pointer.map_or_else(String::new, |pointer| format!(" ({pointer})"));
+            format!("{}: {detail}{place}", code.as_str())
+        }
+        Failure::Local(sentence) => format!("error: {sentence}"),
     })
 }
 
-fn run_with_problem(config: &Config, input: &Input, out: &Path) -> Result<String, Problem> {
+/// Why there is no picture.
+enum Failure {
+    /// A server would answer this.
+    Problem(Problem),
+    /// Files and threads of this machine.
+    Local(String),
+}
+
+impl From<Problem> for Failure {
+    fn from(problem: Problem) -> Self {
+        Self::Problem(problem)
+    }
+}
+
+impl From<WarpError> for Failure {
+    fn from(error: WarpError) -> Self {
+        Self::Problem(error.into())
+    }
+}
+
+fn run_with_failure(config: &Config, input: &Input, out: &Path) -> Result<String, Failure> {
     input.require_one_stdin()?;
     let json = input.warp.as_deref().map(|path| read("warp object", path, config.max_warp_json_bytes)).transpose()?;
     let patch = json.map(|json| WarpPatch::parse(&json)).transpose()?.unwrap_or_default();
     // The file name takes the place of `Accept`.
     let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
+    if let Some(directory) = out.parent().filter(|directory| !directory.as_os_str().is_empty() && !directory.is_dir()) {
+        return Err(Failure::Local(format!("cannot write {out:?}: there is no directory {directory:?}")));
+    }
     let landmarks = input.landmarks(config)?;
     if let Some(landmarks) = &landmarks {
         patch.require_no_handles()?;
@@ -74,11 +101,11 @@ fn run_with_problem(config: &Config, input: &Input, out: &Path) -> Result<String
     let mut object = patch.into_object()?;
     object.output.format = format;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
-    let threads = threads.map_err(|e| Problem::new(Code::Internal, format!("cannot start compute threads: {e}")))?;
+    let threads = threads.map_err(|e| Failure::Local(format!("cannot start compute threads: {e}")))?;
     threads.install(|| render(config, &file, object, landmarks, out))
 }
 
-fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Option<Landmarks>, out: &Path) -> Result<String, Problem> {
+fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Option<Landmarks>, out: &Path) -> Result<String, Failure> {
     let image = Arc::new(Image::decode(file, &config.limits().image)?);
     let unmatched = landmarks.as_ref().is_some_and(Landmarks::has_unmatched).then_some(UNMATCHED);
     if let Some(landmarks) = landmarks {
@@ -89,8 +116,7 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     object.output.target(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
-    write_to(&warp, config.work.workers.saturating_sub(1), out)
-        .map_err(|e| Problem::new(Code::Internal, format!("{} cannot be written: {e}", out.display())))?;
+    write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
     let (extent, Report { warnings, folds, residual }) = (warp.target(), posed.into_report_on(&image));
     let summary = format!("{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height());
     let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
@@ -104,7 +130,8 @@ fn format_of(out: &Path) -> Result<Format, Problem> {
         "jpg" | "jpeg" => Ok(Format::Jpeg),
         "webp" => Ok(Format::WebP),
         other => {
-            let detail = format!("cannot write {}: .{other} is not supported; supported: .png, .jpg, .jpeg, .webp", out.display());
+            let extension = quote(&format!(".{other}"));
+            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .png, .jpg, .jpeg, .webp");
             Err(Problem::new(Code::UnsupportedFormat, detail))
         }
     }
@@ -141,13 +168,13 @@ fn write(warp: &Warp, helpers: usize, out: impl Write + Send) -> io::Result<()> 
     written.and_then(|()| out.flush())
 }
 
-fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Problem> {
-    let cannot = |e: io::Error| Problem::new(Code::MalformedRequest, format!("the {what} {} cannot be read: {e}", path.display()));
+fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Failure> {
+    let cannot = |e: io::Error| Failure::Local(format!("cannot read the {what} {path:?}: {e}"));
     let source: Box<dyn Read> = if is_stdio(path) { Box::new(io::stdin().lock()) } else { Box::new(File::open(path).map_err(cannot)?) };
     let mut bytes = Vec::new();
     source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        return Err(Problem::new(Code::TooLarge, format!("the {what} is larger than {limit} bytes")).limit("bytes", limit, bytes.len()));
+        return Err(Problem::new(Code::TooLarge, format!("the {what} is larger than {limit} bytes")).into());
     }
     Ok(bytes)
 }

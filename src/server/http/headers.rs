@@ -5,18 +5,38 @@ use axum::http::{HeaderMap, HeaderName};
 
 use crate::problem::words::{advice, list, nearest, quote};
 use crate::problem::{Code, Problem};
+use crate::wire::fields;
 
-/// The fields of a query, each with its value; without `=` the value is empty.
-pub(crate) fn query_fields(query: Option<&str>) -> impl Iterator<Item = (&str, &str)> {
-    let pairs = query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty());
-    pairs.map(|pair| pair.split_once('=').unwrap_or((pair, "")))
+/// The values of the `known` fields of a query, in that order; without `=` a value is empty.
+/// Errors: 422 of another field, 400 of a field that is given twice.
+pub(crate) fn query_fields<'q, const N: usize>(query: Option<&'q str>, known: [&str; N]) -> Result<[Option<&'q str>; N], Problem> {
+    let mut values = [None; N];
+    for pair in query.unwrap_or_default().split('&').filter(|pair| !pair.is_empty()) {
+        let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
+        let index = known.iter().position(|known| *known == name).ok_or_else(|| unknown_query_field(name, &known))?;
+        if values[index].replace(value).is_some() {
+            return Err(Problem::new(Code::MalformedRequest, format!("the field `{name}` is given twice in the query")));
+        }
+    }
+    Ok(values)
 }
 
-/// The problem of a field that a query does not have.
-pub(crate) fn unknown_query_field(name: &str, known: &[&str]) -> Problem {
+fn unknown_query_field(name: &str, known: &[&str]) -> Problem {
+    if fields::is_unsupported(name, known) {
+        return fields::unsupported(name, known);
+    }
     let hint = nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?"));
-    let advice = advice(hint, &format!("known fields: {}", list(known)));
-    Problem::new(Code::UnknownField, format!("unknown field in the query: {}{advice}", quote(name)))
+    let known = if known.is_empty() { "this route has none".to_owned() } else { format!("known fields: {}", list(known)) };
+    Problem::new(Code::UnknownField, format!("unknown field in the query: {}{}", quote(name), advice(hint, &known)))
+}
+
+/// Reads `true` or `false`.
+pub(crate) fn query_bool(name: &str, value: &str) -> Result<bool, Problem> {
+    match value {
+        "true" => Ok(true),
+        "false" => Ok(false),
+        _ => Err(bad_query_value(name, value, "`true` or `false`")),
+    }
 }
 
 /// The problem of a value that a field of a query does not have.

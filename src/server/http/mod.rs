@@ -16,7 +16,8 @@ mod upload;
 
 use axum::Router;
 use axum::extract::{Request, State};
-use axum::middleware::{Next, from_fn_with_state};
+use axum::http::{HeaderMap, Method, Uri};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{MethodRouter, any, get, post, put};
 
@@ -24,12 +25,14 @@ pub use middleware::authentication::Access;
 use middleware::authentication::{Caller, authenticate};
 
 use crate::app::App;
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// The routes of the contract and who may use them; a test compares them with the OpenAPI document. The page's files are not among them.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
     let metrics_access = if app.config().auth.open_metrics { Open } else { Keyed };
+    let openapi = routes::service::openapi(&app.config().public_path);
     let uploads = |route: MethodRouter<App>| route.layer(from_fn_with_state(app.clone(), reject_if_queue_full));
     vec![
         ("/warp", Keyed, uploads(post(routes::warp::warp))),
@@ -45,7 +48,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/healthz", Open, get(routes::service::healthz)),
         ("/readyz", Open, get(routes::service::readyz)),
         ("/metrics", metrics_access, get(routes::service::metrics)),
-        ("/openapi.json", Open, get(routes::service::openapi)),
+        ("/openapi.json", Open, get(async move |headers: HeaderMap| openapi.response(&headers))),
         ("/docs", Open, get(routes::docs::page)),
         ("/problems/{code}", Open, get(routes::problems::section)),
     ]
@@ -60,6 +63,8 @@ pub fn paths(app: &App) -> Vec<(&'static str, Access)> {
 pub fn router(app: App) -> Router {
     let mut router = assets::routes(&app).merge(routes::docs::files());
     for (path, access, route) in routes(&app) {
+        // `/warp` and the socket have fields of their own.
+        let route = if matches!(path, "/warp" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
         let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
         router = router.route(path, route);
     }
@@ -73,7 +78,15 @@ fn ops_router(app: &App) -> Router {
         .route("/readyz", get(routes::service::readyz))
         .route("/metrics", get(routes::service::metrics));
     let listen = app.config().telemetry.metrics_listen;
-    middleware::apply(with_fallbacks(router), app, listen.and_then(|listen| app.config().auth.hosts_without_keys(listen)))
+    let fallback = async |uri: Uri| {
+        let detail = format!("nothing is served at {}; this port serves /healthz, /readyz and /metrics", quote(uri.path()));
+        Problem::new(Code::NotFound, detail)
+    };
+    middleware::apply(
+        with_fallbacks(router).fallback(fallback),
+        app,
+        listen.and_then(|listen| app.config().auth.hosts_without_keys(listen)),
+    )
 }
 
 /// Answers plain HTTP on a TLS listener.
@@ -84,6 +97,14 @@ fn tls_required_router(app: &App) -> Router {
 
 fn with_fallbacks(router: Router<App>) -> Router<App> {
     router.fallback(routes::fallbacks::not_found).method_not_allowed_fallback(routes::fallbacks::method_not_allowed)
+}
+
+/// Rejects the query of a `POST` or `PUT` without fields in its query: none is ignored.
+async fn reject_query(request: Request, next: Next) -> Result<Response, Problem> {
+    if matches!(*request.method(), Method::POST | Method::PUT) {
+        let [] = headers::query_fields(request.uri().query(), [])?;
+    }
+    Ok(next.run(request).await)
 }
 
 /// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.

@@ -6,18 +6,19 @@ use std::task::{Poll, ready};
 
 use axum::body::Body;
 use axum::extract::multipart::Field;
-use axum::extract::{DefaultBodyLimit, FromRequest as _, Multipart, Request};
+use axum::extract::{DefaultBodyLimit, FromRequest as _, MatchedPath, Multipart, Request};
 use bytes::Bytes;
 use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, read_problem};
+use super::body::{BodyBuffer, read_problem, sent};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::app::warp::Upload;
 use crate::limits::memory::Purpose;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
+use crate::wire::fields;
 use crate::wire::landmarks::{LandmarkFiles, extent};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
@@ -33,15 +34,22 @@ const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and 
 /// Longest text of an extent, bytes.
 const EXTENT_BYTES: u64 = 64;
 
+const NO_BOUNDARY: &str =
+    "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
+/// Extensions of the files that people send.
+const EXTENSIONS: [&str; 20] = [
+    "json", "txt", "csv", "pts", "tem", "points", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg",
+    "psd", "pdf",
+];
+
 /// Reads an upload. The limit of the whole body is checked before; `warp` has a limit of its own.
 pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
-        let detail = format!(
-            "{} {} takes multipart/form-data with the parts `image` and `warp`; to warp the picture of a session, send JSON to POST \
-             /sessions/{{id}}/warp",
-            request.method(),
-            request.uri().path()
-        );
+        let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+        let of_session = "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
+        let hint = if route == "/warp" { of_session } else { "" };
+        let sent = sent(request.headers());
+        let detail = format!("{} {route} takes multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     let [image, warp, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
@@ -90,13 +98,16 @@ async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str
     let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|error| malformed(error.body_text()))?;
+    let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
     let mut read: [Option<Bytes>; 7] = Default::default();
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
         let known = names.iter().find(|known| **known == name).and_then(|known| UPLOAD.iter().position(|name| name == known));
         let Some(index) = known else {
+            if fields::is_unsupported(&name, names) {
+                return Err(fields::unsupported(&name, names));
+            }
             let hint = nearest(&name, names.iter().copied()).map(|meant| format!("did you mean `{meant}`?"));
             return Err(malformed(format!("unknown part: {}{}", quote(&name), words::advice(hint, advice))));
         };
@@ -113,28 +124,36 @@ async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str
     Ok(read)
 }
 
-/// Rejects parts that contain the path of a file instead of its contents, as curl sends them without `@`.
+/// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends it without `@`.
 fn require_contents(parts: &[(&str, Code, Option<&Bytes>)]) -> Result<(), Problem> {
     for (name, code, part) in parts {
-        if let Some(path) = part.and_then(|part| as_path(part)) {
-            let detail =
-                format!("the part `{name}` is the text {}, which looks like a path; curl sends a file with `-F {name}=@path`", quote(path));
-            return Err(Problem::new(*code, detail));
-        }
+        let Some(text) = part.and_then(|part| as_line(part)) else { continue };
+        let hint = match text {
+            _ if is_url(text) => "a URL; the server fetches no URLs: send the file itself".to_owned(),
+            _ if is_path(text) => format!("which looks like a path; curl sends a file with `-F {name}=@path`"),
+            _ => continue,
+        };
+        return Err(Problem::new(*code, format!("the part `{name}` is the text {}, {hint}", quote(text))));
     }
     Ok(())
 }
 
-/// The path that a part consists of: one short line that ends with a file name extension, without characters that JSON has.
-fn as_path(part: &[u8]) -> Option<&str> {
-    const LONGEST_PATH: usize = 1024;
-    const LONGEST_EXTENSION: usize = 5;
-    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_PATH)?).ok()?.trim();
-    let is_path = !text.contains(|c: char| c.is_control() || matches!(c, '{' | '}' | '<' | '>' | '"'));
-    let (_, extension) = text.rsplit_once('.').filter(|_| is_path)?;
-    let is_extension = (1..=LONGEST_EXTENSION).contains(&extension.len()) && extension.bytes().all(|b| b.is_ascii_alphanumeric());
-    // A number is JSON.
-    (is_extension && text.parse::<f64>().is_err()).then_some(text)
+/// A part that is one short line of text.
+fn as_line(part: &[u8]) -> Option<&str> {
+    const LONGEST_LINE: usize = 1024;
+    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_LINE)?).ok()?.trim();
+    (!text.contains(char::is_control)).then_some(text)
+}
+
+fn is_url(text: &str) -> bool {
+    text.split_once("://")
+        .is_some_and(|(scheme, _)| ["http", "https", "ftp", "file", "s3"].iter().any(|known| scheme.eq_ignore_ascii_case(known)))
+}
+
+/// Whether a line ends with the extension of a file that people send, without characters that JSON has.
+fn is_path(text: &str) -> bool {
+    let extension = text.rsplit_once('.').map_or("", |(_, extension)| extension);
+    !text.contains(['{', '}', '<', '>', '"']) && EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
 fn malformed(detail: impl Into<String>) -> Problem {
@@ -183,24 +202,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_that_is_a_path_is_recognised() {
+    fn a_part_that_is_a_path_or_a_url_is_recognised() {
         for (part, path) in [
-            ("photo.jpg", Some("photo.jpg")),
-            ("warp.json\n", Some("warp.json")),
-            ("@warp.json", Some("@warp.json")),
-            ("/home/ann/My pictures/cat.PNG", Some("/home/ann/My pictures/cat.PNG")),
-            ("C:\\Users\\ann\\w.json", Some("C:\\Users\\ann\\w.json")),
-            ("", None),
-            ("hello", None),
-            ("1.5", None),
-            ("{}", None),
-            ("{\"a\": 1.5e3}", None),
-            ("two\nlines.txt", None),
-            ("no extension.", None),
+            ("photo.jpg", true),
+            ("warp.json\n", true),
+            ("@warp.json", true),
+            ("/home/ann/My pictures/cat.PNG", true),
+            ("C:\\Users\\ann\\w.json", true),
+            ("", false),
+            ("hello", false),
+            ("1.5", false),
+            ("[[1,2],3.5", false),
+            ("0.5,0.5", false),
+            ("p=1.5", false),
+            ("See example.com", false),
+            ("{}", false),
+            ("{\"a\": 1.5e3}", false),
+            ("two\nlines.txt", false),
+            ("no extension.", false),
         ] {
-            assert_eq!(as_path(part.as_bytes()), path, "{part:?}");
+            assert_eq!(as_line(part.as_bytes()).is_some_and(is_path), path, "{part:?}");
         }
-        assert_eq!(as_path(b"\x89PNG.png"), None);
-        assert_eq!(as_path(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
+        assert_eq!(as_line(b"\x89PNG.png"), None);
+        assert_eq!(as_line(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
+        for (text, url) in [("https://example.com/a.png", true), ("HTTP://x", true), ("http", false), ("see https://x", false)] {
+            assert_eq!(is_url(text), url, "{text}");
+        }
     }
 }

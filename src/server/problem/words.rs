@@ -17,10 +17,13 @@ const SIMILAR: f64 = 0.6;
 pub(crate) fn quote(text: &str) -> String {
     let mut quoted = "`".to_owned();
     for c in text.chars().take(LONGEST_QUOTE) {
-        if c.is_control() || is_invisible(c) {
+        if is_unseen(c) {
             // Writing to a string does not fail.
             let _ = write!(quoted, "{}", c.escape_unicode());
         } else {
+            if c == '`' {
+                quoted.push('\\');
+            }
             quoted.push(c);
         }
     }
@@ -28,9 +31,11 @@ pub(crate) fn quote(text: &str) -> String {
     quoted
 }
 
-/// Zero-width characters and those that change the direction of text: a reader would not see what was sent.
-const fn is_invisible(c: char) -> bool {
-    matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+/// Control characters, zero-width characters and those that change the direction of text: a reader would not see what was sent.
+pub(crate) fn is_unseen(c: char) -> bool {
+    let is_format = matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}');
+    c.is_control() || is_format
 }
 
 /// Names in backticks, with commas.
@@ -95,6 +100,10 @@ mod tests {
     fn quotes_are_short_and_show_no_control_characters() {
         assert_eq!(quote("warp"), "`warp`");
         assert_eq!(quote("a\u{1b}[31m\n\u{202e}b"), "`a\\u{1b}[31m\\u{a}\\u{202e}b`");
+        for unseen in "\u{ad}\u{61c}\u{180e}\u{200b}\u{2066}\u{feff}\u{fff9}\u{e0041}".chars() {
+            assert_eq!(quote(&unseen.to_string()), format!("`{}`", unseen.escape_unicode()));
+        }
+        assert_eq!(quote("a`b"), "`a\\`b`");
         assert_eq!(quote(&"\u{e9}".repeat(1_000_000)).chars().count(), LONGEST_QUOTE + 5);
         assert_eq!(quote(&"x".repeat(LONGEST_QUOTE)).len(), LONGEST_QUOTE + 2);
     }

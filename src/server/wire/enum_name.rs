@@ -75,7 +75,7 @@ pub(crate) enum Canvas {
 }
 
 enum_names!(
-    Method, unsupported ["tps", "beier_neely", "arap"],
+    Method, unsupported ["auto", "tps", "global_affine", "beier_neely", "arap"],
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine"
 );
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
@@ -83,5 +83,5 @@ enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Rejec
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
-enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
+enum_names!(Format, unsupported["tiff"], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
 enum_names!(Canvas, unsupported["fit"], Canvas::Same = "same");

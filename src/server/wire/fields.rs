@@ -1,5 +1,8 @@
 //! The names of the fields of the warp object and of the objects in it.
 
+use crate::problem::words::list;
+use crate::problem::{Code, Problem};
+
 /// The fields of the warp object, in the order of `WarpPatch::read`.
 pub(crate) const WARP: [&str; 11] = ["p", "q", "weights", "method", "alpha", "point_mass", "units", "grid", "folds", "metric", "output"];
 
@@ -12,8 +15,45 @@ pub(crate) const WARP_WITH_POINTS: [&str; 17] = {
     fields
 };
 
+/// The fields of `/sessions/{id}/points`.
+pub(crate) const POINTS_OF_SESSION: [&str; 6] = ["q", "points", "polygons", "boxes", "inverse", "refine"];
+
 /// The fields of `grid`.
 pub(crate) const GRID: [&str; 3] = ["cell", "columns", "rows"];
 
 /// The fields of `output`, in the order of `OutputPatch::read`.
 pub(crate) const OUTPUT: [&str; 7] = ["format", "quality", "compression", "width", "filter", "outside", "canvas"];
+
+/// Fields that this version accepts with one value only: nobody needs to send them.
+const ONE_VALUED: [&str; 6] = ["metric", "canvas", "polygons", "boxes", "inverse", "refine"];
+
+/// The names without those that this version accepts with one value only.
+pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
+    known.iter().copied().filter(|name| !ONE_VALUED.contains(name)).collect()
+}
+
+/// Fields and parts of the contract that this version does not support, each with one that stands beside it.
+const UNSUPPORTED: [(&str, &str); 12] = [
+    ("coincident", "p"),
+    ("smoothing", "p"),
+    ("strength", "q"),
+    ("layer", "q"),
+    ("region", "q"),
+    ("holes", "q"),
+    ("geojson", "points"),
+    ("subsampling", "quality"),
+    ("tolerance", "cell"),
+    ("region", "image"),
+    ("window", "frames"),
+    ("mesh", "frames"),
+];
+
+/// Whether the contract has the name beside the `known` ones, and this version does not support it.
+pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {
+    UNSUPPORTED.iter().any(|(unsupported, beside)| *unsupported == name && known.contains(beside))
+}
+
+/// The problem of a name that [`is_unsupported`].
+pub(crate) fn unsupported(name: &str, known: &[&str]) -> Problem {
+    Problem::new(Code::NotSupported, format!("not supported by this version: `{name}`; supported: {}", list(&useful(known))))
+}

@@ -2,6 +2,7 @@
 
 use mlswarp::codec::Format;
 
+use super::enum_name::EnumName as _;
 use crate::problem::{Code, Problem};
 
 /// The weight of each of [`Format::ALL`] in `Accept`; 0 is not accepted.
@@ -15,7 +16,7 @@ impl Formats {
     /// Formats with these weights.
     /// Errors: 406 if none is accepted.
     pub fn new(weight: [f32; Format::ALL.len()]) -> Result<Self, Problem> {
-        if weight.iter().any(|q| *q > 0.0) { Ok(Self(weight)) } else { Err(not_acceptable(&Format::ALL)) }
+        if weight.iter().any(|q| *q > 0.0) { Ok(Self(weight)) } else { Err(not_acceptable()) }
     }
 
     /// The format to write: the `requested` one, otherwise that with the largest weight, among equals `default`.
@@ -24,14 +25,17 @@ impl Formats {
         let weight = |format: Format| Format::ALL.iter().zip(self.0).find(|(f, _)| **f == format).map_or(0.0, |(_, q)| q);
         match requested {
             Some(format) if weight(format) > 0.0 => Ok(format),
-            Some(format) => Err(not_acceptable(&[format])),
+            Some(format) => {
+                let detail = format!("`output.format` is {}, but `Accept` excludes {}", format.as_str(), format.media_type());
+                Err(Problem::new(Code::NotAcceptable, detail))
+            }
             None => Ok(Format::ALL.into_iter().fold(default, |best, format| if weight(format) > weight(best) { format } else { best })),
         }
     }
 }
 
-fn not_acceptable(formats: &[Format]) -> Problem {
-    let names: Vec<&str> = formats.iter().map(|f| f.media_type()).collect();
+fn not_acceptable() -> Problem {
+    let names = Format::ALL.map(Format::media_type);
     Problem::new(Code::NotAcceptable, format!("`Accept` allows none of the image formats: {}", names.join(", ")))
 }
 

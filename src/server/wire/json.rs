@@ -10,8 +10,8 @@ use std::fmt;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use super::suggest;
-use crate::problem::words::{LONGEST_QUOTE, advice, list, quote};
+use super::{fields, suggest, syntax};
+use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
 
 /// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
@@ -74,9 +74,12 @@ struct Name<'j>(#[serde(borrow)] Cow<'j, str>);
 /// Checks that the text is one JSON object and nothing else.
 pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail);
-    let text =
-        std::str::from_utf8(body).map_err(|e| malformed(format!("not JSON: the text is not UTF-8 after byte {}", e.valid_up_to())))?;
-    let node = value(text).map_err(|e| malformed(format!("not JSON: {e}")))?;
+    let not_json = |e: &dyn fmt::Display| malformed(format!("not JSON: {e}"));
+    if let Some(what) = syntax::not_text(body) {
+        return Err(not_json(&what));
+    }
+    let text = std::str::from_utf8(body).map_err(|e| not_json(&format_args!("the text is not UTF-8 after byte {}", e.valid_up_to())))?;
+    let node = value(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
     match node.kind() {
         Kind::Object => Ok(node),
         other => Err(malformed(format!("the request must be a JSON object, {{...}}; found {}", other.name()))),
@@ -126,27 +129,41 @@ impl<'j> Node<'j, '_> {
         self.unexpected(expected, format_args!("{}{hint}", self.kind().name()))
     }
 
-    /// Whether this is a string that contains a number or the beginning of an array or object.
+    /// Whether this is a string that contains a number, `true` or `false`, or the beginning of an array or object.
     fn is_quoted_value(&self) -> bool {
         let Some(inside) = self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) else { return false };
         let inside = inside.trim();
         let is_number = |text: &str| text.len() <= LONGEST_QUOTE && text.parse::<f64>().is_ok_and(f64::is_finite);
-        inside.starts_with(['[', '{']) || is_number(inside)
+        inside.starts_with(['[', '{']) || matches!(inside, "true" | "false") || is_number(inside)
     }
 
     pub(crate) fn missing(&self, name: &str, expected: &str) -> Problem {
-        Problem::new(Code::BadValue, format!("`{name}` is missing: expected {expected}")).pointer(format!("{}/{name}", self.at))
+        let detail = match name {
+            "q" => "`q` is missing: where do the handles go?".to_owned(),
+            _ => format!("`{name}` is missing: expected {expected}"),
+        };
+        Problem::new(Code::BadValue, detail).pointer(format!("{}/{name}", self.at))
     }
 
     fn unknown(&self, name: &str, known: &[&str]) -> Problem {
-        let advice = advice(suggest::field(name, known), &format!("known fields: {}", list(known)));
-        let detail = format!("unknown field: {}{advice}", quote(name));
-        if name.chars().nth(LONGEST_QUOTE).is_some() || name.chars().any(char::is_control) {
-            return self.problem(Code::UnknownField, detail);
+        let pointer = self.pointer_to(name);
+        if fields::is_unsupported(name, known) {
+            return fields::unsupported(name, known).pointer(pointer);
         }
-        // One step of a JSON pointer (RFC 6901, section 3).
-        let step = name.replace('~', "~0").replace('/', "~1");
-        Problem::new(Code::UnknownField, detail).pointer(format!("{}/{step}", self.at))
+        let useful = fields::useful(known);
+        let advice = advice(suggest::field(name, &useful), &format!("known fields: {}", list(&useful)));
+        let detail = format!("unknown field: {}{advice}", quote(name));
+        let problem = Problem::new(Code::UnknownField, detail);
+        if pointer.is_empty() { problem } else { problem.pointer(pointer) }
+    }
+
+    /// The JSON pointer to an unknown field; to this object if the name is long or has characters that a reader would not see.
+    fn pointer_to(&self, name: &str) -> String {
+        if name.chars().nth(LONGEST_QUOTE).is_some() || name.contains(is_unseen) {
+            return self.at.to_string();
+        }
+        // One step (RFC 6901, section 3).
+        format!("{}/{}", self.at, name.replace('~', "~0").replace('/', "~1"))
     }
 
     pub(crate) fn bool(&self) -> Result<bool, Problem> {
@@ -160,7 +177,7 @@ impl<'j> Node<'j, '_> {
         serde_json::from_str(self.text).map_err(|e| self.not_json(&e))
     }
 
-    /// The values of the `known` fields, in that order. A field with the value `null` is absent; other fields are refused.
+    /// The values of the `known` fields, in that order. A field of the contract with the value `null` is absent; other fields are refused.
     pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         let (given, unknown) = self.split_fields(known)?;
         unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
@@ -180,11 +197,14 @@ impl<'j> Node<'j, '_> {
         let mut rest = &self.text[1..];
         while let Some(name) = next(&mut rest) {
             let Name(name) = serde_json::from_str(name).map_err(|e| self.not_json(&e))?;
-            let text = next(&mut rest).unwrap_or_default();
             let Some(index) = known.iter().position(|known| *known == name) else {
-                unknown.get_or_insert(name);
+                let value = next(&mut rest);
+                if !(value == Some("null") && fields::is_unsupported(&name, known)) {
+                    unknown.get_or_insert(name);
+                }
                 continue;
             };
+            let text = next(&mut rest).unwrap_or_default();
             if values[index].replace(Node { text, at: At::Field(&self.at, known[index]) }).is_some() {
                 repeated.get_or_insert(known[index]);
             }

@@ -5,7 +5,7 @@
 //! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
 mod enum_name;
-mod fields;
+pub(crate) mod fields;
 pub mod formats;
 mod handles;
 mod json;
@@ -17,6 +17,7 @@ mod rest;
 mod session;
 mod socket;
 mod suggest;
+mod syntax;
 mod write;
 
 #[cfg(test)]
@@ -68,7 +69,13 @@ impl WarpObject {
         match &self.q {
             Some(q) => Ok(q),
             None if self.rest.p.is_empty() => Ok(&[]),
-            None => Err(Node { text: "{}", at: At::Root }.missing("q", HANDLES)),
+            None => {
+                // Pairs look like lines of two places.
+                let is_pair = |handle: &Handle| handle.places().len() == 2;
+                let hint =
+                    if self.rest.p.iter().all(is_pair) { "; `p` and `q` are arrays of their own, not an array of pairs" } else { "" };
+                Err(Node { text: "{}", at: At::Root }.missing("q", &format!("{HANDLES}{hint}")))
+            }
         }
     }
 }
@@ -131,7 +138,7 @@ impl PointsObject {
     /// Reads the object of `/sessions/{id}/points`.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, points @ ..] = root.fields(&["q", "points", "polygons", "boxes", "inverse", "refine"])?;
+        let [q, points @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
         let points = read_points(points)?;
         Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, points })
     }

@@ -1,5 +1,7 @@
 //! Numbers: text to f64 (correctly rounded) and to whole numbers.
 
+use mlswarp::geometry::Compact;
+
 use super::json::{Kind, Node};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -23,7 +25,7 @@ pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem
 /// A number above zero.
 pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     let value = number(node, expected)?;
-    if value > 0.0 { Ok(value) } else { Err(node.unexpected(expected, value).actual(value)) }
+    if value > 0.0 { Ok(value) } else { Err(node.unexpected(expected, Compact(value)).actual(value)) }
 }
 
 /// A whole number, at least 0; `8.0` and `1e3` are whole numbers.

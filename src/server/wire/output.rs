@@ -7,11 +7,11 @@ use mlswarp::warp::OutputSpec;
 
 use super::enum_name::{Canvas, enum_name, unknown_name};
 use super::fields;
-use super::json::{Node, optional};
+use super::json::{Kind, Node, optional};
 use super::number::count;
 use super::suggest;
-use crate::problem::Problem;
 use crate::problem::words::{did_you_mean, quote};
+use crate::problem::{Code, Problem};
 
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
@@ -40,8 +40,11 @@ impl OutputPatch {
     }
 
     pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [format, quality_, compression, width, filter, outside_, canvas] = node.fields(&fields::OUTPUT)?;
-        optional(canvas, enum_name::<Canvas>)?;
+        if node.kind() == Kind::String {
+            return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
+        }
+        let [format, quality_, compression, width, filter, outside_, canvas_] = node.fields(&fields::OUTPUT)?;
+        optional(canvas_, canvas)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
@@ -50,6 +53,14 @@ impl OutputPatch {
             filter: optional(filter, enum_name)?,
             outside: optional(outside_, outside)?,
         })
+    }
+}
+
+/// The contract also has boxes.
+fn canvas(node: &Node<'_, '_>) -> Result<Canvas, Problem> {
+    match node.kind() {
+        Kind::Object => Err(node.problem(Code::NotSupported, "not supported by this version: a box as `canvas`; supported: `same`")),
+        _ => enum_name(node),
     }
 }
 
@@ -72,7 +83,7 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
             Some(colour) => Ok(Outside::Colour(colour)),
             None => {
                 let colour = suggest::colour(&text);
-                let meant = colour.as_deref().or_else(|| suggest::value(&text, &["transparent", "edge"]));
+                let meant = suggest::value(&text, &["transparent", "edge"]).or(colour.as_deref());
                 Err(node.unexpected(&format!("one of {OUTSIDE}"), format_args!("{}{}", quote(&text), did_you_mean(meant))))
             }
         },

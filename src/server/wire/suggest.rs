@@ -1,6 +1,6 @@
 //! What a client probably meant by a field, a name or a colour that the contract does not have.
 
-use super::fields::{GRID, OUTPUT, WARP};
+use super::fields::{self, GRID, OUTPUT, WARP};
 use crate::problem::words::nearest;
 
 /// What other programs call the handles at rest, posed, and both.
@@ -22,6 +22,8 @@ const POSED: [&str; 14] = [
     "target_points",
     "dst_pts",
 ];
+/// What other programs call the height of a picture, or both of its sides.
+const SIZES: [&str; 6] = ["height", "size", "scale", "resize", "dimensions", "resolution"];
 const BOTH: [&str; 5] = ["points", "handles", "pins", "landmarks", "pairs"];
 
 /// Other names of fields.
@@ -40,26 +42,26 @@ const OTHER_VALUES: [(&str, &str); 8] = [
 ];
 /// The colours that people write by name.
 const COLOURS: [(&str, &str); 20] = [
-    ("black", "#000000ff"),
-    ("white", "#ffffffff"),
-    ("red", "#ff0000ff"),
-    ("green", "#008000ff"),
-    ("blue", "#0000ffff"),
-    ("yellow", "#ffff00ff"),
-    ("orange", "#ffa500ff"),
-    ("purple", "#800080ff"),
-    ("pink", "#ffc0cbff"),
-    ("brown", "#a52a2aff"),
-    ("gray", "#808080ff"),
-    ("grey", "#808080ff"),
-    ("silver", "#c0c0c0ff"),
-    ("cyan", "#00ffffff"),
-    ("magenta", "#ff00ffff"),
-    ("lime", "#00ff00ff"),
-    ("navy", "#000080ff"),
-    ("teal", "#008080ff"),
-    ("olive", "#808000ff"),
-    ("maroon", "#800000ff"),
+    ("black", "#000000"),
+    ("white", "#ffffff"),
+    ("red", "#ff0000"),
+    ("green", "#008000"),
+    ("blue", "#0000ff"),
+    ("yellow", "#ffff00"),
+    ("orange", "#ffa500"),
+    ("purple", "#800080"),
+    ("pink", "#ffc0cb"),
+    ("brown", "#a52a2a"),
+    ("gray", "#808080"),
+    ("grey", "#808080"),
+    ("silver", "#c0c0c0"),
+    ("cyan", "#00ffff"),
+    ("magenta", "#ff00ff"),
+    ("lime", "#00ff00"),
+    ("navy", "#000080"),
+    ("teal", "#008080"),
+    ("olive", "#808000"),
+    ("maroon", "#800000"),
 ];
 
 fn in_table<'a>(table: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
@@ -68,30 +70,52 @@ fn in_table<'a>(table: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
 
 /// A hint for a field that an object does not have; `known`: the fields that it has.
 pub(crate) fn field(name: &str, known: &[&str]) -> Option<String> {
+    special(name, known).or_else(|| misplaced_or_misspelt(name, known))
+}
+
+/// The hint for a name that has one of its own.
+fn special(name: &str, known: &[&str]) -> Option<String> {
+    let has = |field: &str| known.contains(&field);
     let is_any = |names: &[&str]| names.iter().any(|other| name.eq_ignore_ascii_case(other));
-    if known.contains(&"q") && is_any(&[&REST[..], &POSED[..], &BOTH[..]].concat()) {
-        return Some(match (known.contains(&"p"), is_any(&POSED)) {
-            (true, _) => "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go".to_owned(),
-            (false, true) => "did you mean `q`?".to_owned(),
-            (false, false) => OF_SESSION.to_owned(),
-        });
-    }
-    if name == "p" && known.contains(&"q") {
-        return Some(OF_SESSION.to_owned());
-    }
+    let hint = match (has("q"), has("p")) {
+        (true, _) if is_any(&["warp"]) => "send the content of `warp`, without `warp`",
+        (true, true) if is_any(&["image"]) && !has("extent") => "the image is a part of its own, beside the part `warp`",
+        _ if has("extent") && (is_any(&SIZES) || is_any(&["width"])) => "the size of the image is `extent`: [width, height]",
+        _ if (has("output") || known == OUTPUT) && is_any(&SIZES) => "the height follows from `output.width`",
+        (true, false) if has("points") && is_any(&BOTH) => "did you mean `points`?",
+        (true, true) if is_any(&[&REST[..], &POSED, &BOTH].concat()) => {
+            "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go"
+        }
+        (true, false) if is_any(&POSED) => "did you mean `q`?",
+        (true, false) if name == "p" || is_any(&[&REST[..], &BOTH].concat()) => OF_SESSION,
+        // `output` is not replaced there: it belongs to a request.
+        (true, false) if name != "output" && WARP.contains(&name) => {
+            return Some(format!("the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"));
+        }
+        _ => {
+            let (object, inner) = name.split_once('.').filter(|(object, _)| has(object))?;
+            let is_field = (object == "output" && OUTPUT.contains(&inner)) || (object == "grid" && GRID.contains(&inner));
+            return is_field.then(|| format!("nest it: {{\"{object}\": {{\"{inner}\": ...}}}}"));
+        }
+    };
+    Some(hint.to_owned())
+}
+
+fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
     let name = in_table(&OTHER_FIELDS, name).unwrap_or(name);
     let inside = |object: &str, fields: &[&str], name: &str| {
         (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))
     };
     let nested = |name: &str| inside("output", &OUTPUT, name).or_else(|| inside("grid", &GRID, name));
+    let is_output = known.contains(&"compression");
     let outside = || {
-        let object = if known == OUTPUT { "output" } else { "grid" };
-        ((known == OUTPUT || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
+        let object = if is_output { "output" } else { "grid" };
+        ((is_output || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
     };
     nested(name)
         .or_else(outside)
         .or_else(|| nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?")))
-        .or_else(|| nested(nearest(name, OUTPUT.into_iter().chain(GRID))?))
+        .or_else(|| nested(nearest(name, fields::useful(&OUTPUT).into_iter().chain(GRID))?))
 }
 
 const OF_SESSION: &str = "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
@@ -102,13 +126,14 @@ pub(crate) fn value<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
     other.or_else(|| nearest(text, names.iter().copied()))
 }
 
-/// The colour that was probably meant: a name, a short form, or digits without `#`.
+/// The colour that was probably meant: a name, a short form, or digits without `#`, of which letters alone are a word.
 pub(crate) fn colour(text: &str) -> Option<String> {
     if let Some(known) = in_table(&COLOURS, text) {
         return Some(known.to_owned());
     }
     let digits = text.strip_prefix('#').or_else(|| text.strip_prefix("0x")).unwrap_or(text);
-    if !digits.bytes().all(|b| b.is_ascii_hexdigit()) {
+    let is_word = digits == text && !text.bytes().any(|b| b.is_ascii_digit());
+    if is_word || !digits.bytes().all(|b| b.is_ascii_hexdigit()) {
         return None;
     }
     let digits = match digits.len() {
@@ -116,13 +141,13 @@ pub(crate) fn colour(text: &str) -> Option<String> {
         6 | 8 => digits.to_owned(),
         _ => return None,
     };
-    let alpha = if digits.len() == 6 { "ff" } else { "" };
-    Some(format!("#{}{alpha}", digits.to_ascii_lowercase()))
+    Some(format!("#{}", digits.to_ascii_lowercase()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::fields::{POINTS_OF_SESSION, WARP_WITH_POINTS};
 
     #[test]
     fn fields_are_suggested_by_name_place_and_spelling() {
@@ -146,6 +171,21 @@ mod tests {
             ("metod", &WARP, Some("did you mean `method`?")),
             ("cells", &GRID, Some("did you mean `cell`?")),
             ("width", &["q", "seq"], None),
+            ("height", &WARP, Some("the height follows from `output.width`")),
+            ("Size", &OUTPUT, Some("the height follows from `output.width`")),
+            ("scale", &drag, Some("the height follows from `output.width`")),
+            ("width", &WARP_WITH_POINTS, Some("the size of the image is `extent`: [width, height]")),
+            ("warp", &WARP, Some("send the content of `warp`, without `warp`")),
+            ("image", &POINTS_OF_SESSION, None),
+            ("image", &WARP, Some("the image is a part of its own, beside the part `warp`")),
+            ("output.format", &WARP, Some("nest it: {\"output\": {\"format\": ...}}")),
+            ("grid.cell", &WARP, Some("nest it: {\"grid\": {\"cell\": ...}}")),
+            ("output.nothing", &WARP, None),
+            ("p.x", &WARP, None),
+            ("method", &drag, Some("the session has `method`; replace it with PUT /sessions/{id}/handles")),
+            ("landmarks", &POINTS_OF_SESSION, Some("did you mean `points`?")),
+            ("pins", &POINTS_OF_SESSION, Some("did you mean `points`?")),
+            ("landmarks", &WARP_WITH_POINTS, Some(both)),
             ("frobnicate", &WARP, None),
         ] {
             assert_eq!(field(name, known).as_deref(), hint, "{name}");
@@ -170,12 +210,15 @@ mod tests {
     #[test]
     fn colours_are_suggested_in_full() {
         for (text, meant) in [
-            ("red", Some("#ff0000ff")),
-            ("White", Some("#ffffffff")),
-            ("#fff", Some("#ffffffff")),
+            ("red", Some("#ff0000")),
+            ("White", Some("#ffffff")),
+            ("#fff", Some("#ffffff")),
             ("#F0a8", Some("#ff00aa88")),
-            ("0A141E", Some("#0a141eff")),
+            ("0A141E", Some("#0a141e")),
             ("0x0a141e80", Some("#0a141e80")),
+            ("ede", None),
+            ("decade", None),
+            ("#ede", Some("#eeddeeff")),
             ("#12345", None),
             ("#xyz", None),
             ("", None),

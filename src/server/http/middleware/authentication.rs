@@ -69,11 +69,17 @@ pub(crate) async fn authenticate(State(app): State<App>, Caller { client, .. }: 
         }
         Err(mut problem) if problem.code == Code::Unauthorized => {
             if let Some(field) = authorization {
-                problem.detail = unreadable(&field).to_owned();
+                problem.detail = unreadable(field.as_bytes()).to_owned();
             }
             ([(WWW_AUTHENTICATE, BEARER)], problem).into_response()
         }
-        Err(problem) => problem.into_response(),
+        Err(mut problem) => {
+            // Nothing of the key is repeated.
+            if problem.code == Code::Forbidden && key.is_some_and(|key| key.starts_with(['"', '\'', '<', '`'])) {
+                problem.detail.push_str("; send the key without quotes or brackets");
+            }
+            problem.into_response()
+        }
     }
 }
 
@@ -93,9 +99,11 @@ fn key(headers: &HeaderMap) -> Option<String> {
 }
 
 /// What is wrong with a field `Authorization` from which no key was read. Nothing of it is repeated: it may be a key.
-fn unreadable(field: &HeaderValue) -> &'static str {
-    let is_bearer = field.to_str().is_ok_and(|field| field.split(' ').next().is_some_and(|scheme| scheme.eq_ignore_ascii_case("bearer")));
-    if is_bearer {
+fn unreadable(field: &[u8]) -> &'static str {
+    let is_bearer = field.split(|b| *b == b' ').next().is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer"));
+    if is_bearer && !field.is_ascii() {
+        "the key in `Authorization` has characters outside ASCII, which no key has: send `Authorization: Bearer <key>`"
+    } else if is_bearer {
         "`Authorization` must be given once, with one key: send `Authorization: Bearer <key>`"
     } else {
         "the scheme of `Authorization` must be `Bearer`: send `Authorization: Bearer <key>`"

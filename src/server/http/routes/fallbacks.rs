@@ -3,17 +3,20 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{Method, Uri};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::service::OPENAPI;
+use crate::app::App;
 use crate::problem::words::{quote, series, similarity};
 use crate::problem::{Code, Problem};
 
 /// Longest path that is compared with those of the contract, bytes.
 const LONGEST_COMPARED: usize = 200;
+/// How similar the first segments must be: they are few, and words that mean something else are as near.
+const SIMILAR_FAMILY: f64 = 0.7;
 /// Prefixes that other services have before such paths.
 const PREFIXES: [&str; 2] = ["api", "rest"];
 
@@ -33,11 +36,16 @@ static CONTRACT: LazyLock<Contract<'static>> =
     LazyLock::new(|| serde_json::from_str(OPENAPI).expect("the document is valid, and a test reads it"));
 
 /// Answers a path that no route has.
-pub(crate) async fn not_found(method: Method, uri: Uri) -> Problem {
-    let path = uri.path();
-    let hint = meant(method.as_str(), path).map_or_else(|| "; see".to_owned(), |meant| format!("; did you mean {meant}? See"));
+pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) -> Problem {
+    let (path, public) = (uri.path(), app.config().public_path.as_str());
     let reference = if cfg!(feature = "docs") { "/docs" } else { "/openapi.json" };
-    Problem::new(Code::NotFound, format!("nothing is served at {}{hint} {reference}", quote(path)))
+    let is_public = path.strip_prefix(public).is_some_and(|rest| !public.is_empty() && (rest.is_empty() || rest.starts_with('/')));
+    let hint = match meant(method.as_str(), path) {
+        _ if is_public => format!("; the proxy must remove {public} from the path before it forwards a request. See"),
+        Some((method, route)) => format!("; did you mean {method}{public}{route}? See"),
+        None => "; see".to_owned(),
+    };
+    Problem::new(Code::NotFound, format!("nothing is served at {}{hint} {public}{reference}", quote(path)))
 }
 
 /// Answers a method that a path does not have. axum adds `Allow`.
@@ -61,8 +69,8 @@ fn methods(operations: &BTreeMap<&str, IgnoredAny>) -> Vec<&'static str> {
     METHODS.into_iter().filter(|(key, _)| operations.contains_key(key)).map(|(_, name)| name).collect()
 }
 
-/// The route of the contract that a path probably means.
-fn meant(method: &str, path: &str) -> Option<String> {
+/// The route of the contract that a path probably means: its method and a space, if one is clear, and its path.
+fn meant(method: &str, path: &str) -> Option<(String, &'static str)> {
     let path = Some(path).filter(|path| path.len() <= LONGEST_COMPARED)?;
     let mut segments: Vec<&str> = path.split('/').filter(|segment| !segment.is_empty()).collect();
     let is_version =
@@ -73,16 +81,17 @@ fn meant(method: &str, path: &str) -> Option<String> {
     let score = |pattern: &str| {
         let pattern: Vec<&str> = pattern.split('/').filter(|segment| !segment.is_empty()).collect();
         let alike = |(segment, pattern): (&&str, &&str)| if pattern.starts_with('{') { 1.0 } else { similarity(segment, pattern) };
-        if pattern.len() == segments.len() { segments.iter().zip(&pattern).map(alike).product() } else { 0.0 }
+        let scores = || segments.iter().zip(&pattern).map(alike);
+        let is_near = pattern.len() == segments.len() && scores().next().is_none_or(|first| first >= SIMILAR_FAMILY);
+        if is_near { scores().product() } else { 0.0 }
     };
     let scored = CONTRACT.paths.iter().map(|(pattern, operations)| (score(pattern), *pattern, operations));
     let (_, pattern, operations) =
         scored.filter(|(score, ..)| *score > 0.0).reduce(|best, next| if next.0 > best.0 { next } else { best })?;
     let named = methods(operations);
     match (named.iter().find(|name| **name == method), named.as_slice()) {
-        (Some(name), _) => Some(format!("{name} {pattern}")),
-        (None, [only]) => Some(format!("{only} {pattern}")),
-        _ => Some(pattern.to_owned()),
+        (Some(name), _) | (None, [name]) => Some((format!("{name} "), pattern)),
+        _ => Some((String::new(), pattern)),
     }
 }
 
@@ -107,9 +116,11 @@ mod tests {
             ("GET", "/health", Some("GET /healthz")),
             ("GET", "/nothing-like-it", None),
             ("GET", "/v1", None),
+            ("GET", "/version", None),
             ("GET", "/sessions/x/y/z", None),
         ] {
-            assert_eq!(meant(method, path).as_deref(), expected, "{method} {path}");
+            let found = meant(method, path).map(|(method, route)| method + route);
+            assert_eq!(found.as_deref(), expected, "{method} {path}");
         }
         assert_eq!(meant("GET", &"/warp".repeat(1000)), None);
     }

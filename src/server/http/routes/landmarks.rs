@@ -3,34 +3,32 @@
 use axum::extract::Request;
 use axum::response::Response;
 
-use crate::http::headers::{query_fields, unknown_query_field};
+use crate::http::headers::query_fields;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::json_text;
 use crate::http::{body, upload};
 use crate::limits::memory::Purpose;
-use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, extent};
 
+const EXTENTS: [&str; 2] = ["extent_p", "extent_q"];
+
 /// The body is one file of any media type, or a form.
 pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let query = request.uri().query().map(str::to_owned);
+    let given = query_fields(request.uri().query(), EXTENTS)?;
+    let [extent_p, extent_q] = [0, 1].map(|side| given[side].map(|text| extent(EXTENTS[side], &decoded(text))).transpose());
+    let (extent_p, extent_q) = (extent_p?, extent_q?);
     let mut files = if upload::is_multipart(&request) {
         upload::read_landmark_parts(&caller, request).await?
     } else {
         let file = body::raw(&caller, request, Purpose::Upload, "body_bytes", caller.app.config().max_body_bytes).await?;
         LandmarkFiles { both: Some(file), ..LandmarkFiles::default() }
     };
-    for (name, value) in query_fields(query.as_deref()) {
-        let slot = match name {
-            "extent_p" => &mut files.extent_p,
-            "extent_q" => &mut files.extent_q,
-            _ => return Err(unknown_query_field(name, &["extent_p", "extent_q"])),
-        };
-        if slot.is_some() {
-            return Err(Problem::new(Code::MalformedRequest, format!("{} is given twice", quote(name))));
+    for (name, of_query, of_part) in [("extent_p", extent_p, &mut files.extent_p), ("extent_q", extent_q, &mut files.extent_q)] {
+        if of_query.is_some() && of_part.is_some() {
+            return Err(Problem::new(Code::MalformedRequest, format!("`{name}` is given twice: in the query and as a part")));
         }
-        *slot = Some(extent(name, &decoded(value))?);
+        *of_part = of_part.or(of_query);
     }
     Ok(json_text(caller.app.convert_landmarks(caller.client, files).await?))
 }

@@ -1,12 +1,15 @@
 //! `GET /docs` in a build without the feature `docs`: 404.
 
 use axum::Router;
+use axum::extract::State;
 
 use crate::app::App;
 use crate::problem::{Code, Problem};
 
-pub(crate) async fn page() -> Problem {
-    Problem::new(Code::NotFound, "this build has no documentation page (feature `docs`); the contract is at /openapi.json")
+pub(crate) async fn page(State(app): State<App>) -> Problem {
+    let public = &app.config().public_path;
+    let detail = format!("this build has no documentation page (feature `docs`); the contract is at {public}/openapi.json");
+    Problem::new(Code::NotFound, detail)
 }
 
 pub(crate) fn files() -> Router<App> {

@@ -1,13 +1,13 @@
 //! Health, metrics and the OpenAPI document. None of them waits for the queue.
 
-use std::borrow::Cow;
-
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 use serde_json::json;
 
 use crate::app::{App, Ready};
+use crate::http::assets::Asset;
 use crate::http::response;
 use crate::problem::Problem;
 
@@ -35,13 +35,13 @@ pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
     (headers, app.metrics_text())
 }
 
-/// `GET /openapi.json`, with the public path as the address of the service.
-pub(crate) async fn openapi(State(app): State<App>) -> impl IntoResponse {
-    let document = match app.config().public_path.as_str() {
-        "" => Cow::Borrowed(OPENAPI),
+/// The answer of `GET /openapi.json`, with the public path as the address of the service.
+pub(crate) fn openapi(public_path: &str) -> Asset {
+    let document = match public_path {
+        "" => Bytes::from_static(OPENAPI.as_bytes()),
         path => OPENAPI.replacen(SERVERS, &SERVERS.replace('/', path), 1).into(),
     };
-    ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-cache")], document)
+    Asset::new("application/json", document)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use axum::response::Response;
 use super::sessions::{location, session_id};
 use crate::app::warp::columns;
 use crate::http::body::json;
-use crate::http::headers::{bad_query_value, query_fields, unknown_query_field};
+use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{Warning, picture, takes_trailers};
 use crate::http::{accept, upload};
@@ -69,14 +69,6 @@ pub(crate) const fn drag_limit(columns: u64) -> u64 {
 
 /// Reads `?session=true`. Unknown fields are rejected.
 fn keeps_session(query: Option<&str>) -> Result<bool, Problem> {
-    let mut keeps = false;
-    for field in query_fields(query) {
-        keeps = match field {
-            ("session", "true") => true,
-            ("session", "false") => false,
-            ("session", value) => return Err(bad_query_value("session", value, "`true` or `false`")),
-            (name, _) => return Err(unknown_query_field(name, &["session"])),
-        };
-    }
-    Ok(keeps)
+    let [session] = query_fields(query, ["session"])?;
+    session.map_or(Ok(false), |value| query_bool("session", value))
 }

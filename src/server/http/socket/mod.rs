@@ -15,7 +15,7 @@ use mlswarp::codec::Format;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::connection::transport::{Transport, without_write_timeout};
-use super::headers::{bad_query_value, query_fields, unknown_query_field};
+use super::headers::{bad_query_value, query_bool, query_fields};
 use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
@@ -59,30 +59,34 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
 /// Reads `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
-    for field in query_fields(query) {
-        match field {
-            ("frames", "mesh") => options.form = Form::Mesh,
-            ("frames", value) => {
-                let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(value));
-                options.form =
-                    Form::Picture(Some(format.ok_or_else(|| bad_query_value("frames", value, "one of `png`, `jpeg`, `webp`, `mesh`"))?));
-            }
-            ("width", "auto") => options.width = PreviewWidth::Auto,
-            ("width", value) => {
-                let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
-                options.width = PreviewWidth::Fixed(
-                    width.ok_or_else(|| bad_query_value("width", value, &format!("`auto` or a whole number of 1 to {max_side}")))?,
-                );
-            }
-            ("report", value @ ("true" | "false")) => options.report = value == "true",
-            ("report", value) => return Err(bad_query_value("report", value, "`true` or `false`")),
-            (name, _) => return Err(unknown_query_field(name, &["frames", "width", "report"])),
-        }
+    let [frames, width, report] = query_fields(query, ["frames", "width", "report"])?;
+    if let Some(value) = frames {
+        options.form = form(value)?;
+    }
+    if let Some(value) = width.filter(|value| *value != "auto") {
+        let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
+        let expected = || format!("`auto` or a whole number of 1 to {max_side}");
+        options.width = PreviewWidth::Fixed(width.ok_or_else(|| bad_query_value("width", value, &expected()))?);
+    }
+    if let Some(value) = report {
+        options.report = query_bool("report", value)?;
     }
     if options.form == Form::Mesh && options.width != PreviewWidth::Auto {
         return Err(Problem::new(Code::BadValue, "a mesh has no width: remove `width` from the query"));
     }
     Ok(options)
+}
+
+fn form(name: &str) -> Result<Form, Problem> {
+    const FORMS: &str = "`png`, `jpeg`, `webp`, `mesh`";
+    match name {
+        "mesh" => Ok(Form::Mesh),
+        "auto" => Err(Problem::new(Code::NotSupported, format!("not supported by this version: `frames=auto`; supported: {FORMS}"))),
+        _ => {
+            let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(name));
+            format.map(|format| Form::Picture(Some(format))).ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
+        }
+    }
 }
 
 /// Carries messages until either side ends the socket.
@@ -207,6 +211,9 @@ mod tests {
             ("width=-1", Code::BadValue),
             ("frames=mesh&width=100", Code::BadValue),
             ("report=yes", Code::BadValue),
+            ("frames=auto", Code::NotSupported),
+            ("window=2", Code::NotSupported),
+            ("report=true&report=false", Code::MalformedRequest),
             ("q=1", Code::UnknownField),
             ("Frames=png", Code::UnknownField),
         ] {

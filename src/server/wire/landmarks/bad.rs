@@ -5,6 +5,7 @@ use serde_json::Error as SyntaxError;
 use super::offset;
 use crate::problem::{Code, Problem};
 use crate::wire::json::Node;
+use crate::wire::syntax;
 
 /// An error at a byte of the file.
 #[derive(Debug)]
@@ -38,7 +39,8 @@ impl Bad {
         let mut detail = error.to_string();
         // The position follows in our own words.
         detail.truncate(detail.rfind(" at line ").unwrap_or(detail.len()));
-        Self::new((line_start + error.column().saturating_sub(1)).min(text.len()), format!("not JSON: {detail}"))
+        let at = (line_start + error.column().saturating_sub(1)).min(text.len());
+        Self::new(at, format!("not JSON: {detail}{}", syntax::hint(&text[start..], error)))
     }
 
     /// The problem document. `part`: the name of the part or file; `file`: its content.

@@ -131,7 +131,7 @@ fn malformed_is_400_before_any_meaning() {
 
 #[test]
 fn malformed_names_line_and_column() {
-    assert_eq!(detail("{\"p\":\n [NaN]}"), "not JSON: expected value at line 2 column 3");
+    assert_eq!(detail("{\"p\":\n [NaN]}"), "not JSON: expected value at line 2 column 3; JSON has neither NaN nor infinity");
     assert!(detail("[1]").contains("found an array"));
     assert_eq!(detail("{\"p\": [], \"p\": []}"), "the field `p` is given twice");
 }
