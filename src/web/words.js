@@ -50,7 +50,7 @@ const series = (list) => (list.length > 1 ? `${list.slice(0, -1).join(", ")} and
 /** Counts handles from 1 instead of 0, and rounds numbers. */
 const plain = (detail) =>
   detail
-    .replace(/\b(handles?) (\d+(?:(?:, | and )\d+)*)/gi, (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`)
+    .replace(/\b(handles?) (\d+(?:(?:, | and )\d+\b(?! more))*)/gi, (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`)
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
 export function problemWords({ code, title, detail: told, handle, coincident, status, opening, request_id: id }) {

@@ -70,11 +70,12 @@ impl WarpObject {
             Some(q) => Ok(q),
             None if self.rest.p.is_empty() => Ok(&[]),
             None => {
+                let mut problem = Node { text: "{}", at: At::Root }.missing("q", HANDLES);
                 // Pairs look like lines of two places.
-                let is_pair = |handle: &Handle| handle.places().len() == 2;
-                let hint =
-                    if self.rest.p.iter().all(is_pair) { "; `p` and `q` are arrays of their own, not an array of pairs" } else { "" };
-                Err(Node { text: "{}", at: At::Root }.missing("q", &format!("{HANDLES}{hint}")))
+                if self.rest.p.iter().all(|handle| handle.places().len() == 2) {
+                    problem.detail.push_str(" `p` and `q` are arrays of their own, not an array of pairs");
+                }
+                Err(problem)
             }
         }
     }

@@ -81,7 +81,7 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
         (true, _) if is_any(&["warp"]) => "send the content of `warp`, without `warp`",
         (true, true) if is_any(&["image"]) && !has("extent") => "the image is a part of its own, beside the part `warp`",
         _ if has("extent") && (is_any(&SIZES) || is_any(&["width"])) => "the size of the image is `extent`: [width, height]",
-        _ if (has("output") || known == OUTPUT) && is_any(&SIZES) => "the height follows from `output.width`",
+        _ if (has("output") || has("quality")) && is_any(&SIZES) => "the height follows from `output.width`",
         (true, false) if has("points") && is_any(&BOTH) => "did you mean `points`?",
         (true, true) if is_any(&[&REST[..], &POSED, &BOTH].concat()) => {
             "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go"
@@ -218,7 +218,7 @@ mod tests {
             ("0x0a141e80", Some("#0a141e80")),
             ("ede", None),
             ("decade", None),
-            ("#ede", Some("#eeddeeff")),
+            ("#ede", Some("#eeddee")),
             ("#12345", None),
             ("#xyz", None),
             ("", None),
