@@ -128,7 +128,7 @@ async fn files_are_converted_without_an_image() {
     }
     for query in ["extent_p=640,480", "extent_p=640%2C480&extent_q=1,1", "extent_p=%5B640%2c%20480%5D"] {
         let (_, read) = convert(&format!("/landmarks?{query}"), "application/json", list).await;
-        assert_eq!((&read["p"], &read["units"]), (&json!([[160.0, 240.0]]), &json!("px")), "{query}");
+        assert_eq!((&read["p"], &read["units"]), (&json!([[160.0, 240.0]]), &json!("px")), "{query}: {read}");
     }
     for (query, code, word) in [
         ("extent=1,2", "unknown_field", "did you mean `extent_p`?"),

@@ -64,7 +64,7 @@ pub fn router(app: App) -> Router {
     let mut router = assets::routes(&app).merge(routes::docs::files());
     for (path, access, route) in routes(&app) {
         // `/warp` and the socket have fields of their own.
-        let route = if matches!(path, "/warp" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
+        let route = if matches!(path, "/warp" | "/landmarks" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
         let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
         router = router.route(path, route);
     }
