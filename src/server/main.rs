@@ -29,7 +29,10 @@ fn main() -> ExitCode {
             connection::run(config).map_err(|e| format!("error: {e}"))
         }
         Command::Health => health::ask(&config).map_err(|e| format!("error: {e}")),
-        Command::Warp { image, warp, out } => warp::run(&config, &image, &warp, &out).map(|summary| eprintln!("{summary}")),
+        Command::Warp { image, warp, landmarks, landmarks_q, out } => {
+            let input = warp::Input { image, warp, landmarks, landmarks_q };
+            warp::run(&config, &input, &out).map(|summary| eprintln!("{summary}"))
+        }
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -84,6 +84,11 @@ fn records_are_read_as_they_were_written_or_not_at_all() {
 }
 
 #[test]
+fn landmark_files_are_read_or_refused_with_a_place() {
+    fuzz("landmarks");
+}
+
+#[test]
 fn law_finite_and_as_exact_as_promised_for_any_handles() {
     fuzz("law");
 }

@@ -50,6 +50,7 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
         ("PUT", "/sessions/{id}/handles") => request.json(&json!({"p": [[1, 1]]})),
         ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8]]})),
         ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8]], "points": [[1, 1]]})),
+        ("POST", "/landmarks") => request.body("1,2\n"),
         ("POST", "/points") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]], "points": [[3, 3]]})),
         ("GET", "/sessions/{id}/drag") => request
             .header("Connection", "upgrade")

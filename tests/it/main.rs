@@ -20,6 +20,7 @@ mod hostile;
 mod hosts;
 mod identity;
 mod keys;
+mod landmarks;
 mod laws;
 mod layers;
 mod leaving;

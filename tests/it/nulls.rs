@@ -68,6 +68,10 @@ impl Body {
                     &content["application/json"]["schema"]
                 };
                 let schema = resolve(document, schema);
+                if !schema.is_object() {
+                    // A form without JSON.
+                    continue;
+                }
                 let names = |of: &Value| of.as_array().into_iter().flatten().map(|name| name.as_str().unwrap().to_owned()).collect();
                 all.push(Self {
                     method: method.to_uppercase().parse().unwrap(),

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use reqwest::multipart::Form;
 use reqwest::{RequestBuilder, Response};
 use serde_json::{Value, json};
 
@@ -117,7 +118,12 @@ fn numbers_are_compared_to_the_digits_shown() {
 /// A request with an example as its body.
 fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> RequestBuilder {
     match media_type {
-        "multipart/form-data" => request.multipart(form(PICTURE, body["warp"].to_string())),
+        "multipart/form-data" => {
+            let is_upload = body.get("image").is_some();
+            let base = if is_upload { form(PICTURE, body["warp"].to_string()) } else { Form::new() };
+            let texts = body.as_object().unwrap().iter().filter(|(name, _)| !["image", "warp"].contains(&name.as_str()));
+            request.multipart(texts.fold(base, |form, (name, text)| form.text(name.clone(), text.as_str().unwrap().to_owned())))
+        }
         "application/json" => request.json(body),
         _ => panic!("no body of the type {media_type} can be made"),
     }

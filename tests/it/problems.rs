@@ -4,6 +4,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
+use reqwest::multipart::Form;
 use reqwest::{Method, RequestBuilder};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -180,6 +181,8 @@ async fn the_page_shows_what_is_said() {
     same("unsupported_media_type", server.post("/warp").json(&json!({"p": [[1, 1]], "q": [[1, 1]]}))).await;
     same("unsupported_format", server.post("/warp").multipart(form(b"GIF89a\x01\0\x01\0\0\0\0;", "{}"))).await;
     same("bad_image", server.post("/warp").multipart(form(&image[..image.len() / 2], "{}"))).await;
+    let files = Form::new().text("landmarks_p", "x,y\n1,2\n168,112\n").text("landmarks_q", "x,y\n1,2\n150,1O4\n");
+    same("bad_landmarks", server.post("/landmarks").multipart(files)).await;
 
     let points = |n: usize| -> Vec<Value> { (0..n).map(|k| json!([10 * k, 5 * k * k])).collect() };
     let with = |handles: &[Value], k: usize, handle: Value| -> Vec<Value> {

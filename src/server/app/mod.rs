@@ -4,6 +4,8 @@
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;
+mod json_text;
+pub mod landmarks;
 pub(crate) mod lifecycle;
 mod metrics_text;
 pub(crate) mod points;

@@ -9,7 +9,7 @@ use mlswarp::warp::{GridSpec, Setup};
 use serde::Serialize;
 
 use super::App;
-use super::warp::json_unless;
+use super::json_text::json_unless;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::Purpose;

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, build_aborted, image_key, resolve, revision_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, Upload, build_aborted, image_key, resolve, revision_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -21,8 +21,8 @@ use crate::wire::{WarpObject, WarpPatch};
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn create_session(&self, client: Client, file: Bytes, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
-        let prepared = self.prepare_session(client, file, json).await?;
+    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<(Session, Arc<Setup>), Problem> {
+        let prepared = self.prepare_session(client, upload).await?;
         self.create_session_from(client, prepared).await
     }
 
@@ -38,15 +38,15 @@ impl App {
 
     /// Opens or replaces a session with an id that the client has chosen.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn put_session(&self, client: Client, id: SessionId, file: Bytes, json: Bytes) -> Result<(Put, Arc<Setup>), Problem> {
-        let prepared = self.prepare_session(client, file, json).await?;
+    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<(Put, Arc<Setup>), Problem> {
+        let prepared = self.prepare_session(client, upload).await?;
         self.put_prepared(client, id, prepared).await
     }
 
     /// Builds image and plan; the ticket is returned before the store is used.
-    async fn prepare_session(&self, client: Client, file: Bytes, json: Bytes) -> Result<PreparedWarp, Problem> {
+    async fn prepare_session(&self, client: Client, upload: Upload) -> Result<PreparedWarp, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        Ok(self.prepare(client.owner, &ticket, file, json, None).await?.0)
+        Ok(self.prepare(client.owner, &ticket, upload, None).await?.0)
     }
 
     /// Stores a session, counted for its client.
@@ -220,7 +220,7 @@ mod tests {
         let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
-        let (session, _) = app.create_session(client, file.into_inner().into(), Bytes::from_static(br#"{"p": [[5, 5]]}"#)).await.unwrap();
+        let (session, _) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
         let refused = app.replace_handles(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
@@ -239,7 +239,7 @@ mod tests {
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
         let file = Bytes::from(file.into_inner());
-        let open = || app.create_session(client, file.clone(), Bytes::from_static(br#"{"p": [[5, 5]]}"#));
+        let open = || app.create_session(client, Upload::new(file.clone(), r#"{"p": [[5, 5]]}"#));
         let (session, setup) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
         let _used =

@@ -12,8 +12,9 @@ use mlswarp::warp::{Folds, Image, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
+use super::json_text::json_unless;
 use super::sequence::SequencePosition;
-use super::warp::{ATTEMPTS, Source, json_unless};
+use super::warp::{ATTEMPTS, Source};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;

@@ -1,7 +1,6 @@
 //! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
 //! computation runs on the pool with one ticket per request.
 
-use std::io;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -9,10 +8,10 @@ use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Setup, WarpError};
-use serde::Serialize;
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
+use super::landmarks::HeldLandmarks;
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
@@ -29,6 +28,24 @@ use crate::wire::{WarpObject, WarpPatch};
 pub(crate) const ATTEMPTS: usize = 8;
 /// The smallest weight of a cached value, bytes.
 const MIN_WEIGHT: u64 = 1024;
+
+/// What a client has uploaded.
+#[derive(Debug)]
+pub struct Upload {
+    /// The image file.
+    pub(crate) image: Bytes,
+    /// The warp object.
+    pub(crate) warp: Bytes,
+    /// The handles, if they are in landmark files.
+    pub(crate) landmarks: Option<HeldLandmarks>,
+}
+
+impl Upload {
+    /// An image file and a warp object.
+    pub fn new(image: impl Into<Bytes>, warp: impl Into<Bytes>) -> Self {
+        Self { image: image.into(), warp: warp.into(), landmarks: None }
+    }
+}
 
 /// A resolved upload: what a warp is drawn from, and what a session keeps.
 #[derive(Debug)]
@@ -78,9 +95,9 @@ impl AsRef<[u8]> for File {
 impl App {
     /// Draws an image from a file and a warp object with `q`.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn warp_once(&self, client: Client, file: Bytes, json: Bytes, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
+    pub async fn warp_once(&self, client: Client, upload: Upload, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (prepared, planned) = self.prepare(client.owner, &ticket, file, json, Some(formats)).await?;
+        let (prepared, planned) = self.prepare(client.owner, &ticket, upload, Some(formats)).await?;
         let q = prepared.object.posed()?.to_vec();
         let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
         let job = DrawJob { image: Arc::clone(&prepared.image), planned, q, folds, output, quota: self.response_quota(client) };
@@ -110,15 +127,19 @@ impl App {
         &self,
         owner: Owner,
         ticket: &Ticket,
-        file: Bytes,
-        json: Bytes,
+        upload: Upload,
         formats: Option<Formats>,
     ) -> Result<(PreparedWarp, Planned), Problem> {
+        let Upload { image: file, warp: json, landmarks } = upload;
+        let has_landmarks = landmarks.is_some();
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
         let hashed_file = file.clone();
         let parse = move |_: &_| {
             let patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
+            if has_landmarks {
+                patch.require_no_handles()?;
+            }
             let requested = patch.output.format;
             let object = patch.into_object()?;
             let format = formats.unwrap_or(Formats::ANY).choose(requested, object.output.format)?;
@@ -126,7 +147,10 @@ impl App {
         };
         let (object, format, digest) = self.0.pool.run(ticket, parse).await??;
         if formats.is_some() {
-            object.posed()?;
+            match &landmarks {
+                Some(held) => held.require_q()?,
+                None => drop(object.posed()?),
+            }
         }
         let Fetched { value: image, built } = self.image(owner, ticket, digest, file.clone()).await?;
         if formats.is_some() && built {
@@ -136,7 +160,14 @@ impl App {
         timing.decode = began.elapsed();
         stage("decode", began);
         let (limits, extent) = (self.0.config.limits(), image.extent());
-        let (object, setup) = self.0.pool.run(ticket, move |cancel| resolve(object, extent, &limits, cancel)).await??;
+        let resolve = move |cancel: &Cancel| {
+            let mut object = object;
+            if let Some(held) = landmarks {
+                held.place_in(&mut object, extent)?;
+            }
+            Ok::<_, Problem>(resolve(object, extent, &limits, cancel)?)
+        };
+        let (object, setup) = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(owner, ticket, &setup, timing).await?;
         Ok((PreparedWarp { file, digest, object, format, image, setup }, planned))
     }
@@ -234,26 +265,6 @@ pub(crate) fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cance
     let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     Ok((object, Arc::new(setup)))
-}
-
-/// Serialises a value to JSON in a buffer of this initial capacity, unless it is cancelled.
-pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
-    struct Text<'a>(Vec<u8>, &'a Cancel);
-    impl io::Write for Text<'_> {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            if self.1.is_cancelled() {
-                return Err(io::ErrorKind::BrokenPipe.into());
-            }
-            self.0.write(bytes)
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-    let mut text = Text(Vec::with_capacity(capacity), cancel);
-    serde_json::to_writer(&mut text, value).map_err(|_| WarpError::Cancelled)?;
-    Ok(text.0)
 }
 
 /// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.

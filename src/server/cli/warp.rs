@@ -1,23 +1,60 @@
-//! `mlswarp warp IMAGE WARP.json -o OUT`: `POST /warp` without a server, with the same parser and the same bytes.
+//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`: `POST /warp` without a server, with the same parser and the same bytes.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Write};
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError};
 
 use crate::config::Config;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
+use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED};
 use crate::wire::{WarpObject, WarpPatch};
 
-/// Warps one image and returns what a server sends in response headers; `-` is standard input or output.
+/// The input files; `-` is standard input.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// The image.
+    pub image: PathBuf,
+    /// The warp object.
+    pub warp: Option<PathBuf>,
+    /// Landmarks of both sides, or of `p`.
+    pub landmarks: Option<PathBuf>,
+    /// Landmarks of `q`.
+    pub landmarks_q: Option<PathBuf>,
+}
+
+impl Input {
+    /// Errors: Standard input cannot be read twice.
+    fn require_one_stdin(&self) -> Result<(), Failure> {
+        let files = [Some(&self.image), self.warp.as_ref(), self.landmarks.as_ref(), self.landmarks_q.as_ref()];
+        if files.into_iter().flatten().filter(|path| is_stdio(path)).count() < 2 {
+            return Ok(());
+        }
+        Err(Failure::Local("standard input can be one of the input files only".to_owned()))
+    }
+
+    /// Errors: A file that cannot be read.
+    fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
+        let Some(path) = &self.landmarks else { return Ok(None) };
+        let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
+        let files = match &self.landmarks_q {
+            Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..LandmarkFiles::default() },
+            None => LandmarkFiles { both: Some(file(path)?), ..LandmarkFiles::default() },
+        };
+        Ok(Some(files.read(config.limits().columns)?))
+    }
+}
+
+/// Warps one image and returns what a server sends in response headers; `-` is standard output.
 /// Errors: The problem that a server would answer, as `code: detail (pointer)`; a file that cannot be read or written, as `error: ...`.
-pub fn run(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<String, String> {
-    run_with_failure(config, image, warp, out).map_err(|failure| match failure {
+pub fn run(config: &Config, input: &Input, out: &Path) -> Result<String, String> {
+    run_with_failure(config, input, out).map_err(|failure| match failure {
         Failure::Problem(Problem { code, detail, pointer, .. }) => {
             let place = pointer.map_or_else(String::new, |pointer| format!(" ({pointer})"));
             format!("{}: {detail}{place}", code.as_str())
@@ -46,26 +83,34 @@ impl From<WarpError> for Failure {
     }
 }
 
-fn run_with_failure(config: &Config, image: &Path, warp: &Path, out: &Path) -> Result<String, Failure> {
-    if is_stdio(image) && is_stdio(warp) {
-        return Err(Failure::Local("standard input can be the image or the warp object, not both".to_owned()));
-    }
-    let patch = WarpPatch::parse(&read("warp object", warp, config.max_warp_json_bytes)?)?;
+fn run_with_failure(config: &Config, input: &Input, out: &Path) -> Result<String, Failure> {
+    input.require_one_stdin()?;
+    let json = input.warp.as_deref().map(|path| read("warp object", path, config.max_warp_json_bytes)).transpose()?;
+    let patch = json.map(|json| WarpPatch::parse(&json)).transpose()?.unwrap_or_default();
     // The file name takes the place of `Accept`.
     let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
     if let Some(directory) = out.parent().filter(|directory| !directory.as_os_str().is_empty() && !directory.is_dir()) {
         return Err(Failure::Local(format!("cannot write {out:?}: there is no directory {directory:?}")));
     }
-    let file = read("image", image, config.max_body_bytes)?;
+    let landmarks = input.landmarks(config)?;
+    if let Some(landmarks) = &landmarks {
+        patch.require_no_handles()?;
+        landmarks.require_q()?;
+    }
+    let file = read("image", &input.image, config.max_body_bytes)?;
     let mut object = patch.into_object()?;
     object.output.format = format;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Failure::Local(format!("cannot start compute threads: {e}")))?;
-    threads.install(|| render(config, &file, &object, out))
+    threads.install(|| render(config, &file, object, landmarks, out))
 }
 
-fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Result<String, Failure> {
+fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Option<Landmarks>, out: &Path) -> Result<String, Failure> {
     let image = Arc::new(Image::decode(file, &config.limits().image)?);
+    let unmatched = landmarks.as_ref().is_some_and(Landmarks::has_unmatched).then_some(UNMATCHED);
+    if let Some(landmarks) = landmarks {
+        landmarks.place_in(&mut object, image.extent())?;
+    }
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let pose = setup.pose(object.posed()?)?;
     object.output.target(image.extent(), &config.limits())?;
@@ -74,7 +119,8 @@ fn render(config: &Config, file: &[u8], object: &WarpObject, out: &Path) -> Resu
     write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
     let (extent, Report { warnings, folds, residual }) = (warp.target(), posed.into_report_on(&image));
     let summary = format!("{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height());
-    Ok(warnings.iter().fold(summary, |summary, warning| format!("{summary}, {}", warning.code())))
+    let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
+    Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }
 
 fn format_of(out: &Path) -> Result<Format, Problem> {

@@ -52,8 +52,16 @@ pub enum Command {
     Warp {
         /// Image file (PNG, JPEG, WebP); `-` reads standard input.
         image: PathBuf,
-        /// Warp object (JSON); `-` reads standard input.
-        warp: PathBuf,
+        /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
+        #[arg(required_unless_present = "landmarks")]
+        warp: Option<PathBuf>,
+        /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp, .pts,
+        /// .tem, QGIS .points, labelme, MediaPipe.
+        #[arg(long, value_name = "FILE")]
+        landmarks: Option<PathBuf>,
+        /// Landmark file with q.
+        #[arg(long, value_name = "FILE", requires = "landmarks")]
+        landmarks_q: Option<PathBuf>,
         /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg or .webp. A format in the warp object
         /// takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
         #[arg(short, long)]
@@ -63,9 +71,10 @@ pub enum Command {
     Health,
 }
 
-const WARP_EXAMPLE: &str = r#"Example:
+const WARP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
-  mlswarp warp cat.png warp.json -o warped.png"#;
+  mlswarp warp cat.png warp.json -o warped.png
+  mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts -o average.jpg"#;
 
 /// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
 const EFFECTIVE: [(&str, &[(&str, &str)]); 2] = [
@@ -73,7 +82,7 @@ const EFFECTIVE: [(&str, &[(&str, &str)]); 2] = [
         "warp",
         &[
             ("workers", "Number of compute threads. auto = number of cores"),
-            ("max-body-bytes", "Maximum size of the image file"),
+            ("max-body-bytes", "Maximum size of the image file, and of a landmark file"),
             ("max-warp-json-bytes", "Maximum size of the warp object"),
             ("max-image-pixels", ""),
             ("max-image-side", ""),

@@ -28,6 +28,7 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
     let of = match what {
         "warp_json_bytes" => "the part `warp`",
         "drag_json_bytes" => "the JSON of a drag",
+        "extent_bytes" => "a part with an extent",
         _ => "the body",
     };
     Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; the limit is {limit}")).limit(what, limit, actual)
@@ -173,6 +174,11 @@ pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, wh
     if media_type(request.headers()).as_deref() != Some("application/json") {
         return Err(Problem::new(Code::UnsupportedMediaType, format!("the body must be `application/json`; {}", sent(request.headers()))));
     }
+    raw(caller, request, purpose, what, limit).await
+}
+
+/// Reads a body of any type, of at most `limit` bytes.
+pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     if let Some(length) = content_length(request.headers()).filter(|length| *length > limit) {
         return Err(too_large(what, limit, length));
     }

@@ -44,6 +44,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
         ("/points", Keyed, uploads(post(routes::points::once))),
+        ("/landmarks", Keyed, uploads(post(routes::landmarks::convert))),
         ("/healthz", Open, get(routes::service::healthz)),
         ("/readyz", Open, get(routes::service::readyz)),
         ("/metrics", metrics_access, get(routes::service::metrics)),
@@ -63,7 +64,7 @@ pub fn router(app: App) -> Router {
     let mut router = assets::routes(&app).merge(routes::docs::files());
     for (path, access, route) in routes(&app) {
         // `/warp` and the socket have fields of their own.
-        let route = if matches!(path, "/warp" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
+        let route = if matches!(path, "/warp" | "/landmarks" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
         let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
         router = router.route(path, route);
     }

@@ -1,4 +1,4 @@
-//! Multipart uploads: the parts `image` (the file) and `warp` (the warp object), each once, in any order.
+//! Multipart uploads: the parts `image` (the file), `warp` (the warp object) and landmark files, each once, in any order.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,35 +14,37 @@ use futures_util::stream::poll_fn;
 use super::body::{BodyBuffer, read_problem, sent};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
+use crate::app::warp::Upload;
 use crate::limits::memory::Purpose;
-use crate::problem::words::{advice, nearest, quote};
+use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
 use crate::wire::fields;
+use crate::wire::landmarks::{LandmarkFiles, extent};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
 const MAX_OVERHEAD: u64 = 16 << 10;
 /// Memory of the parser: that, a frame before, a frame after, and capacity to grow.
 const PARSER_BYTES: u64 = 128 << 10;
 
-const PARTS: [&str; 2] = ["image", "warp"];
+/// The parts of an upload, and those of landmark files alone, which are its last ones.
+const UPLOAD: [&str; 7] = ["image", "warp", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q"];
+const UPLOAD_ADVICE: &str =
+    "the parts are `image` and `warp`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p` and `extent_q`";
+const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`";
+/// Longest text of an extent, bytes.
+const EXTENT_BYTES: u64 = 64;
+
 const NO_BOUNDARY: &str =
     "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
 /// Extensions of the files that people send.
-const EXTENSIONS: [&str; 18] =
-    ["json", "txt", "csv", "pts", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg", "psd", "pdf"];
+const EXTENSIONS: [&str; 20] = [
+    "json", "txt", "csv", "pts", "tem", "points", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg",
+    "psd", "pdf",
+];
 
-/// The two parts.
-#[derive(Debug)]
-pub(crate) struct Upload {
-    /// The file.
-    pub(crate) image: Bytes,
-    /// The warp object.
-    pub(crate) warp: Bytes,
-}
-
-/// Reads both parts. The limit of the whole body is checked before; `warp` has a limit of its own.
-pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload, Problem> {
-    if media_type(request.headers()).as_deref() != Some("multipart/form-data") {
+/// Reads an upload. The limit of the whole body is checked before; `warp` has a limit of its own.
+pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Problem> {
+    if !is_multipart(&request) {
         let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
         let of_session = "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
         let hint = if route == "/warp" { of_session } else { "" };
@@ -50,38 +52,20 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
         let detail = format!("{} {route} takes multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
-    // axum's default limit is lower than that of `LimitedBody`.
-    DefaultBodyLimit::disable().apply(&mut request);
-    let Caller { app, client } = caller;
-    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
-    let buffered = Arc::new(AtomicU64::new(0));
-    let request = request.map(|body| gated(body, Arc::clone(&buffered)));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
-    let (mut image, mut warp) = (None, None);
-    while let Some(part) = parts.next_field().await.map_err(unreadable)? {
-        buffered.store(0, Ordering::Relaxed);
-        let name = part.name().unwrap_or_default().to_owned();
-        let (slot, limit) = match name.as_str() {
-            "image" => (&mut image, u64::MAX),
-            "warp" => (&mut warp, app.config().max_warp_json_bytes),
-            _ => {
-                if fields::is_unsupported(&name, &PARTS) {
-                    return Err(fields::unsupported(&name, &PARTS));
-                }
-                let hint = nearest(&name, PARTS).map(|meant| format!("did you mean `{meant}`?"));
-                let advice = advice(hint, "the parts are `image` and `warp`");
-                return Err(malformed(format!("unknown part: {}{advice}", quote(&name))));
-            }
-        };
-        if slot.is_some() {
-            return Err(malformed(format!("the part `{name}` occurs twice")));
-        }
-        *slot = Some(read_part(caller, part, limit, &buffered).await?);
-    }
+    let [image, warp, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
+    let files = landmark_files(files)?;
+    // Every field of a warp object has a default, except for the handles.
+    let warp = if files.is_empty() { warp } else { warp.or(Some(Bytes::from_static(b"{}"))) };
     match (image, warp) {
         (Some(image), Some(warp)) => {
-            require_contents(&image, &warp)?;
-            Ok(Upload { image, warp })
+            require_contents(&[("image", Code::UnsupportedFormat, Some(&image)), ("warp", Code::MalformedRequest, Some(&warp))])?;
+            let mut upload = Upload::new(image, warp);
+            if !files.is_empty() {
+                upload.landmarks = Some(caller.app.read_landmarks(caller.client, files).await?);
+            } else if files.extent_p.or(files.extent_q).is_some() {
+                return Err(malformed("`extent_p` and `extent_q` belong to landmark files: send `landmarks` too"));
+            }
+            Ok(upload)
         }
         (None, None) => Err(malformed("the parts `image` and `warp` are missing")),
         (None, _) => Err(malformed("the part `image` is missing")),
@@ -89,16 +73,67 @@ pub(crate) async fn read(caller: &Caller, mut request: Request) -> Result<Upload
     }
 }
 
+/// Reads the parts of landmark files alone.
+pub(crate) async fn read_landmark_parts(caller: &Caller, request: Request) -> Result<LandmarkFiles, Problem> {
+    let [_, _, files @ ..] = read_parts(caller, request, &UPLOAD[2..], LANDMARKS_ADVICE).await?;
+    landmark_files(files)
+}
+
+fn landmark_files([both, p, q, extent_p, extent_q]: [Option<Bytes>; 5]) -> Result<LandmarkFiles, Problem> {
+    let names = [("landmarks", &both), ("landmarks_p", &p), ("landmarks_q", &q)];
+    require_contents(&names.map(|(name, part)| (name, Code::BadLandmarks, part.as_ref())))?;
+    let extent = |name: &str, part: Option<Bytes>| part.map(|part| extent(name, &String::from_utf8_lossy(&part))).transpose();
+    Ok(LandmarkFiles { extent_p: extent("extent_p", extent_p)?, extent_q: extent("extent_q", extent_q)?, both, p, q })
+}
+
+pub(crate) fn is_multipart(request: &Request) -> bool {
+    media_type(request.headers()).as_deref() == Some("multipart/form-data")
+}
+
+/// Reads the parts of these names, each once, in any order.
+async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str], advice: &str) -> Result<[Option<Bytes>; 7], Problem> {
+    // axum's default limit is lower than that of `LimitedBody`.
+    DefaultBodyLimit::disable().apply(&mut request);
+    let Caller { app, client } = caller;
+    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
+    let buffered = Arc::new(AtomicU64::new(0));
+    let request = request.map(|body| gated(body, Arc::clone(&buffered)));
+    let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
+    let mut read: [Option<Bytes>; 7] = Default::default();
+    while let Some(part) = parts.next_field().await.map_err(unreadable)? {
+        buffered.store(0, Ordering::Relaxed);
+        let name = part.name().unwrap_or_default().to_owned();
+        let known = names.iter().find(|known| **known == name).and_then(|known| UPLOAD.iter().position(|name| name == known));
+        let Some(index) = known else {
+            if fields::is_unsupported(&name, names) {
+                return Err(fields::unsupported(&name, names));
+            }
+            let hint = nearest(&name, names.iter().copied()).map(|meant| format!("did you mean `{meant}`?"));
+            return Err(malformed(format!("unknown part: {}{}", quote(&name), words::advice(hint, advice))));
+        };
+        if read[index].is_some() {
+            return Err(malformed(format!("the part `{name}` occurs twice")));
+        }
+        let (what, limit) = match name.as_str() {
+            "warp" => ("warp_json_bytes", app.config().max_warp_json_bytes),
+            "extent_p" | "extent_q" => ("extent_bytes", EXTENT_BYTES),
+            _ => ("body_bytes", u64::MAX),
+        };
+        read[index] = Some(read_part(caller, part, what, limit, &buffered).await?);
+    }
+    Ok(read)
+}
+
 /// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends it without `@`.
-fn require_contents(image: &[u8], warp: &[u8]) -> Result<(), Problem> {
-    for (name, code, part) in [("image", Code::UnsupportedFormat, image), ("warp", Code::MalformedRequest, warp)] {
-        let Some(text) = as_line(part) else { continue };
+fn require_contents(parts: &[(&str, Code, Option<&Bytes>)]) -> Result<(), Problem> {
+    for (name, code, part) in parts {
+        let Some(text) = part.and_then(|part| as_line(part)) else { continue };
         let hint = match text {
             _ if is_url(text) => "a URL; the server fetches no URLs: send the file itself".to_owned(),
             _ if is_path(text) => format!("which looks like a path; curl sends a file with `-F {name}=@path`"),
             _ => continue,
         };
-        return Err(Problem::new(code, format!("the part `{name}` is the text {}, {hint}", quote(text))));
+        return Err(Problem::new(*code, format!("the part `{name}` is the text {}, {hint}", quote(text))));
     }
     Ok(())
 }
@@ -129,11 +164,11 @@ fn unreadable(error: axum::extract::multipart::MultipartError) -> Problem {
     read_problem(&error, "the multipart body could not be read")
 }
 
-async fn read_part(caller: &Caller, mut part: Field<'_>, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
+async fn read_part(caller: &Caller, mut part: Field<'_>, what: &'static str, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
     let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload)?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
-        buffer.push(&chunk, "warp_json_bytes", limit)?;
+        buffer.push(&chunk, what, limit)?;
     }
     Ok(buffer.finish_exact())
 }

@@ -51,6 +51,7 @@ codes! {
     UnsupportedFormat = 415, "unsupported_format", "Unsupported image format";
     Misdirected = 421, "misdirected", "Misdirected request";
     BadImage = 422, "bad_image", "Bad image";
+    BadLandmarks = 422, "bad_landmarks", "Bad landmark file";
     NotSupported = 422, "not_supported", "Not supported";
     UnknownField = 422, "unknown_field", "Unknown field";
     BadValue = 422, "bad_value", "Bad value";

@@ -32,8 +32,8 @@ pub struct Problem {
     pub actual: Option<Value>,
     /// Seconds after which the request may be repeated.
     pub retry_after: Option<u32>,
-    /// A member that only one code has: its name and its value.
-    pub extra: Option<Box<(&'static str, Value)>>,
+    /// Members that only one code has: their names and values.
+    pub extra: Vec<(&'static str, Value)>,
 }
 
 impl Problem {
@@ -51,7 +51,7 @@ impl Problem {
             limit: None,
             actual: None,
             retry_after: None,
-            extra: None,
+            extra: Vec::new(),
         }
     }
 
@@ -82,7 +82,7 @@ impl Problem {
     }
 
     pub(crate) fn extra(mut self, name: &'static str, value: impl Into<Value>) -> Self {
-        self.extra = Some(Box::new((name, value.into())));
+        self.extra.push((name, value.into()));
         self
     }
 
@@ -105,10 +105,10 @@ impl Problem {
             ("limit", self.limit.clone()),
             ("actual", self.actual.clone()),
             ("retry_after", self.retry_after.map(Value::from)),
-            self.extra.as_deref().map_or(("", None), |(name, value)| (*name, Some(value.clone()))),
             ("request_id", request_id.map(Value::from)),
         ];
-        fields.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+        let extra = self.extra.iter().map(|(name, value)| (*name, Some(value.clone())));
+        fields.into_iter().chain(extra).filter_map(|(name, value)| Some((name, value?))).collect()
     }
 }
 

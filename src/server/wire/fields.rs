@@ -33,7 +33,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 15] = [
+const UNSUPPORTED: [(&str, &str); 12] = [
     ("coincident", "p"),
     ("smoothing", "p"),
     ("strength", "q"),
@@ -44,9 +44,6 @@ const UNSUPPORTED: [(&str, &str); 15] = [
     ("subsampling", "quality"),
     ("tolerance", "cell"),
     ("region", "image"),
-    ("landmarks", "image"),
-    ("landmarks_p", "image"),
-    ("landmarks_q", "image"),
     ("window", "frames"),
     ("mesh", "frames"),
 ];

@@ -9,7 +9,7 @@ use super::number::number;
 use crate::problem::{Code, Problem};
 
 const HANDLE: &str = "a handle: [x, y] or [[x, y], [x, y], ...]";
-const PLACE: &str = "a position: [x, y]";
+pub(crate) const PLACE: &str = "a position: [x, y]";
 const COORDINATE: &str = "a number";
 
 /// Bytes of text of an ordinary `[x, y],`, and of a weight.
@@ -28,7 +28,7 @@ pub(crate) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
     node.list("an array of positions", PLACE_TEXT, |_, item| place(&item, PLACE))
 }
 
-fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
+pub(crate) fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
     let is_line = node.text.strip_prefix('[').is_some_and(|inside| inside.trim_start().starts_with('['));
     if !is_line {
         return place(node, HANDLE).map(Handle::Point);
@@ -40,9 +40,9 @@ fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
     Ok(Handle::Polyline(line))
 }
 
-fn place(node: &Node<'_, '_>, expected: &str) -> Result<Point, Problem> {
+pub(crate) fn place(node: &Node<'_, '_>, expected: &str) -> Result<Point, Problem> {
     let (mut place, mut count) = ([0.0; 2], 0);
-    node.items(expected, |index, item| {
+    node.items::<Problem>(expected, |index, item| {
         let value = number(&item, COORDINATE)?;
         *place.get_mut(index).ok_or_else(|| node.unexpected(expected, "more than 2 numbers"))? = value;
         count += 1;

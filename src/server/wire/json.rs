@@ -64,6 +64,9 @@ pub(crate) struct Node<'j, 'p> {
     pub(crate) at: At<'p>,
 }
 
+/// The values of known fields, and the first name that is not known.
+type KnownFields<'j, 'q, const N: usize> = ([Option<Node<'j, 'q>>; N], Option<Cow<'j, str>>);
+
 /// A field name; allocated only if it contains escapes.
 #[derive(Deserialize)]
 struct Name<'j>(#[serde(borrow)] Cow<'j, str>);
@@ -76,12 +79,17 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
         return Err(not_json(&what));
     }
     let text = std::str::from_utf8(body).map_err(|e| not_json(&format_args!("the text is not UTF-8 after byte {}", e.valid_up_to())))?;
-    let raw: &RawValue = serde_json::from_str(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
-    let node = Node { text: raw.get(), at: At::Root };
+    let node = value(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
     match node.kind() {
         Kind::Object => Ok(node),
         other => Err(malformed(format!("the request must be a JSON object, {{...}}; found {}", other.name()))),
     }
+}
+
+/// Checks that the text is one JSON value and nothing else.
+pub(crate) fn value(text: &str) -> Result<Node<'_, 'static>, serde_json::Error> {
+    let raw: &RawValue = serde_json::from_str(text)?;
+    Ok(Node { text: raw.get(), at: At::Root })
 }
 
 /// Reads a field if it was given.
@@ -171,6 +179,17 @@ impl<'j> Node<'j, '_> {
 
     /// The values of the `known` fields, in that order. A field of the contract with the value `null` is absent; other fields are refused.
     pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
+        let (given, unknown) = self.split_fields(known)?;
+        unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
+    }
+
+    /// As [`Node::fields`], but other fields are ignored.
+    pub(crate) fn find<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
+        self.split_fields(known).map(|(given, _)| given)
+    }
+
+    /// The values of the `known` fields, and the first name that is not known.
+    fn split_fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<KnownFields<'j, 'q, N>, Problem> {
         if self.kind() != Kind::Object {
             return Err(self.wrong_kind("an object"));
         }
@@ -194,14 +213,35 @@ impl<'j> Node<'j, '_> {
             let pointer = format!("{}/{name}", self.at);
             return Err(Problem::new(Code::MalformedRequest, format!("the field `{name}` is given twice")).pointer(pointer));
         }
-        let given = values.map(|value| value.filter(|node| node.kind() != Kind::Null));
-        unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
+        Ok((values.map(|value| value.filter(|node| node.kind() != Kind::Null)), unknown))
+    }
+
+    /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
+    pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
+        let mut node = Node { text: self.text, at: At::Root };
+        for step in pointer.split('/').skip(1) {
+            let mut rest = &node.text[1.min(node.text.len())..];
+            let inner = match node.kind() {
+                Kind::Array => step.parse().ok().and_then(|index| std::iter::from_fn(|| next(&mut rest)).nth(index)),
+                Kind::Object => std::iter::from_fn(|| Some((next(&mut rest)?, next(&mut rest)?)))
+                    .find(|(name, _)| name.trim_matches('"') == step)
+                    .map(|(_, value)| value),
+                _ => None,
+            };
+            let Some(text) = inner else { break };
+            node.text = text;
+        }
+        found(&node)
     }
 
     /// Hands over the values of an array one by one; the first problem ends it.
-    pub(crate) fn items(&self, expected: &str, mut each: impl FnMut(usize, Node<'j, '_>) -> Result<(), Problem>) -> Result<(), Problem> {
+    pub(crate) fn items<E: From<Problem>>(
+        &self,
+        expected: &str,
+        mut each: impl FnMut(usize, Node<'j, '_>) -> Result<(), E>,
+    ) -> Result<(), E> {
         if self.kind() != Kind::Array {
-            return Err(self.wrong_kind(expected));
+            return Err(self.wrong_kind(expected).into());
         }
         let (mut index, mut rest) = (0, &self.text[1..]);
         while let Some(text) = next(&mut rest) {
@@ -211,15 +251,17 @@ impl<'j> Node<'j, '_> {
         Ok(())
     }
 
-    /// Reads every value of an array. `text_length`: bytes of an ordinary value; the capacity of the list is estimated from it.
+    /// Reads every value of an array. `text_length`: bytes of an ordinary value; the capacity of the list is estimated from it, and from the
+    /// commas, of which there is one less than values.
     pub(crate) fn list<T>(
         &self,
         expected: &str,
         text_length: usize,
         mut read: impl FnMut(usize, Node<'j, '_>) -> Result<T, Problem>,
     ) -> Result<Vec<T>, Problem> {
-        let mut list = Vec::with_capacity(1 + self.text.len() / text_length);
-        self.items(expected, |index, item| {
+        let commas = self.text.bytes().filter(|byte| *byte == b',').count();
+        let mut list = Vec::with_capacity(1 + commas.min(self.text.len() / text_length));
+        self.items::<Problem>(expected, |index, item| {
             list.push(read(index, item)?);
             Ok(())
         })?;
@@ -282,7 +324,7 @@ mod tests {
         let [a] = root.fields(&["a"]).unwrap();
         let mut texts = Vec::new();
         a.unwrap()
-            .items("an array", |index, item| {
+            .items::<Problem>("an array", |index, item| {
                 assert_eq!(item.at.to_string(), format!("/a/{index}"));
                 texts.push(item.text.to_owned());
                 Ok(())

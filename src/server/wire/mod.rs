@@ -9,6 +9,7 @@ pub(crate) mod fields;
 pub mod formats;
 mod handles;
 mod json;
+pub mod landmarks;
 mod mesh;
 mod number;
 mod output;

@@ -51,6 +51,19 @@ impl WarpPatch {
         })
     }
 
+    /// For a request whose handles are in landmark files.
+    /// Errors: `bad_value` at the first field that says the same.
+    pub(crate) fn require_no_handles(&self) -> Result<(), Problem> {
+        let given = [("p", self.p.is_some()), ("q", self.q.is_some()), ("units", self.units.is_some())];
+        match given.into_iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => {
+                let detail = format!("both `{name}` and landmark files are given: the files say it already; leave `{name}` out");
+                Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The object of a request that is not about a session.
     /// Errors: `bad_value` at `/p` if there are posed handles only.
     pub(crate) fn into_object(self) -> Result<WarpObject, Problem> {

@@ -2,6 +2,7 @@
 //! (`long/`) and, over seeds, found inputs and damage by chance, in `main.rs`.
 
 mod image;
+mod landmarks;
 mod law;
 mod multipart;
 mod record;
@@ -12,13 +13,14 @@ mod warp;
 pub(crate) type Target = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub(crate) const TARGETS: [Target; 6] = [
+pub(crate) const TARGETS: [Target; 7] = [
     ("image", image::decode),
     ("warp", warp::parse),
     ("multipart", multipart::post),
     ("socket", socket::talk),
     ("record", record::keep),
     ("law", law::hold),
+    ("landmarks", landmarks::read),
 ];
 
 /// What every problem document must be, whoever wrote it.

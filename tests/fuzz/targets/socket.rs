@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use mlswarp_server::app::App;
 use mlswarp_server::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
+use mlswarp_server::app::warp::Upload;
 use mlswarp_server::client::{Client, Owner};
 use mlswarp_server::session::SessionId;
 use tokio::runtime::Runtime;
@@ -17,7 +18,7 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
     let id = SessionId::random(Owner::ANYBODY);
     let file = Bytes::from_static(include_bytes!("../seeds/image/png-6-8"));
     let warp = Bytes::from_static(br#"{"p": [[3, 3], [[10, 2], [20, 9]], [5, 14]]}"#);
-    runtime.block_on(app.put_session(Client::default(), id, file, warp)).expect("a session");
+    runtime.block_on(app.put_session(Client::default(), id, Upload::new(file, warp))).expect("a session");
     (app, runtime, id)
 });
 

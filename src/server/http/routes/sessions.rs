@@ -9,9 +9,10 @@ use axum::response::{IntoResponse as _, Response};
 use mlswarp::warp::Setup;
 
 use crate::app::App;
+use crate::app::warp::Upload;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::json_text;
+use crate::http::response::{Warning, json_text};
 use crate::http::{body, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::words::quote;
@@ -29,21 +30,21 @@ const FIXED_PART: usize = 2048;
 /// Creates a session. Its picture is decoded and its table filled before the first drag.
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&caller, request).await?;
-    let held = reserve_object(&caller, &upload.warp)?;
-    let (session, setup) = caller.app.create_session(caller.client, upload.image, upload.warp).await?;
-    Ok(created(&caller, &session, object(held, &session, &setup)))
+    let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
+    let (session, setup) = caller.app.create_session(caller.client, upload).await?;
+    Ok(warning.add_to(created(&caller, &session, object(held, &session, &setup))))
 }
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
 pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = SessionId::parse(caller.client.owner, &id).ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
-    let held = reserve_object(&caller, &upload.warp)?;
-    let (put, setup) = caller.app.put_session(caller.client, id, upload.image, upload.warp).await?;
-    Ok(match put {
+    let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
+    let (put, setup) = caller.app.put_session(caller.client, id, upload).await?;
+    Ok(warning.add_to(match put {
         Put::Created(session) => created(&caller, &session, object(held, &session, &setup)),
         Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
-    })
+    }))
 }
 
 /// Replaces the rest handles of a session.
@@ -96,9 +97,11 @@ fn reserved_object(caller: &Caller, session: &Session, setup: &Setup) -> Result<
 }
 
 /// Reserves the memory of the session object before the session is created, which must not fail afterwards.
-fn reserve_object(caller: &Caller, warp: &[u8]) -> Result<Reservation, Problem> {
+fn reserve_object(caller: &Caller, upload: &Upload) -> Result<Reservation, Problem> {
     let Caller { app, client } = caller;
-    app.reserve_for(Purpose::Frame, &app.response_quota(*client), max_object_length(warp, app.config().limits().columns))
+    let landmarks = upload.landmarks.as_ref().map_or(0, |landmarks| landmarks.text_length() as u64);
+    let length = landmarks + max_object_length(&upload.warp, app.config().limits().columns);
+    app.reserve_for(Purpose::Frame, &app.response_quota(*client), length)
 }
 
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {

@@ -1,0 +1,46 @@
+//! BigWarp's landmark table in two dimensions: `name, active, moving x, moving y, fixed x, fixed y`, without a header. The moving image is
+//! the one that is warped, so `p` is moving and `q` is fixed.
+//!
+//! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after `active`). Positions are those of
+//! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open
+//! the images uncalibrated for px.) Rows that are not active are left out, as BigWarp does; `Infinity` is a side that is not set yet.
+
+use super::File;
+use super::bad::Bad;
+use super::collect::Collector;
+use super::table::{Row, Rows, flag};
+
+const CENTRE: f64 = 0.5;
+
+pub(super) fn is_bigwarp(first: &Row) -> bool {
+    let is_flag = |text: &str| text.eq_ignore_ascii_case("true") || text.eq_ignore_ascii_case("false");
+    (6..=9).contains(&first.fields.len()) && is_flag(first.fields[1].text.trim())
+}
+
+pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result<File, Bad> {
+    let width = first.fields.len();
+    if width > 7 {
+        return Err(Bad::new(first.at, format!("expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 dimensions")));
+    }
+    let numbers = width - 4;
+    let mut next = Some(first);
+    while let Some(row) = next {
+        row.require_width(width, "as the first row has")?;
+        let is_active = flag(&row.fields[1])?;
+        let side = |start: usize| {
+            let [x, y] = [&row.fields[start], &row.fields[start + 1]].map(|field| field.located());
+            if [x, y].iter().any(|value| value.text.trim_start_matches('-') == "Infinity") {
+                return Ok(None);
+            }
+            Ok::<_, Bad>(Some([x.number()? + CENTRE, y.number()? + CENTRE]))
+        };
+        let (p, q, name) = (side(numbers)?, side(numbers + 2)?, row.fields[0].located());
+        match (is_active, p, q) {
+            (false, ..) | (true, None, None) => {}
+            (true, Some(p), Some(q)) => out.point(row.at, p, Some(q), Some(name))?,
+            (true, p, _) => out.one_sided(row.at, p.is_some(), name)?,
+        }
+        next = rows.next_row()?;
+    }
+    out.finish("bigwarp", rows.end())
+}

@@ -1,0 +1,175 @@
+//! What every reader collects: handles and names, checked as they come.
+
+use std::collections::HashMap;
+
+use mlswarp::deform::Handle;
+use mlswarp::geometry::Point;
+use mlswarp::warp::Units;
+
+use super::bad::Bad;
+use super::{File, Unmatched};
+use crate::problem::words::quote;
+
+/// The largest coordinate of the contract, px.
+const MAX_PX: f64 = 1e6;
+/// The largest normalised coordinate: a landmark may lie outside of the image, but not this far.
+const MAX_NORMALIZED: f64 = 4.0;
+/// The longest name, bytes.
+const LONGEST_NAME: usize = 256;
+
+/// A text of the file and its place, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Located<'a> {
+    pub(super) at: usize,
+    pub(super) text: &'a str,
+}
+
+impl Located<'_> {
+    /// A finite number within the range of coordinates in px.
+    pub(super) fn number(self) -> Result<f64, Bad> {
+        self.parse(false)
+    }
+
+    /// As [`Located::number`]; `decimal_comma`: as spreadsheets of many countries write it.
+    pub(super) fn parse(self, decimal_comma: bool) -> Result<f64, Bad> {
+        let text = self.text.trim();
+        let value = match text.parse() {
+            Err(_) if decimal_comma && text.contains(',') && text.len() <= 64 => text.replacen(',', ".", 1).parse(),
+            parsed => parsed,
+        };
+        let found = if text.is_empty() { "nothing".to_owned() } else { quote(text) };
+        let value: f64 = value.map_err(|_| Bad::new(self.at, format!("expected a number; found {found}")))?;
+        in_range(self.at, value, MAX_PX, &found)
+    }
+}
+
+fn in_range(at: usize, value: f64, max: f64, found: &str) -> Result<f64, Bad> {
+    match value {
+        _ if !value.is_finite() => Err(Bad::new(at, format!("expected a finite number; found {found}"))),
+        _ if value.abs() > max => Err(Bad::new(at, format!("expected a coordinate from -{max} to {max}; found {found}"))),
+        _ => Ok(value),
+    }
+}
+
+/// A landmark: its handle on each side, and its place in the file.
+#[derive(Debug)]
+pub(super) struct Landmark<'a> {
+    pub(super) at: usize,
+    pub(super) p: Handle,
+    pub(super) q: Option<Handle>,
+    pub(super) name: Option<Located<'a>>,
+}
+
+/// Collects the landmarks of a file.
+#[derive(Debug)]
+pub(super) struct Collector {
+    max_columns: usize,
+    columns: usize,
+    p: Vec<Handle>,
+    q: Vec<Handle>,
+    at: Vec<usize>,
+    names: Vec<(usize, Option<String>)>,
+    units: Units,
+    unmatched: Unmatched,
+}
+
+impl Collector {
+    pub(super) fn new(max_columns: usize) -> Self {
+        let (p, q, at, names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { max_columns, columns: 0, p, q, at, names, units: Units::Px, unmatched: Unmatched::default() }
+    }
+
+    pub(super) fn set_units(&mut self, units: Units) {
+        self.units = units;
+    }
+
+    /// The largest coordinate in these units.
+    fn max(&self) -> f64 {
+        if self.units == Units::Normalized { MAX_NORMALIZED } else { MAX_PX }
+    }
+
+    /// Counts the columns of a handle of so many positions, before memory is allocated for it.
+    /// Errors: Too many.
+    pub(super) fn count(&mut self, at: usize, positions: usize) -> Result<(), Bad> {
+        self.columns = self.columns.saturating_add(if positions < 2 { 1 } else { 2 * (positions - 1) });
+        if self.columns > self.max_columns { Err(Bad::too_many(at, self.max_columns)) } else { Ok(()) }
+    }
+
+    /// Errors: More positions than columns, for a list that is not counted yet.
+    pub(super) fn require_below(&self, at: usize, positions: usize) -> Result<(), Bad> {
+        if positions > self.max_columns { Err(Bad::too_many(at, self.max_columns)) } else { Ok(()) }
+    }
+
+    /// Adds a point; it is counted here.
+    pub(super) fn point(&mut self, at: usize, p: [f64; 2], q: Option<[f64; 2]>, name: Option<Located<'_>>) -> Result<(), Bad> {
+        self.count(at, 1)?;
+        let point = |[x, y]: [f64; 2]| Handle::Point(Point::new(x, y));
+        self.push(Landmark { at, p: point(p), q: q.map(point), name })
+    }
+
+    /// Adds a landmark that has been counted.
+    pub(super) fn push(&mut self, landmark: Landmark<'_>) -> Result<(), Bad> {
+        let Landmark { at, p, q, name } = landmark;
+        for handle in [Some(&p), q.as_ref()].into_iter().flatten() {
+            for place in handle.places() {
+                for value in [place.x, place.y] {
+                    in_range(at, value, self.max(), &format!("`{value}`"))?;
+                }
+            }
+        }
+        let name = name.map(|name| Located { text: name.text.trim(), ..name }).filter(|name| !name.text.is_empty());
+        let (name_at, name) = match name {
+            Some(name) => (name.at, Some(checked_name(name)?)),
+            None => (at, None),
+        };
+        self.names.push((name_at, name));
+        self.p.push(p);
+        self.q.extend(q);
+        self.at.push(at);
+        Ok(())
+    }
+
+    /// Notes a landmark that has a position on one side only.
+    pub(super) fn one_sided(&mut self, at: usize, has_p: bool, name: Located<'_>) -> Result<(), Bad> {
+        self.count(at, 1)?;
+        let side = if has_p { &mut self.unmatched.p } else { &mut self.unmatched.q };
+        side.push(checked_name(name)?);
+        Ok(())
+    }
+
+    /// The file. `end`: where a missing landmark would be.
+    /// Errors: No landmarks, or names that do not tell them apart.
+    pub(super) fn finish(self, format: &'static str, end: usize) -> Result<File, Bad> {
+        let Self { p, q, at, names, units, unmatched, .. } = self;
+        if p.is_empty() {
+            return Err(Bad::new(end, "expected at least one landmark; found none"));
+        }
+        let q = (!q.is_empty()).then_some(q);
+        Ok(File { p, q, names: unique(names)?, at, units, format, unmatched })
+    }
+}
+
+fn checked_name(name: Located<'_>) -> Result<String, Bad> {
+    if name.text.len() > LONGEST_NAME {
+        return Err(Bad::new(name.at, format!("expected a name of at most {LONGEST_NAME} bytes; found {}", quote(name.text))));
+    }
+    Ok(name.text.to_owned())
+}
+
+/// All names, or none if no landmark has one.
+fn unique(names: Vec<(usize, Option<String>)>) -> Result<Option<Vec<String>>, Bad> {
+    if names.iter().all(|(_, name)| name.is_none()) {
+        return Ok(None);
+    }
+    let mut seen = HashMap::with_capacity(names.len());
+    for (index, (at, name)) in names.iter().enumerate() {
+        let Some(name) = name else {
+            return Err(Bad::new(*at, "expected a name, because other landmarks have names; found none"));
+        };
+        if let Some(first) = seen.insert(name, index) {
+            let detail = format!("expected a name of its own for each landmark; {} is the name of landmark {first} already", quote(name));
+            return Err(Bad::new(*at, detail));
+        }
+    }
+    Ok(Some(names.into_iter().filter_map(|(_, name)| name).collect()))
+}

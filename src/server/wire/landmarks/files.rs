@@ -1,0 +1,260 @@
+//! The landmarks of a request: one file, or one for each side.
+
+use std::collections::HashMap;
+
+use bytes::Bytes;
+use mlswarp::deform::Handle;
+use mlswarp::geometry::Point;
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::Units;
+use serde::ser::{Serialize, SerializeMap as _, Serializer};
+
+use super::bad::Bad;
+use super::{File, read};
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
+use crate::wire::{AsJson, WarpObject};
+
+/// The files as they came.
+#[derive(Clone, Debug, Default)]
+pub struct LandmarkFiles {
+    /// Both sides, or `p` alone.
+    pub both: Option<Bytes>,
+    /// The rest positions.
+    pub p: Option<Bytes>,
+    /// The posed positions.
+    pub q: Option<Bytes>,
+    /// The image that normalised coordinates of `p` belong to.
+    pub extent_p: Option<Extent>,
+    /// The image that normalised coordinates of `q` belong to; by default that of `p`.
+    pub extent_q: Option<Extent>,
+}
+
+/// The code of the warning about names that only one side has.
+pub const UNMATCHED: &str = "landmarks_unmatched";
+
+/// Names that only one side has; their landmarks are left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Unmatched {
+    pub(super) p: Vec<String>,
+    pub(super) q: Vec<String>,
+}
+
+impl Unmatched {
+    /// Whether every landmark has two sides.
+    fn is_empty(&self) -> bool {
+        self.p.is_empty() && self.q.is_empty()
+    }
+}
+
+/// Handles that were read, each side in the units of its file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Landmarks {
+    p: Vec<Handle>,
+    q: Option<Vec<Handle>>,
+    names: Option<Vec<String>>,
+    units: [Units; 2],
+    extents: [Option<Extent>; 2],
+    format: String,
+    unmatched: Unmatched,
+}
+
+impl LandmarkFiles {
+    /// Bytes of all files.
+    pub fn bytes(&self) -> usize {
+        [&self.both, &self.p, &self.q].into_iter().flatten().map(Bytes::len).sum()
+    }
+
+    /// Whether no file is there.
+    pub fn is_empty(&self) -> bool {
+        self.both.is_none() && self.p.is_none() && self.q.is_none()
+    }
+
+    /// The memory that reading takes at most, bytes: handles, their places and names, in each file.
+    pub fn reading_bytes(&self, max_columns: usize) -> u64 {
+        const HANDLE: usize = 400;
+        const NAME: usize = 4 * 256;
+        let files = [&self.both, &self.p, &self.q].into_iter().flatten();
+        let bytes = files.map(|file| {
+            // A handle takes two bytes of text at least.
+            let handles = max_columns.min(file.len() / 2 + 1);
+            HANDLE * handles + (4 * file.len()).min(NAME * handles)
+        });
+        bytes.sum::<usize>() as u64
+    }
+
+    /// Reads the files.
+    /// Errors: `bad_landmarks` with line and column, `too_large`, or `malformed_request` for files that do not go together.
+    pub fn read(&self, max_columns: usize) -> Result<Landmarks, Problem> {
+        let file = |name: &str, bytes: &Bytes| read(bytes, max_columns).map_err(|bad| bad.problem(name, bytes));
+        let extents = [self.extent_p, self.extent_q];
+        match (&self.both, &self.p, &self.q) {
+            (Some(both), None, None) => Ok(one(file("landmarks", both)?, extents)),
+            (None, Some(p), Some(q)) => {
+                let files = [file("landmarks_p", p)?, file("landmarks_q", q)?];
+                for (side, name) in files.iter().zip(["landmarks_p", "landmarks_q"]) {
+                    if side.q.is_some() {
+                        let detail =
+                            format!("{name}: expected positions of one side; found both sides: send this file alone, as `landmarks`");
+                        return Err(Bad::new(0, detail).problem(name, b""));
+                    }
+                }
+                two(files, extents, p, q)
+            }
+            (None, Some(p), None) => Ok(one(file("landmarks_p", p)?, extents)),
+            (None, None, Some(_)) => Err(malformed("`landmarks_p` is missing: where do the handles start?")),
+            (None, None, None) => Err(malformed("`landmarks` is missing, or `landmarks_p` and `landmarks_q`")),
+            (Some(_), ..) => Err(malformed("send `landmarks` alone, or `landmarks_p` and `landmarks_q`")),
+        }
+    }
+}
+
+/// Reads a size, `640,480` or `[640, 480]`.
+/// Errors: `bad_value` that names the field.
+pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
+    let inner = text.trim();
+    let inner = inner.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(inner);
+    let sides = inner.split_once(',').and_then(|(width, height)| Some((width.trim().parse().ok()?, height.trim().parse().ok()?)));
+    let extent = sides.and_then(|(width, height)| Extent::new(width, height));
+    let bad = || {
+        Problem::new(Code::BadValue, format!("`{name}` must be the width and height of an image, such as 640,480; found {}", quote(text)))
+    };
+    extent.ok_or_else(bad)
+}
+
+fn malformed(detail: &str) -> Problem {
+    Problem::new(Code::MalformedRequest, detail)
+}
+
+fn one(file: File, extents: [Option<Extent>; 2]) -> Landmarks {
+    let File { p, q, names, units, format, unmatched, .. } = file;
+    Landmarks { p, q, names, units: [units; 2], extents, format: format.to_owned(), unmatched }
+}
+
+fn two([p, q]: [File; 2], extents: [Option<Extent>; 2], text_p: &[u8], text_q: &[u8]) -> Result<Landmarks, Problem> {
+    let format = if p.format == q.format { p.format.to_owned() } else { format!("{}+{}", p.format, q.format) };
+    let (rest, posed, names, unmatched) = match (p.names, q.names) {
+        (Some(names_p), Some(names_q)) => {
+            let mut others: HashMap<String, Handle> = names_q.iter().cloned().zip(q.p).collect();
+            let (mut rest, mut posed, mut names, mut unmatched) = (Vec::new(), Vec::new(), Vec::new(), Unmatched::default());
+            for (name, handle) in names_p.into_iter().zip(p.p) {
+                match others.remove(&name) {
+                    Some(other) => {
+                        rest.push(handle);
+                        posed.push(other);
+                        names.push(name);
+                    }
+                    None => unmatched.p.push(name),
+                }
+            }
+            // In the order of the file.
+            unmatched.q = names_q.into_iter().filter(|name| others.contains_key(name)).collect();
+            if rest.is_empty() {
+                let detail = format!("expected a name that `landmarks_p` has too; found none of its {}", unmatched.p.len());
+                return Err(Bad::new(q.at[0], detail).problem("landmarks_q", text_q));
+            }
+            (rest, posed, Some(names), unmatched)
+        }
+        (names_p, names_q) => {
+            let shorter = p.p.len().min(q.p.len());
+            let surplus = [(&p.at, "landmarks_p", text_p), (&q.at, "landmarks_q", text_q)];
+            if let Some((at, part, text)) = surplus.into_iter().find_map(|(at, part, text)| Some((*at.get(shorter)?, part, text))) {
+                let detail = format!(
+                    "expected {shorter} landmark{}, as the other file has; found {}: without names in both files they are matched by order",
+                    if shorter == 1 { "" } else { "s" },
+                    p.p.len().max(q.p.len())
+                );
+                return Err(Bad::new(at, detail).problem(part, text));
+            }
+            (p.p, q.p, names_p.or(names_q), Unmatched::default())
+        }
+    };
+    Ok(Landmarks { p: rest, q: Some(posed), names, units: [p.units, q.units], extents, format, unmatched })
+}
+
+impl Landmarks {
+    /// Whether a landmark was left out because the other side does not have its name.
+    pub fn has_unmatched(&self) -> bool {
+        !self.unmatched.is_empty()
+    }
+
+    /// An upper limit of the numbers of one side.
+    pub fn numbers(&self) -> usize {
+        self.p.iter().map(|handle| 2 * handle.places().len()).sum()
+    }
+
+    /// The longest text of the names, bytes: an escape has six bytes for one.
+    pub fn names_length(&self) -> usize {
+        let unmatched = self.unmatched.p.iter().chain(&self.unmatched.q);
+        self.names.iter().flatten().chain(unmatched).map(|name| 6 * name.len() + 4).sum()
+    }
+
+    /// Errors: `bad_value` without posed positions.
+    pub fn require_q(&self) -> Result<(), Problem> {
+        let detail = "the landmarks have no posed positions: send a file with both sides, or `landmarks_p` and `landmarks_q`";
+        if self.q.is_some() { Ok(()) } else { Err(Problem::new(Code::BadValue, detail)) }
+    }
+
+    /// Multiplies normalised coordinates by the extent of their side, by default that of the other side or `image`. Without any extent they
+    /// stay normalised.
+    /// Errors: `bad_value` if one side stays normalised and the other does not.
+    pub fn scale(mut self, image: Option<Extent>) -> Result<Self, Problem> {
+        let [own_p, own_q] = self.extents;
+        let extent_p = own_p.or(image);
+        let (p, q) = (scaled(&mut self.p, self.units[0], extent_p), &mut self.q);
+        let q = q.as_mut().map_or(p, |q| scaled(q, self.units[1], own_q.or(extent_p)));
+        if p != q {
+            let missing = if p == Units::Normalized { "extent_p" } else { "extent_q" };
+            let detail = format!("one side is normalised and the other is in px: give `{missing}`, the size of its image, such as 640,480");
+            return Err(Problem::new(Code::BadValue, detail));
+        }
+        self.units = [p, q];
+        Ok(self)
+    }
+
+    /// Puts the handles into a warp object, in px of an image of this extent.
+    pub fn place_in(self, object: &mut WarpObject, image: Extent) -> Result<(), Problem> {
+        let Self { p, q, .. } = self.scale(Some(image))?;
+        object.rest.p = p;
+        object.q = q;
+        Ok(())
+    }
+}
+
+/// Multiplies normalised coordinates by an extent, and returns the units of the result.
+fn scaled(handles: &mut [Handle], units: Units, extent: Option<Extent>) -> Units {
+    let (Units::Normalized, Some(extent)) = (units, extent) else { return units };
+    multiply(handles, extent);
+    Units::Px
+}
+
+fn multiply(handles: &mut [Handle], extent: Extent) {
+    let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
+    let scale = |place: &mut Point| *place = Point::new(place.x * width, place.y * height);
+    for handle in handles {
+        match handle {
+            Handle::Point(place) => scale(place),
+            Handle::Polyline(places) => places.iter_mut().for_each(scale),
+        }
+    }
+}
+
+impl Serialize for Landmarks {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut object = s.serialize_map(None)?;
+        object.serialize_entry("p", &AsJson(self.p.as_slice()))?;
+        if let Some(q) = &self.q {
+            object.serialize_entry("q", &AsJson(q.as_slice()))?;
+        }
+        if let Some(names) = &self.names {
+            object.serialize_entry("names", names)?;
+        }
+        object.serialize_entry("units", &AsJson(self.units[0]))?;
+        object.serialize_entry("format", &self.format)?;
+        if !self.unmatched.is_empty() {
+            let Unmatched { p, q } = &self.unmatched;
+            object.serialize_entry("unmatched", &std::collections::BTreeMap::from([("p", p), ("q", q)]))?;
+        }
+        object.end()
+    }
+}

@@ -1,0 +1,107 @@
+//! Landmark files: points and lines that other programs have written, read as handles.
+//!
+//! The format is recognised by content. Each format has a file of its own, which states its convention and where that is described, and
+//! converts to the coordinates of the contract (`x` right, `y` down, the centre of the first pixel at 1/2, 1/2). Every error has a line and
+//! a column. The work is linear in the length of the file, and the number of handles is limited before memory is allocated for them.
+
+mod bad;
+mod bigwarp;
+mod collect;
+mod csv;
+mod files;
+mod labelme;
+mod normalized;
+mod own;
+mod pts;
+mod qgis;
+mod table;
+mod tem;
+mod words;
+
+#[cfg(test)]
+mod tests;
+
+use bad::Bad;
+use collect::Collector;
+use files::Unmatched;
+pub use files::{LandmarkFiles, Landmarks, UNMATCHED, extent};
+use mlswarp::deform::Handle;
+use mlswarp::warp::Units;
+
+use super::json::{Kind, Node};
+use crate::problem::words::quote;
+
+const FORMATS: &str = "JSON, CSV, BigWarp CSV, .pts, .tem, QGIS .points";
+
+/// What one file holds.
+#[derive(Debug)]
+struct File {
+    p: Vec<Handle>,
+    q: Option<Vec<Handle>>,
+    /// All handles have names, which differ, or none has.
+    names: Option<Vec<String>>,
+    /// Where each handle is in the file, bytes.
+    at: Vec<usize>,
+    units: Units,
+    format: &'static str,
+    /// Names of landmarks that the file gives for one side only.
+    unmatched: Unmatched,
+}
+
+/// Reads one file.
+fn read(bytes: &[u8], max_columns: usize) -> Result<File, Bad> {
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        return Err(Bad::new(0, "expected UTF-8; found UTF-16: save the file as UTF-8"));
+    }
+    let text = std::str::from_utf8(bytes)
+        .map_err(|e| Bad::new(e.valid_up_to(), format!("expected text in UTF-8; found the byte 0x{:02x}", bytes[e.valid_up_to()])))?;
+    if let Some(at) = text.find('\0') {
+        return Err(Bad::new(at, "expected text; found a zero byte"));
+    }
+    let out = Collector::new(max_columns);
+    // A byte order mark counts for the offsets but belongs to no column.
+    let start = if text.starts_with('\u{feff}') { '\u{feff}'.len_utf8() } else { 0 };
+    let content = text[start..].trim_start();
+    let first = content.lines().find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim();
+    match content.as_bytes().first() {
+        None => Err(Bad::new(start, "expected landmarks; the file is empty")),
+        Some(b'{' | b'[') => read_json(text, text.len() - content.len(), out),
+        _ if pts::is_pts(first) => pts::read(text, start, out),
+        _ if tem::is_tem(first) => tem::read(text, start, out),
+        _ => read_table(text, start, out),
+    }
+}
+
+fn read_json(text: &str, start: usize, out: Collector) -> Result<File, Bad> {
+    let node = super::json::value(&text[start..]).map_err(|e| Bad::of_syntax(text, start, &e))?;
+    let read = match node.kind() {
+        Kind::Object => match node.find(&["shapes", "p", "q"]) {
+            Ok([Some(_), ..]) => labelme::read(text, &node, out),
+            Ok([None, None, None]) => normalized::read(text, &node, out),
+            Ok(_) => own::read(text, &node, out),
+            Err(problem) => Err(problem.into()),
+        },
+        _ => normalized::read(text, &node, out),
+    };
+    read.map_err(|wrong| wrong.locate(text, &node))
+}
+
+fn read_table(text: &str, start: usize, out: Collector) -> Result<File, Bad> {
+    let mut rows = table::Rows::new(text, start);
+    let Some(first) = rows.next_row()? else { return Err(Bad::new(start, "expected landmarks; the file has comments only")) };
+    if bigwarp::is_bigwarp(&first) {
+        return bigwarp::read(first, rows, out);
+    }
+    if qgis::is_qgis(&first) {
+        return qgis::read(&first, rows, out);
+    }
+    if let [only] = &first.fields[..] {
+        return Err(Bad::new(only.at, format!("expected a landmark file ({FORMATS}); found {}", quote(&only.text))));
+    }
+    csv::read(first, rows, out)
+}
+
+/// Where in `text` a part of it begins. Nodes of JSON are parts of the text.
+fn offset(text: &str, node: &Node<'_, '_>) -> usize {
+    node.text.as_ptr().addr().saturating_sub(text.as_ptr().addr()).min(text.len())
+}

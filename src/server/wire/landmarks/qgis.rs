@@ -1,0 +1,39 @@
+//! Control points of the QGIS Georeferencer (`.points`): a header with `mapX, mapY, sourceX, sourceY, enable` (`pixelX, pixelY` before
+//! QGIS 3.26), before which a line `#CRS: ...` may stand. Only the position in the raster is read, as one side.
+//!
+//! Source: `qgsgcplist.cpp` of QGIS (`saveGcps`) and `saveGCPs` of the older `qgsgeorefmainwindow.cpp`. A raster without georeference
+//! covers x from 0 to W and y from 0 down to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
+//! that are not enabled are left out.
+
+use super::File;
+use super::bad::Bad;
+use super::collect::Collector;
+use super::table::{Row, Rows, flag};
+
+const X: [&str; 2] = ["sourcex", "pixelx"];
+const Y: [&str; 2] = ["sourcey", "pixely"];
+
+fn find(names: &[String], wanted: &[&str]) -> Option<usize> {
+    names.iter().position(|name| wanted.contains(&name.as_str()))
+}
+
+pub(super) fn is_qgis(first: &Row) -> bool {
+    first.as_header().is_some_and(|names| find(&names, &["mapx"]).is_some())
+}
+
+pub(super) fn read(header: &Row, mut rows: Rows<'_>, mut out: Collector) -> Result<File, Bad> {
+    let names = header.as_header().unwrap_or_default();
+    let (Some(x), Some(y)) = (find(&names, &X), find(&names, &Y)) else {
+        return Err(Bad::new(header.at, "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points file"));
+    };
+    let enable = find(&names, &["enable"]);
+    while let Some(row) = rows.next_row()? {
+        row.require_width(names.len(), "as the header has")?;
+        let is_enabled = enable.map_or(Ok(true), |enable| flag(&row.fields[enable]))?;
+        let place = [row.fields[x].located().number()?, 0.0 - row.fields[y].located().number()?];
+        if is_enabled {
+            out.point(row.at, place, None, None)?;
+        }
+    }
+    out.finish("qgis", rows.end())
+}

@@ -1,0 +1,87 @@
+//! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three
+//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment.
+//!
+//! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added.
+//! Contours become polylines, a closed one ends where it begins; points on no contour become points. Points come first, then contours.
+
+use mlswarp::deform::Handle;
+use mlswarp::geometry::Point;
+
+use super::File;
+use super::bad::Bad;
+use super::collect::{Collector, Landmark};
+use super::words::Lines;
+use crate::problem::words::quote;
+
+const CENTRE: f64 = 0.5;
+
+/// Whether the first line is that of such a file.
+pub(super) fn is_tem(first: &str) -> bool {
+    !first.is_empty() && first.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File, Bad> {
+    let mut lines = Lines::new(text, start, true);
+    let count = lines.line("the number of points")?.whole("the number of points")?;
+    // Points take no less space than columns, so the limit of columns holds for them too.
+    let mut points = Vec::new();
+    for _ in 0..count {
+        let line = lines.line(&format!("{count} points, as the first line says"))?;
+        let [x, y] = line.place()?;
+        points.push((line.at, Point::new(x + CENTRE, y + CENTRE)));
+        out.require_below(line.at, points.len())?;
+    }
+    let mut is_free = vec![true; points.len()];
+    let mut contours = Vec::new();
+    if let Some(line) = lines.next_line() {
+        let declared = line.whole("the number of contours")?;
+        for _ in 0..declared {
+            let (at, contour) = contour(&mut lines, &points, &mut is_free, &mut out)?;
+            contours.push((at, contour));
+        }
+    }
+    lines.end()?;
+    for (at, place) in points.iter().zip(&is_free).filter_map(|(point, is_free)| is_free.then_some(*point)) {
+        out.point(at, [place.x, place.y], None, None)?;
+    }
+    for (at, contour) in contours {
+        out.push(Landmark { at, p: Handle::Polyline(contour), q: None, name: None })?;
+    }
+    out.finish("tem", lines.position())
+}
+
+/// One contour, counted.
+fn contour(
+    lines: &mut Lines<'_>,
+    points: &[(usize, Point)],
+    is_free: &mut [bool],
+    out: &mut Collector,
+) -> Result<(usize, Vec<Point>), Bad> {
+    let line = lines.line("1 for a closed contour or 0 for an open one")?;
+    let is_closed = match line.text {
+        "0" => false,
+        "1" => true,
+        other => return Err(Bad::new(line.at, format!("expected 1 for a closed contour or 0 for an open one; found {}", quote(other)))),
+    };
+    let count = lines.line("the number of points of the contour")?.whole("the number of points of the contour")?;
+    let line = lines.line("the indices of the points of the contour")?;
+    let found = line.words().count();
+    if found != count || count < 2 {
+        return Err(Bad::new(line.at, format!("expected {} indices of points; found {found}", count.max(2))));
+    }
+    out.count(line.at, count + usize::from(is_closed))?;
+    let mut contour: Vec<Point> = Vec::with_capacity(count + 1);
+    for word in line.words() {
+        let index = word.whole("the index of a point")?;
+        let last = points.len().saturating_sub(1);
+        let Some((_, place)) = points.get(index) else {
+            return Err(Bad::new(word.at, format!("expected the index of a point, 0 to {last}; found {index}")));
+        };
+        is_free[index] = false;
+        contour.push(*place);
+    }
+    if is_closed && contour.first() != contour.last() {
+        contour.extend(contour.first().copied());
+    }
+    Ok((line.at, contour))
+}

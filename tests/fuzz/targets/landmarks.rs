@@ -1,0 +1,41 @@
+//! Any bytes as a landmark file, or as two with a zero byte between them if the first byte is odd. What is read has as many handles as
+//! names, and its JSON is read again to the same; what is refused is refused by a whole problem document, with line and column.
+
+use bytes::Bytes;
+use mlswarp::pixmap::Extent;
+use mlswarp_server::wire::landmarks::LandmarkFiles;
+use serde_json::{Value, json};
+
+use super::assert_is_problem;
+
+const MAX_COLUMNS: usize = 64;
+
+pub(super) fn read(bytes: &[u8]) {
+    let Some((first, files)) = bytes.split_first() else { return };
+    let part = |part: &[u8]| Some(Bytes::copy_from_slice(part));
+    let files = match files.iter().position(|byte| *byte == 0).filter(|_| first % 2 == 1) {
+        Some(zero) => LandmarkFiles { p: part(&files[..zero]), q: part(&files[zero + 1..]), ..LandmarkFiles::default() },
+        None => LandmarkFiles { both: part(files), ..LandmarkFiles::default() },
+    };
+    let files = LandmarkFiles { extent_p: if first & 2 == 0 { None } else { Extent::new(640, 480) }, ..files };
+    let read = match files.read(MAX_COLUMNS).and_then(|landmarks| landmarks.scale(None)) {
+        Ok(landmarks) => json!(landmarks),
+        Err(problem) => {
+            let document = problem.to_json("", None);
+            assert_is_problem(&document);
+            let is_placed = ["line", "column"].iter().all(|name| document[name].as_u64().is_some_and(|number| number > 0));
+            assert_eq!(is_placed, ["bad_landmarks", "too_large"].iter().any(|code| document["code"] == **code), "{document}");
+            return;
+        }
+    };
+    let count = |name: &str| read[name].as_array().map(Vec::len);
+    let handles = count("p").expect("handles");
+    assert!((1..=MAX_COLUMNS).contains(&handles), "{read}");
+    assert!([count("q"), count("names")].into_iter().flatten().all(|count| count == handles), "{read}");
+    let again = LandmarkFiles { both: part(read.to_string().as_bytes()), ..LandmarkFiles::default() };
+    let mut again = json!(again.read(MAX_COLUMNS).expect("what is written is read again"));
+    for varying in ["format", "unmatched"] {
+        again[varying] = read.get(varying).cloned().unwrap_or(Value::Null);
+    }
+    assert!(read.as_object().is_some_and(|read| read.iter().all(|(name, value)| again[name] == *value)), "{read} {again}");
+}
