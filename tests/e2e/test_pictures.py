@@ -61,7 +61,26 @@ def test_a_picture_of_the_page(visits, name):
     visit = visits(**options)
     make(visit)
     visit.page.evaluate("document.fonts.ready")
-    shot = Image.open(io.BytesIO(visit.page.screenshot(path=KEPT / f"{name}.png"))).convert("RGB")
+    keep(name, Image.open(io.BytesIO(visit.page.screenshot())))
+
+
+def test_the_strength_as_a_strip(visit):
+    visit.sample("horse")
+    shots = []
+    for strength in (-1, 0, 0.5, 1, 1.5, 2):
+        visit.page.locator("#strength").fill(str(strength))
+        visit.ready()
+        visit.page.click("#before", trial=True)  # the frame is on the screen
+        shots.append(Image.open(io.BytesIO(visit.page.screenshot(clip={"x": 84, "y": 52, "width": 860, "height": 748}))).resize((430, 374)))
+    strip = Image.new("RGB", (3 * 430, 2 * 374))
+    for index, shot in enumerate(shots):
+        strip.paste(shot, (index % 3 * 430, index // 3 * 374))
+    keep("strength", strip)
+
+
+def keep(name, shot):
+    shot = shot.convert("RGB")
+    shot.save(KEPT / f"{name}.png")
     colours = shot.getcolors(maxcolors=shot.width * shot.height)
     assert max(count for count, _ in colours) < 0.9 * shot.width * shot.height, "nothing is drawn"
     kept = HERE / "pictures" / f"{name}.png"
@@ -73,4 +92,4 @@ def test_a_picture_of_the_page(visits, name):
 
 
 def test_no_picture_is_left_over():
-    assert {file.stem for file in (HERE / "pictures").iterdir()} == set(PICTURES)
+    assert {file.stem for file in (HERE / "pictures").iterdir()} == {*PICTURES, "strength"}
