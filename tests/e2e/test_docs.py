@@ -2,6 +2,7 @@
 JavaScript by the page's Run buttons. Neither page sends requests to other hosts."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -13,7 +14,8 @@ from axe_playwright_python.sync_playwright import Axe
 from support import KEPT, Server
 
 KEY = "a-key-of-the-tests-0123456789"
-EXAMPLES = Path(__file__).resolve().parents[2] / "src/web/docs/examples"
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "src/web/docs/examples"
 WRITTEN = "http://127.0.0.1:8080"
 
 
@@ -101,6 +103,16 @@ def test_the_examples_use_the_key_of_the_page(docs, locked):
         page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
         text = example.locator(".results").inner_text()
         assert "unauthorized" not in text and '"error"' not in text and text, text
+
+
+def test_the_notebook_of_the_readme_shows_a_drag(server):
+    [cell] = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+    assert WRITTEN in cell
+    # A notebook has `display`.
+    shown = "\nshown = []\ndisplay = lambda image: shown.append(image.tobytes())\n"
+    script = f"{shown}{cell.replace(WRITTEN, server.address)}\nassert len(set(shown)) == 5"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, server):
