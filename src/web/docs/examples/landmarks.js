@@ -1,16 +1,14 @@
-import { show } from "./here.js";
+import { headers, server, show } from "./here.js";
 
-// ibug and 300-W .pts: pixel indices that count from 1.
-const pts = (text) =>
-  text.slice(text.indexOf("{") + 1, text.indexOf("}")).trim().split("\n")
-    .map((line) => line.trim().split(/\s+/).map((number) => Number(number) - 0.5));
+const rest = "version: 1\nn_points: 3\n{\n168.5 112.5\n316.5 136.5\n262.5 240.5\n}\n"; // ibug .pts counts from 1
+const posed = "x,y\n150,104\n338,126\n262,262\n"; // CSV in px
 
-// OpenCV, dlib: pixel indices that count from 0.
-const pixelIndices = (points) => points.map(([x, y]) => [x + 0.5, y + 0.5]);
+const form = new FormData();
+form.set("image", await (await fetch(`${server}page/cat.jpg`)).blob());
+form.set("landmarks_p", new Blob([rest]));
+form.set("landmarks_q", new Blob([posed]));
+await show(await fetch(`${server}warp`, { method: "POST", headers: headers(), body: form }));
 
-// MediaPipe: objects with x and y from 0 to 1.
-const normalized = (landmarks) => ({ p: landmarks.map(({ x, y }) => [x, y]), units: "normalized" });
-
-show({ p: pts("version: 1\nn_points: 2\n{\n169 113\n317 137\n}\n") });
-show({ p: pixelIndices([[168, 112], [316, 136]]) });
-show(normalized([{ x: 0.37, y: 0.37, z: 0 }]));
+// From OpenCV or dlib in your own program: add 0.5.
+const fromPixelIndices = (points) => points.map(([x, y]) => [x + 0.5, y + 0.5]);
+show({ p: fromPixelIndices([[168, 112], [316, 136]]) });

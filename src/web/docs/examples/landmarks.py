@@ -1,32 +1,19 @@
-import csv
-import io
-import json
+import httpx
+
+server = httpx.Client(base_url="http://127.0.0.1:8080")
+image = server.get("/page/cat.jpg").raise_for_status().content
+
+rest = "version: 1\nn_points: 3\n{\n168.5 112.5\n316.5 136.5\n262.5 240.5\n}\n"  # ibug .pts counts from 1
+posed = "x,y\n150,104\n338,126\n262,262\n"  # CSV in px
+answer = server.post("/warp", files={"image": image, "landmarks_p": rest, "landmarks_q": posed})
+if answer.is_error:
+    raise SystemExit(answer.json()["detail"])
+open("landmarks.png", "wb").write(answer.content)
 
 
-def pts(text):
-    """ibug and 300-W .pts: pixel indices that count from 1."""
-    inside = text[text.index("{") + 1 : text.index("}")]
-    return [[float(x) - 0.5, float(y) - 0.5] for x, y in (line.split() for line in inside.split("\n") if line.strip())]
-
-
-def pixel_indices(points):
-    """OpenCV, dlib: pixel indices that count from 0."""
+def from_pixel_indices(points):
+    """From OpenCV or dlib in your own program: add 0.5."""
     return [[x + 0.5, y + 0.5] for x, y in points]
 
 
-def table(text):
-    """CSV with the columns px,py,qx,qy, in px."""
-    rows = list(csv.DictReader(io.StringIO(text)))
-    p = [[float(row["px"]), float(row["py"])] for row in rows]
-    return {"p": p, "q": [[float(row["qx"]), float(row["qy"])] for row in rows]}
-
-
-def normalized(landmarks):
-    """MediaPipe: objects with x and y from 0 to 1."""
-    return {"p": [[point["x"], point["y"]] for point in landmarks], "units": "normalized"}
-
-
-print(json.dumps({"p": pts("version: 1\nn_points: 2\n{\n169 113\n317 137\n}\n")}))
-print(json.dumps(table("px,py,qx,qy\n168.5,112.5,150,104\n316.5,136.5,338,126\n")))
-print(json.dumps(normalized([{"x": 0.37, "y": 0.37, "z": 0}])))
-print(json.dumps({"p": pixel_indices([[168, 112], [316, 136]])}))
+print({"p": from_pixel_indices([[168, 112], [316, 136]])})
