@@ -150,7 +150,9 @@ export class Opener {
     this.view.resized(); // only now the stage is visible and has a size
     this.#leaveLink(link);
     this.fileKey = fileKey ?? null;
-    this.fileKey ??= await keepFile(source.blob, source.name, filesOf(this.store.state));
+    const stored = fileKey ?? (await keepFile(source.blob, source.name, filesOf(this.store.state)));
+    // Meanwhile another picture may have been opened, or this one closed.
+    if (this.sync.file === source) this.fileKey = stored;
     this.told();
     return left;
   }
