@@ -177,6 +177,16 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
     let (tiny, shares) = (photo(1, 1), json!([[0.1, 0.2], [0.9, 0.8]]));
     let response = server.upload("/warp", &tiny, &json!({"p": shares, "q": shares, "units": "normalized"})).await;
     assert!(!warnings(&response).contains(&NORMALIZED), "correct, however small");
+    // Routes without a picture in the response.
+    let points = json!({"extent": [300, 60], "p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.2, 0.2], [0.8, 0.8]], "points": []});
+    let response = server.post("/points").json(&points).send().await.unwrap();
+    assert_eq!(warnings(&response), [NORMALIZED]);
+    let created = server.upload("/sessions", &image, &json!({"p": [[0.1, 0.2], [0.9, 0.8]]})).await;
+    assert_eq!((created.status().as_u16(), warnings(&created)), (201, vec![NORMALIZED]));
+    let id = created.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let posed = json!({"q": [[0.2, 0.2], [0.8, 0.8]], "points": []});
+    let response = server.post(&format!("/sessions/{id}/points")).json(&posed).send().await.unwrap();
+    assert_eq!(warnings(&response), [NORMALIZED]);
     let landscape = photo(320, 214);
     let swapped = json!({"p": [[100, 40], [120, 300], [60, 200]], "q": [[100, 50], [120, 290], [60, 200]]});
     assert!(

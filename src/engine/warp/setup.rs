@@ -187,8 +187,15 @@ impl Setup {
         unit(self.units, &self.grid)
     }
 
-    /// The warnings of the rest handles and of a pose, each once, in their order.
-    pub(super) fn warnings(&self, pose: &Pose) -> Vec<Warning> {
+    /// The warnings of the rest handles, whatever the pose.
+    #[must_use]
+    pub fn rest_warnings(&self) -> &[Warning] {
+        &self.warnings
+    }
+
+    /// The warnings of the rest handles and of a pose, each once, in their order; without those that only a posed grid shows.
+    #[must_use]
+    pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
         warnings.extend(&self.warnings);
         warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.units));

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::geometry::Point;
-use mlswarp::warp::{GridSpec, Setup};
+use mlswarp::warp::{GridSpec, Setup, Warning};
 use serde::Serialize;
 
 use super::App;
@@ -34,10 +34,13 @@ struct Mapped<'a> {
     points: AsJson<&'a [Point]>,
 }
 
+/// The JSON of the response, and the warnings of the handles.
+type MappedPoints = (Bytes, Vec<Warning>);
+
 impl App {
-    /// Maps points; returns the JSON of the response.
+    /// Maps points.
     /// Errors: Wrong handles, or too little capacity.
-    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
+    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<MappedPoints, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
@@ -48,9 +51,9 @@ impl App {
         self.map(&ticket, self.response_quota(client), Arc::new(setup), object).await
     }
 
-    /// Maps points by the deformation of a session; returns the JSON of the response.
+    /// Maps points by the deformation of a session.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
+    pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedPoints, Problem> {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
@@ -58,7 +61,7 @@ impl App {
         self.map(&ticket, self.response_quota(client), setup, object).await
     }
 
-    async fn map(&self, ticket: &Ticket, quota: ClientQuota, setup: Arc<Setup>, object: PointsObject) -> Result<Bytes, Problem> {
+    async fn map(&self, ticket: &Ticket, quota: ClientQuota, setup: Arc<Setup>, object: PointsObject) -> Result<MappedPoints, Problem> {
         let app = self.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
             let began = Instant::now();
@@ -73,7 +76,7 @@ impl App {
             // The client may read it slowly.
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);
-            Ok::<_, Problem>(reservation.attach(body))
+            Ok::<_, Problem>((reservation.attach(body), setup.warnings(&pose)))
         });
         mapped.await?
     }

@@ -52,6 +52,18 @@ impl Warning {
     }
 }
 
+/// A response with the warnings of its handles.
+pub(crate) fn with_warnings(mut response: Response, warnings: &[mlswarp::warp::Warning]) -> Response {
+    insert_warnings(response.headers_mut(), warnings);
+    response
+}
+
+fn insert_warnings(headers: &mut HeaderMap, warnings: &[mlswarp::warp::Warning]) {
+    if !warnings.is_empty() {
+        headers.insert(WARP_WARNING, text(warnings.iter().map(|w| w.code()).collect::<Vec<_>>().join(", ")));
+    }
+}
+
 /// Whether the client accepts trailers.
 pub(crate) fn takes_trailers(headers: &HeaderMap) -> bool {
     elements(headers, TE).any(|coding| coding.eq_ignore_ascii_case("trailers"))
@@ -64,9 +76,7 @@ fn report_headers(report: &Report, plan_built: bool) -> HeaderMap {
     headers.insert(WARP_PLAN, HeaderValue::from_static(if plan_built { "built" } else { "hit" }));
     headers.insert(WARP_FOLDS, report.folds.into());
     headers.insert(WARP_RESIDUAL, text(format!("{:.4}", report.residual)));
-    if !report.warnings.is_empty() {
-        headers.insert(WARP_WARNING, text(report.warnings.iter().map(|w| w.code()).collect::<Vec<_>>().join(", ")));
-    }
+    insert_warnings(&mut headers, &report.warnings);
     headers
 }
 

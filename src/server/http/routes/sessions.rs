@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::app::warp::Upload;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{Warning, json_text};
+use crate::http::response::{Warning, json_text, with_warnings};
 use crate::http::{body, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::words::quote;
@@ -93,7 +93,7 @@ fn not_an_id(text: &str) -> String {
 fn reserved_object(caller: &Caller, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
     let held = caller.app.reserve_for(Purpose::Frame, &caller.app.response_quota(caller.client), text.len() as u64)?;
-    Ok(json_text(held.attach(text)))
+    Ok(with_warnings(json_text(held.attach(text)), setup.rest_warnings()))
 }
 
 /// Reserves the memory of the session object before the session is created, which must not fail afterwards.
@@ -107,7 +107,7 @@ fn reserve_object(caller: &Caller, upload: &Upload) -> Result<Reservation, Probl
 fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
     let text = text(session, setup);
     held.shrink_to(text.len() as u64);
-    json_text(held.attach(text))
+    with_warnings(json_text(held.attach(text)), setup.rest_warnings())
 }
 
 /// Maximum length of the session object for a warp object. Strings are returned unchanged or not at all, and a bracket or a comma precedes
