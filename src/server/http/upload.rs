@@ -49,7 +49,7 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
         let of_session = "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
         let hint = if route == "/warp" { of_session } else { "" };
         let sent = sent(request.headers());
-        let detail = format!("{} {route} takes multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
+        let detail = format!("{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     let [image, warp, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
@@ -63,7 +63,8 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
             if !files.is_empty() {
                 upload.landmarks = Some(caller.app.read_landmarks(caller.client, files).await?);
             } else if files.extent_p.or(files.extent_q).is_some() {
-                return Err(malformed("`extent_p` and `extent_q` belong to landmark files: send `landmarks` too"));
+                let detail = "`extent_p` and `extent_q` belong to landmark files: send `landmarks` too";
+                return Err(Problem::new(Code::BadValue, detail));
             }
             Ok(upload)
         }

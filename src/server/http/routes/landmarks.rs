@@ -26,7 +26,7 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
     };
     for (name, of_query, of_part) in [("extent_p", extent_p, &mut files.extent_p), ("extent_q", extent_q, &mut files.extent_q)] {
         if of_query.is_some() && of_part.is_some() {
-            return Err(Problem::new(Code::MalformedRequest, format!("`{name}` is given twice: in the query and as a part")));
+            return Err(Problem::new(Code::BadValue, format!("`{name}` is given twice: in the query and as a part")));
         }
         *of_part = of_part.or(of_query);
     }

@@ -130,7 +130,10 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
                 }
                 match event {
                     Event::Text(text) => drag.on_message(text.as_bytes(), heard),
-                    Event::Binary => drag.send_problem(None, &Problem::new(Code::MalformedRequest, "binary messages are not supported: send JSON as text")),
+                    Event::Binary => {
+                        let detail = "binary messages are not supported: send JSON as text";
+                        drag.send_problem(None, &Problem::new(Code::MalformedRequest, detail));
+                    }
                     Event::Ping => {}
                     Event::Ended(ending) => return ending,
                 }

@@ -84,7 +84,7 @@ impl LandmarkFiles {
     }
 
     /// Reads the files.
-    /// Errors: `bad_landmarks` with line and column, `too_large`, or `malformed_request` for files that do not go together.
+    /// Errors: `bad_landmarks`, with line and column unless the files do not go together, or `too_large`.
     pub fn read(&self, max_columns: usize) -> Result<Landmarks, Problem> {
         let file = |name: &str, bytes: &Bytes| read(bytes, max_columns).map_err(|bad| bad.problem(name, bytes));
         let extents = [self.extent_p, self.extent_q];
@@ -102,9 +102,9 @@ impl LandmarkFiles {
                 two(files, extents, p, q)
             }
             (None, Some(p), None) => Ok(one(file("landmarks_p", p)?, extents)),
-            (None, None, Some(_)) => Err(malformed("`landmarks_p` is missing: where do the handles start?")),
-            (None, None, None) => Err(malformed("`landmarks` is missing, or `landmarks_p` and `landmarks_q`")),
-            (Some(_), ..) => Err(malformed("send `landmarks` alone, or `landmarks_p` and `landmarks_q`")),
+            (None, None, Some(_)) => Err(mismatched("`landmarks_p` is missing: where do the handles start?")),
+            (None, None, None) => Err(mismatched("`landmarks` is missing, or `landmarks_p` and `landmarks_q`")),
+            (Some(_), ..) => Err(mismatched("send `landmarks` alone, or `landmarks_p` and `landmarks_q`")),
         }
     }
 }
@@ -122,8 +122,8 @@ pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
     extent.ok_or_else(bad)
 }
 
-fn malformed(detail: &str) -> Problem {
-    Problem::new(Code::MalformedRequest, detail)
+fn mismatched(detail: &str) -> Problem {
+    Problem::new(Code::BadLandmarks, detail)
 }
 
 fn one(file: File, extents: [Option<Extent>; 2]) -> Landmarks {

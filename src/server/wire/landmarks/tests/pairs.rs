@@ -48,7 +48,7 @@ fn parts_that_do_not_go_together_are_refused() {
         (LandmarkFiles { both: file(), p: file(), q: file(), ..LandmarkFiles::default() }, "alone"),
     ] {
         let problem = convert(&files).unwrap_err();
-        assert_eq!(problem.code.as_str(), "malformed_request");
+        assert_eq!(problem.code.as_str(), "bad_landmarks");
         assert!(problem.detail.contains(word), "{}", problem.detail);
     }
     assert_eq!(convert(&LandmarkFiles { p: file(), ..LandmarkFiles::default() }).unwrap()["p"], json!([[1.0, 2.0]]));
