@@ -42,10 +42,10 @@ def pose(rest, step):
     return [[x + 30 * math.sin(angle), y + 30 - 30 * math.cos(angle)], *others]
 
 
-async def move(socket, rest, hand):
+async def move(socket, rest, progress):
     """Sends 125 poses per second without waiting for frames: the server keeps only the newest pose."""
-    for hand["seq"] in range(hand["seq"], STEPS):
-        await socket.send(json.dumps({"seq": hand["seq"], "q": pose(rest, hand["seq"])}))
+    for progress["seq"] in range(progress["seq"], STEPS):
+        await socket.send(json.dumps({"seq": progress["seq"], "q": pose(rest, progress["seq"])}))
         await asyncio.sleep(1 / 125)
 
 
@@ -67,12 +67,12 @@ async def watch(socket):
 
 async def drag(address, headers, rest):
     """If the socket closes or is silent, opens another one, which begins with the last pose sent."""
-    hand = {"seq": 0}
+    progress = {"seq": 0}
     for _ in range(20):
         try:
             url = address.replace("http", "ws", 1)
             async with connect(url, additional_headers=headers, max_size=None, open_timeout=PATIENCE, close_timeout=1) as socket:
-                moving = asyncio.create_task(move(socket, rest, hand))
+                moving = asyncio.create_task(move(socket, rest, progress))
                 try:
                     return await watch(socket)
                 finally:

@@ -1,7 +1,7 @@
-//! The drag socket under a recorded hand: 600 poses at 125 Hz in real time, the service in a process of its own, clients and service on the same
+//! The drag socket under a recorded drag: 600 poses at 125 Hz in real time, the service in a process of its own, clients and service on the same
 //! cores. A frame's age is the time between sending its pose and having all of it. Best of three.
 //!
-//! `cargo bench --bench drag [-- FILTER]`; a filter is a part of a title (`1 hand`, `8 hands`) or of a row's name (`3840 x 2160`, `mesh`).
+//! `cargo bench --bench drag [-- FILTER]`; a filter is a part of a title (`1 client`, `8 clients`) or of a row's name (`3840 x 2160`, `mesh`).
 
 #![allow(
     missing_docs,
@@ -15,10 +15,10 @@
 #[path = "request/client.rs"]
 #[allow(dead_code, reason = "shared with `request`, which measures with it")]
 mod client;
-#[path = "drag/hand.rs"]
-mod hand;
 #[path = "harness/mod.rs"]
 mod harness;
+#[path = "drag/recording.rs"]
+mod recording;
 #[path = "request/service.rs"]
 mod service;
 #[path = "drag/socket.rs"]
@@ -58,7 +58,7 @@ const CASES: [Case; 12] = [
     (8, UHD, "frames=png", None),
 ];
 
-/// A place in which the handles rest, and what a hand does with them.
+/// A place in which the handles rest, and how a client drags them.
 struct Scene {
     file: Vec<u8>,
     warp: String,
@@ -73,21 +73,21 @@ impl Scene {
         let mut file = Vec::new();
         encode(extent, Channels::Rgb, bytes(&photo), (png::Compression::Fastest, None), &mut file);
         let (rest, target) = handles(HANDLES, extent, 1.0);
-        let poses = hand::poses(&rest, &target, f64::from(extent.height()));
+        let poses = recording::poses(&rest, &target, f64::from(extent.height()));
         let poses = (0..).zip(&poses).map(|(seq, q): (u64, _)| text(&format!(r#"{{"seq":{seq},"q":{}}}"#, places(q)))).collect();
-        Self { file, warp: format!(r#"{{"p": {}}}"#, places(&rest)), poses, times: hand::times() }
+        Self { file, warp: format!(r#"{{"p": {}}}"#, places(&rest)), poses, times: recording::times() }
     }
 
-    /// So many hands at once, each on a session of its own.
-    fn run(&self, service: &Service, hands: usize, query: &str) -> Vec<Run> {
+    /// So many clients at once, each on a session of its own.
+    fn run(&self, service: &Service, clients: usize, query: &str) -> Vec<Run> {
         let mut client = Client::connect(service.address);
         let paths: Vec<String> =
-            (0..hands).map(|_| format!("{}/drag?{query}", service.session(&mut client, &self.file, &self.warp))).collect();
+            (0..clients).map(|_| format!("{}/drag?{query}", service.session(&mut client, &self.file, &self.warp))).collect();
         let start = Instant::now() + BEFORE;
         let runs = std::thread::scope(|scope| {
-            let hands: Vec<_> =
+            let clients: Vec<_> =
                 paths.iter().map(|path| scope.spawn(move || drag(service.address, path, start, &self.times, &self.poses))).collect();
-            hands.into_iter().map(|hand| hand.join().expect("the last pose is shown")).collect()
+            clients.into_iter().map(|client| client.join().expect("the last pose is shown")).collect()
         });
         for path in paths {
             let session = path.split("/drag").next().unwrap_or_default();
@@ -99,7 +99,7 @@ impl Scene {
 
 /// What is told of some runs side by side.
 struct Figures {
-    /// Frames a second of each hand, all frames of the same pose counted once.
+    /// Frames a second of each client, all frames of the same pose counted once.
     rates: Vec<f64>,
     frames: Vec<usize>,
     ages: Times,
@@ -134,17 +134,17 @@ impl Figures {
     }
 
     fn fairness(&self) -> f64 {
-        let of = |n: Option<&usize>| *n.expect("a hand") as f64;
+        let of = |n: Option<&usize>| *n.expect("a client") as f64;
         of(self.frames.iter().min()) / of(self.frames.iter().max())
     }
 }
 
 fn main() {
-    let mut report = Report::new("drag", "the socket under a recorded hand, 600 poses at 125 Hz, 12 handles");
-    for hands in [1, 8] {
-        let title = if hands == 1 { "1 hand".to_owned() } else { format!("{hands} hands, each on a session of its own") };
+    let mut report = Report::new("drag", "the socket under a recorded drag, 600 poses at 125 Hz, 12 handles");
+    for clients in [1, 8] {
+        let title = if clients == 1 { "1 client".to_owned() } else { format!("{clients} clients, each on a session of its own") };
         let name = |sides, query| format!("{}, `{query}`", size(extent(sides)));
-        let cases: Vec<_> = CASES.iter().filter(|case| case.0 == hands).map(|case| (case, name(case.1, case.2))).collect();
+        let cases: Vec<_> = CASES.iter().filter(|case| case.0 == clients).map(|case| (case, name(case.1, case.2))).collect();
         let cases: Vec<_> = cases.into_iter().filter(|(_, name)| harness::wanted(&format!("{title} {name}"))).collect();
         if cases.is_empty() {
             continue;
@@ -155,28 +155,28 @@ fn main() {
         for ((_, sides, query, least), name) in cases {
             let scene = Scene::new(*sides);
             let service = Service::start();
-            let runs = (0..RUNS).map(|_| Figures::new(&scene.run(&service, hands, query)));
+            let runs = (0..RUNS).map(|_| Figures::new(&scene.run(&service, clients, query)));
             let best = runs.min_by(|a, b| a.p99().total_cmp(&b.p99())).expect("three runs");
             let width = if query.contains("png") { best.width.to_string() } else { String::new() };
-            let shown = best.frames.iter().sum::<usize>() / hands;
+            let shown = best.frames.iter().sum::<usize>() / clients;
             let _ = writeln!(
                 text,
                 "| {name} | {:.1} | {} | {} | {} | {:.2} | {width} | {} |",
                 best.rate(),
                 time(best.ages.median()),
                 time(best.p99()),
-                hand::POSES as usize - shown,
+                recording::POSES as usize - shown,
                 best.fairness(),
                 best.bytes >> 10
             );
             if let Some(least) = least {
-                report.goal(&format!("{hands} hand, {name}: frames/s"), best.rate(), Goal::AtLeast(*least));
+                report.goal(&format!("{clients} client, {name}: frames/s"), best.rate(), Goal::AtLeast(*least));
             }
-            if (hands, *sides, *query) == (1, SQUARE, "frames=png") {
-                report.goal(&format!("{hands} hand, {name}: age p99, ms"), best.p99() * 1e3, Goal::AtMost(25.0));
+            if (clients, *sides, *query) == (1, SQUARE, "frames=png") {
+                report.goal(&format!("{clients} client, {name}: age p99, ms"), best.p99() * 1e3, Goal::AtMost(25.0));
             }
-            if hands > 1 {
-                report.goal(&format!("{hands} hands, {name}: fewest / most frames"), best.fairness(), Goal::AtLeast(0.6));
+            if clients > 1 {
+                report.goal(&format!("{clients} clients, {name}: fewest / most frames"), best.fairness(), Goal::AtLeast(0.6));
             }
         }
         report.line(&text);

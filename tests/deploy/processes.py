@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from commands import ROOT, Failure, free_port, where
-from hands import Server
+from drag_clients import Server
 from stack import metric
 
 READY_SECONDS = 20.0

@@ -11,7 +11,7 @@ import uuid
 from contextlib import ExitStack
 
 from commands import where
-from hands import PATIENCE, Server
+from drag_clients import PATIENCE, Server
 from names import Names
 from nginx import derived
 from processes import Process, haproxy

@@ -7,7 +7,7 @@ import uuid
 from contextlib import ExitStack
 
 from commands import Failure, run, say, where
-from hands import PICTURES, Server, multipart
+from drag_clients import PICTURES, Server, multipart
 from names import Names
 from processes import haproxy, redis, replica
 

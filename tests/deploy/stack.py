@@ -7,7 +7,7 @@ import subprocess
 import time
 
 from commands import AS_ROOT, ROOT, Failure, run, say, timed, where
-from hands import Server
+from drag_clients import Server
 from images import IMAGE
 
 HEALTHY_SECONDS = 60.0

@@ -20,7 +20,7 @@ from pathlib import Path
 from commands import ROOT, Failure, run, say, text, timed, where
 from engine import Apart
 from images import IMAGE, builder_image, build_options, systemd_image
-from told import block
+from readme_commands import block
 
 COMPOSE = ROOT / "deploy" / "compose.yaml"
 # The program that an image of compose.yaml starts by itself; where it is not named, the services' image starts it.
@@ -147,7 +147,7 @@ def booted(stage, engine, folder):
         groups, writable = ["--cgroupns=private"], "mount -o remount,rw /sys/fs/cgroup && "
     else:
         groups, writable = ["--volume", "/sys/fs/cgroup:/sys/fs/cgroup"], ""
-    # systemd hands credentials to a service by a mount that must propagate to it.
+    # systemd passes credentials to a service by a mount that must propagate to it.
     boot = f"{writable}mount --make-rshared / && exec /lib/systemd/systemd"
     engine(
         "run", "--detach", "--name", name, *rights, *groups, "--tmpfs", "/run", "--tmpfs", "/run/lock", "--volume", f"{folder}:/src",

@@ -11,7 +11,7 @@ fn rest() -> Value {
     json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]], [[60, 30], [64, 44], [70, 60]]], "method": "rigid"})
 }
 
-/// Pose `n` of a hand that circles.
+/// Pose `n` of a circular drag.
 fn posed(n: u32) -> Value {
     let (x, y) = (f64::from(n).cos() * 7.0, f64::from(n).sin() * 5.0);
     json!([[20.0 + x, 20.0 + y], [100, 24], [[30, 70], [90.0 - y, 80.0 + x]], [[60, 30], [64.0 + y, 44], [70, 60.0 + y]]])

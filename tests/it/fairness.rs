@@ -17,7 +17,7 @@ use tokio::task::JoinHandle;
 
 use crate::support::counters::Counted as _;
 use crate::support::server::{form, header, png, problem};
-use crate::support::{Hand, Server, eventually, photo};
+use crate::support::{DragClient, Server, eventually, photo};
 
 /// A client at an address of its own.
 #[derive(Clone)]
@@ -217,27 +217,27 @@ async fn many_sockets_do_not_starve_the_socket_of_another_address() {
     let mut tasks = Vec::new();
     for n in 0..16 {
         let id = busy.session(&photo(700 + n, 500)).await;
-        let mut hand = Hand::over(busy.connect().await, &id, "?width=700").await;
+        let mut drag = DragClient::over(busy.connect().await, &id, "?width=700").await;
         let (answered, over) = (Arc::clone(&flood.answered), Arc::clone(&flood.over));
         tasks.push(tokio::spawn(async move {
             for seq in 0.. {
                 if over.load(Ordering::Relaxed) {
                     return;
                 }
-                hand.pose(seq, &json!([[20 + seq % 9, 22]])).await;
-                hand.ack_of_next_frame(seq).await;
+                drag.pose(seq, &json!([[20 + seq % 9, 22]])).await;
+                drag.ack_of_next_frame(seq).await;
                 answered.fetch_add(1, Ordering::Relaxed);
             }
         }));
     }
     let flood = Flood { tasks, ..flood };
     let id = calm.session(&photo(700, 501)).await;
-    let hand = tokio::sync::Mutex::new(Hand::over(calm.connect().await, &id, "?width=700").await);
+    let drag = tokio::sync::Mutex::new(DragClient::over(calm.connect().await, &id, "?width=700").await);
     eventually("the workers are busy", || flood.answered() > 16).await;
     let others = meanwhile("frames of a socket", 40, &flood, async |n| {
-        let mut hand = hand.lock().await;
-        hand.pose(n as u64, &json!([[20 + n % 9, 22]])).await;
-        hand.ack_of_next_frame(n as u64).await;
+        let mut drag = drag.lock().await;
+        drag.pose(n as u64, &json!([[20 + n % 9, 22]])).await;
+        drag.ack_of_next_frame(n as u64).await;
     });
     let others = others.await;
     flood.end().await;

@@ -14,7 +14,7 @@ use crate::support::server::{form, png};
 use crate::support::{bombs, photo};
 
 /// Requests under way at one time.
-const HANDS: usize = 4;
+const CLIENTS: usize = 4;
 /// Codes that a picture's file may be answered with.
 const CODES: [&str; 3] = ["bad_image", "too_large", "unsupported_format"];
 /// What the options below let pictures take: two caches, and in each of two workers a picture of 2 MP with all that decoding it takes
@@ -77,7 +77,7 @@ async fn damaged_pictures_are_answered_and_leave_the_server_well() {
     let mut zoo = files("seeds/image");
     zoo.extend(files("found/image"));
     let (zoo, next) = (Arc::new(zoo), Arc::new(AtomicUsize::new(0)));
-    let hands = (0..HANDS).map(|_| {
+    let clients = (0..CLIENTS).map(|_| {
         let (client, program, zoo, next) = (client.clone(), Arc::clone(&program), Arc::clone(&zoo), Arc::clone(&next));
         tokio::spawn(async move {
             let mut answers = BTreeMap::new();
@@ -98,8 +98,8 @@ async fn damaged_pictures_are_answered_and_leave_the_server_well() {
         })
     });
     let mut answers = BTreeMap::new();
-    for hand in hands.collect::<Vec<_>>() {
-        for (key, n) in hand.await.unwrap() {
+    for client in clients.collect::<Vec<_>>() {
+        for (key, n) in client.await.unwrap() {
             *answers.entry(key).or_insert(0) += n;
         }
     }
@@ -112,7 +112,7 @@ async fn damaged_pictures_are_answered_and_leave_the_server_well() {
         assert!(of(&[200, 201]) > count / 100, "{kind}: damage that is read reaches the pixels: {answers:?}");
         assert!(of(&[422]) > count / 20, "{kind}: damage is noticed: {answers:?}");
     }
-    let program = Arc::into_inner(program).expect("the hands have let go");
+    let program = Arc::into_inner(program).expect("every client has ended");
     program.terminate();
     let (status, log) = program.wait();
     assert_eq!(status.code(), Some(0), "{log}");

@@ -5,9 +5,9 @@ use reqwest::RequestBuilder;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
-use crate::support::hand::Said;
+use crate::support::drag_client::Received;
 use crate::support::server::{form, header, png, problem};
-use crate::support::{Hand, Server, bombs, photo};
+use crate::support::{DragClient, Server, bombs, photo};
 
 /// Sends a request whose problem has this status, code and pointer, and whose detail contains these words.
 async fn told(request: RequestBuilder, status: u16, code: &str, pointer: Option<&str>, words: &[&str]) -> Value {
@@ -210,9 +210,9 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
             let response = server.post(&format!("/sessions/{id}/{path}")).json(&json!({"q": warp["q"]})).send().await.unwrap();
             assert_eq!(relevant(&response), *expected, "{name} {path}");
         }
-        let mut hand = Hand::open(server.address, &id, "?report=true").await;
-        hand.pose(1, &warp["q"]).await;
-        let report = hand.text().await;
+        let mut drag = DragClient::open(server.address, &id, "?report=true").await;
+        drag.pose(1, &warp["q"]).await;
+        let report = drag.text().await;
         let told: Vec<&str> = report["warnings"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
         for code in [OUTSIDE, NORMALIZED, NOTHING] {
             assert_eq!(told.contains(&code), expected.contains(&code), "{name}: {report}");
@@ -407,13 +407,13 @@ async fn mistakes_in_seq_give_the_highest_value() {
     let words = ["seq 41 is lower than 42, the highest that this session has seen"];
     let document = told(pose(41), 409, "superseded", Some("/seq"), &words).await;
     assert_eq!((&document["actual"], &document["newest"]), (&json!(41), &json!(42)));
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.pose(50, &json!([[3, 2]])).await;
-    hand.ack_of_next_frame(50).await;
-    hand.pose(7, &json!([[4, 2]])).await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.pose(50, &json!([[3, 2]])).await;
+    drag.ack_of_next_frame(50).await;
+    drag.pose(7, &json!([[4, 2]])).await;
     let document = loop {
         // The full frame of the first pose may come before.
-        if let Said::Text(document) = hand.next().await {
+        if let Received::Text(document) = drag.next().await {
             break document;
         }
     };

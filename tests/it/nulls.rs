@@ -4,9 +4,9 @@
 use reqwest::{Method, RequestBuilder};
 use serde_json::{Map, Value, json};
 
-use crate::support::hand::Said;
+use crate::support::drag_client::Received;
 use crate::support::server::form;
-use crate::support::{Hand, Server, photo};
+use crate::support::{DragClient, Server, photo};
 
 const ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 
@@ -184,15 +184,15 @@ async fn a_null_in_an_array_is_a_wrong_value() {
 async fn a_field_that_is_null_is_absent_in_a_message_of_the_socket() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(64, 48), &json!({"p": [[20, 20]]})).await;
-    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
-    hand.say(&json!({"seq": 4, "q": [[22, 20]], "ack": null})).await;
-    assert_eq!(hand.frame().await.0, 4);
-    hand.say(&json!({"seq": null, "q": null, "ack": 4})).await;
-    hand.say(&json!({"seq": 5, "q": [[23, 20]]})).await;
-    assert_eq!(hand.frame().await.0, 5, "the acknowledgement has arrived");
+    let mut drag = DragClient::open(server.address, &id, "?frames=mesh").await;
+    drag.say(&json!({"seq": 4, "q": [[22, 20]], "ack": null})).await;
+    assert_eq!(drag.frame().await.0, 4);
+    drag.say(&json!({"seq": null, "q": null, "ack": 4})).await;
+    drag.say(&json!({"seq": 5, "q": [[23, 20]]})).await;
+    assert_eq!(drag.frame().await.0, 5, "the acknowledgement has arrived");
     for (message, field) in [(json!({"seq": 6, "q": null}), "q"), (json!({"seq": null, "q": [[1, 1]]}), "seq")] {
-        hand.say(&message).await;
-        let Said::Text(problem) = hand.next().await else { panic!("a problem was expected") };
+        drag.say(&message).await;
+        let Received::Text(problem) = drag.next().await else { panic!("a problem was expected") };
         assert!(problem["detail"].as_str().unwrap().starts_with(&format!("`{field}` is missing")), "{problem}");
     }
 }

@@ -4,7 +4,7 @@ use reqwest::Response;
 use serde_json::{Value, json};
 
 use crate::support::server::{form, header};
-use crate::support::{Hand, Server, photo};
+use crate::support::{DragClient, Server, photo};
 
 const PREFIX: &str = "/tools/warp";
 const ID: &str = "5d1f0f0e-9e0b-4c84-a4d5-0d6d3b8f4f11";
@@ -44,9 +44,9 @@ async fn locations_problem_types_and_servers_start_with_it() {
         assert!(location.ends_with(read.json::<Value>().await.unwrap()["id"].as_str().unwrap()), "{location}");
     }
     follow(&server, &server.get("/nothing").send().await.unwrap().json().await.unwrap()).await;
-    let mut hand = Hand::open(server.address, ID, "").await;
-    hand.pose(1, &json!([[3, 2], [4, 4]])).await;
-    follow(&server, &hand.text().await).await;
+    let mut drag = DragClient::open(server.address, ID, "").await;
+    drag.pose(1, &json!([[3, 2], [4, 4]])).await;
+    follow(&server, &drag.text().await).await;
     let document: Value = server.get("/openapi.json").send().await.unwrap().json().await.unwrap();
     assert_eq!(document["servers"], json!([{"url": PREFIX}]));
     for (path, expected) in [

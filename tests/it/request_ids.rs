@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 
-use crate::support::hand::Said;
+use crate::support::drag_client::Received;
 use crate::support::program::Program;
 use crate::support::redis::Redis;
 use crate::support::server::{form, problem};
-use crate::support::{Hand, Server, photo};
+use crate::support::{DragClient, Server, photo};
 
 /// Every log line of the program, which is ended.
 async fn log(program: Program) -> Vec<Value> {
@@ -55,14 +55,14 @@ async fn what_goes_wrong_for_a_request_is_logged_with_its_id() {
 async fn a_socket_goes_on_under_the_id_of_its_handshake() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &json!({"p": [[20, 20], [100, 24]]})).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.say(&json!({"seq": 1, "q": "nowhere"})).await;
-    let first = hand.problem("bad_value").await["request_id"].as_str().unwrap().to_owned();
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.say(&json!({"seq": 1, "q": "nowhere"})).await;
+    let first = drag.problem("bad_value").await["request_id"].as_str().unwrap().to_owned();
     assert_eq!(first.len(), 36);
     server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap();
-    hand.pose(2, &json!([[21, 20], [100, 24]])).await;
-    assert_eq!(hand.problem("no_such_session").await["request_id"], first, "of a frame as of a message");
-    assert!(matches!(hand.next().await, Said::Closed(1000)));
+    drag.pose(2, &json!([[21, 20], [100, 24]])).await;
+    assert_eq!(drag.problem("no_such_session").await["request_id"], first, "of a frame as of a message");
+    assert!(matches!(drag.next().await, Received::Closed(1000)));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -72,8 +72,8 @@ async fn the_end_of_a_socket_is_logged_with_the_id_of_its_handshake() {
         .post(format!("http://{}/sessions", program.address))
         .multipart(form(&photo(128, 96), json!({"p": [[20, 20]]}).to_string()));
     let session: Value = made.send().await.unwrap().json().await.unwrap();
-    let hand = Hand::open(program.address, session["id"].as_str().unwrap(), "").await;
-    drop(hand);
+    let drag = DragClient::open(program.address, session["id"].as_str().unwrap(), "").await;
+    drop(drag);
     let log = log(program).await;
     let shaken = log.iter().find(|line| line["status"] == 101).unwrap();
     assert_eq!(lines(&log, "drag ended")[0]["id"], shaken["id"]);

@@ -153,13 +153,13 @@ async fn a_session_that_is_made_anew_while_drags_wait_is_never_missing() {
     let server = Server::start(&["--workers", "1"]).await;
     let (files, warp) = ([photo(600, 400), photo(500, 300)], json!({"p": [[20, 10], [90, 40]]}));
     put(&server, NAME, &files[0], &warp).await;
-    let hands: Vec<_> = (0..6)
-        .map(|hand| {
+    let clients: Vec<_> = (0..6)
+        .map(|n| {
             let (client, url) = (server.client.clone(), server.url(&format!("/sessions/{NAME}/warp")));
             tokio::spawn(async move {
                 let mut answers = Vec::new();
                 for k in 0..20 {
-                    let body = json!({"q": [[21 + hand, 10 + k], [90, 40]]});
+                    let body = json!({"q": [[21 + n, 10 + k], [90, 40]]});
                     answers.push(client.post(&url).json(&body).send().await.unwrap().status().as_u16());
                 }
                 answers
@@ -169,7 +169,7 @@ async fn a_session_that_is_made_anew_while_drags_wait_is_never_missing() {
     for k in 1..13 {
         assert_eq!(put(&server, NAME, &files[k % 2], &warp).await.status(), 200);
     }
-    for hand in hands {
-        assert_eq!(hand.await.unwrap(), [200; 20]);
+    for client in clients {
+        assert_eq!(client.await.unwrap(), [200; 20]);
     }
 }

@@ -117,7 +117,7 @@ async fn who_takes_nothing_is_cut_and_who_takes_little_is_not() {
     let nothing = take(server.address, &id).await;
     let mut slow = take(server.address, &id).await;
     let began = Instant::now();
-    // 10 kB/s, for three times the deadline; then all of it. (The kernel hands over up to 64 KiB at once: a deadline must be longer than those take.)
+    // 10 kB/s, for three times the deadline; then all of it. (The kernel passes on up to 64 KiB at once: a deadline must be longer than those take.)
     let mut said = vec![0; 1000];
     let mut taken = 0;
     while began.elapsed() < Duration::from_secs(18) {

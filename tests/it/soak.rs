@@ -20,7 +20,7 @@ use crate::support::program::Program;
 use crate::support::server::form;
 
 /// Clients at one time.
-const HANDS: u64 = 4;
+const CLIENTS: u64 = 4;
 /// Sessions that are dragged; older ones are left to expire.
 const SESSIONS: usize = 24;
 /// What may stay more after a period of load, as a part of what stayed before, what the caches keep left out.
@@ -54,7 +54,7 @@ const OPTIONS: [&str; 18] = [
     "off,mlswarp_server::http::connection=info",
 ];
 
-/// What the hands share.
+/// What the clients share.
 struct Day {
     program: Program,
     client: Client,
@@ -280,11 +280,11 @@ async fn socket(day: &Day, dice: &mut Dice, id: &str) {
 /// Load for a time. The curve: resident bytes, second by second.
 async fn load(day: &Arc<Day>, seed: u64, time: Duration) -> Vec<u64> {
     let end = Instant::now() + time;
-    let hands: Vec<_> = (0..HANDS)
-        .map(|hand| {
+    let clients: Vec<_> = (0..CLIENTS)
+        .map(|client| {
             let day = Arc::clone(day);
             tokio::spawn(async move {
-                let mut dice = Dice::new(seed * HANDS + hand);
+                let mut dice = Dice::new(seed * CLIENTS + client);
                 while Instant::now() < end {
                     step(&day, &mut dice).await;
                     // Other tests want the machine too.
@@ -298,8 +298,8 @@ async fn load(day: &Arc<Day>, seed: u64, time: Duration) -> Vec<u64> {
         tokio::time::sleep(Duration::from_secs(1)).await;
         curve.push(day.resident());
     }
-    for hand in hands {
-        hand.await.unwrap();
+    for client in clients {
+        client.await.unwrap();
     }
     curve
 }

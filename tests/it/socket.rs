@@ -8,17 +8,17 @@ use reqwest::header::{CONNECTION, HOST, ORIGIN, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET
 use serde_json::{Value, json};
 
 use crate::support::counters::Counted as _;
-use crate::support::hand::Said;
+use crate::support::drag_client::Received;
 use crate::support::picture::decoded;
 use crate::support::program::Program;
 use crate::support::server::{form, header, png, problem, this_client};
-use crate::support::{Hand, Server, eventually, photo};
+use crate::support::{DragClient, Server, eventually, photo};
 
 fn rest() -> Value {
     json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]]]})
 }
 
-/// Pose `n` of a hand that circles.
+/// Pose `n` of a circular drag.
 fn posed(n: u64) -> Value {
     #[expect(clippy::cast_precision_loss, reason = "a small number")]
     let angle = n as f64 / 9.0;
@@ -34,22 +34,22 @@ async fn requested(server: &Server, id: &str, q: &Value, output: &Value) -> Vec<
 async fn frames_are_the_pictures_of_requests() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
     let grid = &session["grid"];
-    assert_eq!(hand.hello, json!({"columns": grid["columns"], "rows": grid["rows"], "width": 128, "height": 96, "cell": grid["cell"]}));
+    assert_eq!(drag.hello, json!({"columns": grid["columns"], "rows": grid["rows"], "width": 128, "height": 96, "cell": grid["cell"]}));
     for seq in [1, 2, 5, 1 << 40] {
-        hand.pose(seq, &posed(seq % 7)).await;
-        let (of, frame) = hand.frame().await;
+        drag.pose(seq, &posed(seq % 7)).await;
+        let (of, frame) = drag.frame().await;
         assert_eq!(of, seq);
         assert!(frame == requested(&server, &id, &posed(seq % 7), &json!({})).await, "seq {seq}");
-        hand.ack(seq).await;
+        drag.ack(seq).await;
     }
     // A picture large enough to come in strips, and in fragments.
     let id = server.session(&photo(700, 500), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?frames=png&width=auto").await;
-    hand.pose(0, &posed(3)).await;
-    assert!(hand.frame().await.1 == requested(&server, &id, &posed(3), &json!({})).await);
+    let mut drag = DragClient::open(server.address, &id, "?frames=png&width=auto").await;
+    drag.pose(0, &posed(3)).await;
+    assert!(drag.frame().await.1 == requested(&server, &id, &posed(3), &json!({})).await);
     assert_eq!(server.app.counters().sockets_open, 2);
 }
 
@@ -60,12 +60,12 @@ async fn frames_are_of_the_format_that_the_socket_asks_for_or_of_the_sessions() 
     warp["output"] = json!({"format": "webp"});
     let id = server.session(&photo(128, 96), &warp).await;
     for (query, format) in [("?frames=png", "png"), ("?frames=jpeg", "jpeg"), ("?frames=webp", "webp"), ("", "webp")] {
-        let mut hand = Hand::open(server.address, &id, query).await;
-        hand.pose(0, &posed(1)).await;
+        let mut drag = DragClient::open(server.address, &id, query).await;
+        drag.pose(0, &posed(1)).await;
         let request = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(1), "output": {"format": format}}));
         let response = request.send().await.unwrap();
         assert_eq!(header(&response, "content-type"), format!("image/{format}"));
-        assert!(hand.frame().await.1 == response.bytes().await.unwrap(), "{query}");
+        assert!(drag.frame().await.1 == response.bytes().await.unwrap(), "{query}");
     }
 }
 
@@ -73,39 +73,39 @@ async fn frames_are_of_the_format_that_the_socket_asks_for_or_of_the_sessions() 
 async fn handles_that_are_replaced_during_a_drag_are_told_before_their_first_frame() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
-    hand.pose(1, &posed(1)).await;
-    hand.ack_of_next_frame(1).await;
+    let mut drag = DragClient::open(server.address, &id, "?frames=mesh").await;
+    drag.pose(1, &posed(1)).await;
+    drag.ack_of_next_frame(1).await;
     let body = json!({"p": [[20, 20], [100, 70]], "grid": {"columns": 7, "rows": 5}});
     let put = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send().await.unwrap();
     assert_eq!(put.status(), 200);
     // The client has not heard of it yet: one handle too many.
-    hand.pose(2, &posed(2)).await;
-    assert_eq!(hand.problem("shape_mismatch").await["seq"], 2);
-    hand.pose(3, &json!([[22, 20], [100, 72]])).await;
-    let hello = hand.text().await;
+    drag.pose(2, &posed(2)).await;
+    assert_eq!(drag.problem("shape_mismatch").await["seq"], 2);
+    drag.pose(3, &json!([[22, 20], [100, 72]])).await;
+    let hello = drag.text().await;
     assert_eq!((&hello["columns"], &hello["rows"]), (&json!(7), &json!(5)));
-    let (of, frame) = hand.frame().await;
+    let (of, frame) = drag.frame().await;
     assert_eq!((of, frame.len()), (3, 8 * 7 * 5));
-    hand.ack(3).await;
-    hand.pose(4, &json!([[22, 20], [100, 72]])).await;
-    assert_eq!(hand.frame().await.0, 4, "once");
+    drag.ack(3).await;
+    drag.pose(4, &json!([[22, 20], [100, 72]])).await;
+    assert_eq!(drag.frame().await.0, 4, "once");
 }
 
 #[tokio::test]
 async fn mesh_frames_are_the_meshes_of_requests() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
+    let mut drag = DragClient::open(server.address, &id, "?frames=mesh").await;
     for seq in 0..5 {
-        hand.pose(seq, &posed(seq)).await;
-        let (of, frame) = hand.frame().await;
+        drag.pose(seq, &posed(seq)).await;
+        let (of, frame) = drag.frame().await;
         let request = server.post(&format!("/sessions/{id}/mesh")).header("accept", "application/octet-stream");
         let response = request.json(&json!({"q": posed(seq)})).send().await.unwrap();
         assert_eq!((of, response.status().as_u16()), (seq, 200));
         assert!(frame == response.bytes().await.unwrap());
-        assert_eq!(frame.len() as u64, 8 * hand.hello["columns"].as_u64().unwrap() * hand.hello["rows"].as_u64().unwrap());
-        hand.ack(seq).await;
+        assert_eq!(frame.len() as u64, 8 * drag.hello["columns"].as_u64().unwrap() * drag.hello["rows"].as_u64().unwrap());
+        drag.ack(seq).await;
     }
     assert_eq!(server.app.counters().pictures_begun, 0, "no picture is drawn for a mesh");
 }
@@ -114,11 +114,11 @@ async fn mesh_frames_are_the_meshes_of_requests() {
 async fn of_a_burst_the_last_pose_is_shown_and_the_overtaken_are_counted() {
     let server = Server::start(&["--workers", "1"]).await;
     let id = server.session(&photo(600, 400), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?width=600").await;
+    let mut drag = DragClient::open(server.address, &id, "?width=600").await;
     for seq in 0..500 {
-        hand.pose(seq, &posed(seq)).await;
+        drag.pose(seq, &posed(seq)).await;
     }
-    let frames = hand.show_until(499).await;
+    let frames = drag.show_until(499).await;
     assert!(frames.is_sorted_by(|a, b| a.0 < b.0), "frames go forward");
     assert!(frames.last().unwrap().1 == requested(&server, &id, &posed(499), &json!({})).await);
     let counters = server.app.counters();
@@ -130,63 +130,63 @@ async fn of_a_burst_the_last_pose_is_shown_and_the_overtaken_are_counted() {
 async fn the_next_frame_waits_for_the_acknowledgement() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.pose(1, &posed(1)).await;
-    assert_eq!(hand.frame().await.0, 1);
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.pose(1, &posed(1)).await;
+    assert_eq!(drag.frame().await.0, 1);
     for seq in 2..20 {
-        hand.pose(seq, &posed(seq)).await;
+        drag.pose(seq, &posed(seq)).await;
     }
-    assert!(hand.next_within(Duration::from_millis(400)).await.is_none(), "nothing before the acknowledgement");
+    assert!(drag.next_within(Duration::from_millis(400)).await.is_none(), "nothing before the acknowledgement");
     let begun = server.app.counters().pictures_begun;
     assert!(begun <= 2, "one sent and one ahead, not {begun}");
-    hand.ack(1).await;
+    drag.ack(1).await;
     // What was made ahead has grown old meanwhile, unless making takes as long as this client was silent.
-    let seqs: Vec<u64> = hand.show_until(19).await.into_iter().map(|(seq, _)| seq).collect();
+    let seqs: Vec<u64> = drag.show_until(19).await.into_iter().map(|(seq, _)| seq).collect();
     assert!(seqs.len() <= 2, "{seqs:?}");
-    assert!(hand.next_within(Duration::from_millis(300)).await.is_none(), "a full frame is made once");
+    assert!(drag.next_within(Duration::from_millis(300)).await.is_none(), "a full frame is made once");
 }
 
 #[tokio::test]
-async fn a_preview_is_followed_by_the_full_frame_when_the_hand_rests() {
+async fn a_preview_is_followed_by_the_full_frame_when_the_drag_rests() {
     let server = Server::start(&[]).await;
     let mut warp = rest();
     warp["output"] = json!({"compression": "best"});
     let id = server.session(&photo(640, 480), &warp).await;
-    let mut hand = Hand::open(server.address, &id, "?width=256&report=true").await;
+    let mut drag = DragClient::open(server.address, &id, "?width=256&report=true").await;
     for seq in 0..4 {
-        hand.pose(seq, &posed(seq)).await;
-        let report = hand.text().await;
-        let (of, frame) = hand.frame().await;
+        drag.pose(seq, &posed(seq)).await;
+        let report = drag.text().await;
+        let (of, frame) = drag.frame().await;
         assert_eq!((of, &report["seq"], &report["full"]), (seq, &json!(seq), &json!(false)));
         assert_eq!((&report["width"], &report["height"]), (&json!(256), &json!(192)));
         assert!(frame == requested(&server, &id, &posed(seq), &json!({"width": 256, "compression": "fast"})).await);
-        hand.ack(seq).await;
+        drag.ack(seq).await;
     }
-    let report = hand.text().await;
-    let (of, frame) = hand.frame().await;
+    let report = drag.text().await;
+    let (of, frame) = drag.frame().await;
     assert_eq!((of, &report["full"], &report["width"]), (3, &json!(true), &json!(640)));
     assert!(frame == requested(&server, &id, &posed(3), &json!({})).await);
     for name in ["queue", "deform", "render", "encode"] {
         assert!(report["timing"][name].as_f64().is_some_and(|ms| (0.0..60_000.0).contains(&ms)), "{report}");
     }
     assert!(report["folds"].is_u64() && report["residual"].is_f64() && report["warnings"].is_array(), "{report}");
-    hand.ack(3).await;
-    assert!(hand.next_within(Duration::from_millis(400)).await.is_none(), "once");
-    // A hand that moves on before it has rested gets previews.
-    hand.pose(4, &posed(4)).await;
-    assert_eq!(hand.text().await["full"], false);
+    drag.ack(3).await;
+    assert!(drag.next_within(Duration::from_millis(400)).await.is_none(), "once");
+    // A drag that moves on before it has rested gets previews.
+    drag.pose(4, &posed(4)).await;
+    assert_eq!(drag.text().await["full"], false);
 }
 
 #[tokio::test]
 async fn a_width_beyond_the_picture_is_kept() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?width=200").await;
-    hand.pose(0, &posed(1)).await;
-    let (_, frame) = hand.frame().await;
+    let mut drag = DragClient::open(server.address, &id, "?width=200").await;
+    drag.pose(0, &posed(1)).await;
+    let (_, frame) = drag.frame().await;
     assert_eq!(decoded(&frame).width, 200);
-    hand.ack(0).await;
-    assert!(hand.next_within(Duration::from_millis(400)).await.is_none());
+    drag.ack(0).await;
+    assert!(drag.next_within(Duration::from_millis(400)).await.is_none());
 }
 
 #[tokio::test]
@@ -195,24 +195,24 @@ async fn a_bad_message_is_a_problem_and_the_socket_stays_open() {
     let mut warp = rest();
     warp["folds"] = json!("reject");
     let id = server.session(&photo(128, 96), &warp).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.socket_text("{").await;
-    assert!(hand.problem("malformed_request").await.get("seq").is_none());
-    hand.say(&json!({"seq": 3, "q": posed(1), "output": {}})).await;
-    hand.problem("unknown_field").await;
-    hand.pose(4, &json!([[1, 2]])).await;
-    assert_eq!(hand.problem("shape_mismatch").await["seq"], 4);
-    hand.pose(5, &json!([[100, 24], [20, 20], [[90, 80], [30, 70]]])).await;
-    assert_eq!(hand.problem("folded").await["seq"], 5);
-    hand.pose(5, &posed(1)).await;
-    let grows = hand.problem("bad_value").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.socket_text("{").await;
+    assert!(drag.problem("malformed_request").await.get("seq").is_none());
+    drag.say(&json!({"seq": 3, "q": posed(1), "output": {}})).await;
+    drag.problem("unknown_field").await;
+    drag.pose(4, &json!([[1, 2]])).await;
+    assert_eq!(drag.problem("shape_mismatch").await["seq"], 4);
+    drag.pose(5, &json!([[100, 24], [20, 20], [[90, 80], [30, 70]]])).await;
+    assert_eq!(drag.problem("folded").await["seq"], 5);
+    drag.pose(5, &posed(1)).await;
+    let grows = drag.problem("bad_value").await;
     assert_eq!((&grows["seq"], &grows["pointer"]), (&json!(5), &json!("/seq")));
-    hand.ack(99).await;
-    assert_eq!(hand.problem("bad_value").await["pointer"], "/ack");
-    hand.socket_binary(vec![1, 2, 3]).await;
-    hand.problem("malformed_request").await;
-    hand.pose(6, &posed(1)).await;
-    assert_eq!(hand.frame().await.0, 6);
+    drag.ack(99).await;
+    assert_eq!(drag.problem("bad_value").await["pointer"], "/ack");
+    drag.socket_binary(vec![1, 2, 3]).await;
+    drag.problem("malformed_request").await;
+    drag.pose(6, &posed(1)).await;
+    assert_eq!(drag.frame().await.0, 6);
 }
 
 #[tokio::test]
@@ -280,8 +280,8 @@ async fn what_is_wrong_with_the_request_is_told_before_the_upgrade() {
 async fn a_session_that_is_deleted_ends_its_sockets_with_a_reason() {
     let server = Server::start(&["--socket-idle", "300ms"]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut moving = Hand::open(server.address, &id, "").await;
-    let mut resting = Hand::open(server.address, &id, "").await;
+    let mut moving = DragClient::open(server.address, &id, "").await;
+    let mut resting = DragClient::open(server.address, &id, "").await;
     moving.pose(1, &posed(1)).await;
     moving.frame().await;
     moving.ack(1).await;
@@ -300,10 +300,10 @@ async fn a_client_that_leaves_during_a_frame_ends_the_work() {
     let mut warp = rest();
     warp["output"] = json!({"compression": "best"});
     let id = server.session(&photo(3000, 2000), &warp).await;
-    let mut hand = Hand::open(server.address, &id, "?width=3000").await;
-    hand.pose(1, &posed(1)).await;
+    let mut drag = DragClient::open(server.address, &id, "?width=3000").await;
+    drag.pose(1, &posed(1)).await;
     eventually("the frame is being drawn", || server.app.counters().pictures_begun == 1).await;
-    drop(hand);
+    drop(drag);
     eventually("the work ends", || server.app.counters().pictures_abandoned == 1 && server.app.pool().running() == 0).await;
     assert_eq!(server.app.counters().frames_sent, 0);
     eventually("the seat is free", || server.app.counters().sockets_open == 0).await;
@@ -314,15 +314,15 @@ async fn a_client_that_leaves_during_a_frame_ends_the_work() {
 async fn a_full_queue_delays_frames_and_loses_none() {
     let server = Server::start(&["--workers", "1", "--queue", "0"]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     eventually("nothing runs", || server.app.pool().running() == 0 && !server.app.pool().is_full(WorkClass::Drag)).await;
     let ticket = server.app.pool().admit(WorkClass::Drag, QueueKey::client(this_client())).await.unwrap();
-    hand.pose(1, &posed(1)).await;
-    assert!(hand.next_within(Duration::from_millis(100)).await.is_none());
-    hand.pose(2, &posed(2)).await;
-    assert!(hand.next_within(Duration::from_millis(100)).await.is_none(), "no complaint: the hand cannot help it");
+    drag.pose(1, &posed(1)).await;
+    assert!(drag.next_within(Duration::from_millis(100)).await.is_none());
+    drag.pose(2, &posed(2)).await;
+    assert!(drag.next_within(Duration::from_millis(100)).await.is_none(), "no complaint: the drag cannot help it");
     drop(ticket);
-    assert_eq!(hand.frame().await.0, 2);
+    assert_eq!(drag.frame().await.0, 2);
 }
 
 #[tokio::test]
@@ -332,9 +332,9 @@ async fn a_stopping_server_closes_its_sockets_and_is_not_held_up() {
     let upload = reqwest::Client::new().post(url).multipart(form(&photo(128, 96), rest().to_string()));
     let session: Value = upload.send().await.unwrap().json().await.unwrap();
     let id = session["id"].as_str().unwrap();
-    let mut dragging = Hand::open(program.address, id, "").await;
+    let mut dragging = DragClient::open(program.address, id, "").await;
     // This one will not even read the close.
-    let mut deaf = Hand::open(program.address, id, "").await;
+    let mut deaf = DragClient::open(program.address, id, "").await;
     deaf.pose(1, &posed(1)).await;
     dragging.pose(1, &posed(1)).await;
     assert_eq!(dragging.frame().await.0, 1);
@@ -349,23 +349,23 @@ async fn a_stopping_server_closes_its_sockets_and_is_not_held_up() {
 }
 
 #[tokio::test]
-async fn eight_hands_on_one_session_see_their_own_poses() {
+async fn eight_clients_of_one_session_see_their_own_poses() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let hands = (0..8_u64).map(|n| {
+    let clients = (0..8_u64).map(|n| {
         let (server, id) = (&server, &id);
         async move {
-            let mut hand = Hand::open(server.address, id, "").await;
+            let mut drag = DragClient::open(server.address, id, "").await;
             for seq in 0..20 {
-                hand.pose(seq, &posed(20 * n + seq)).await;
-                let (of, frame) = hand.frame().await;
+                drag.pose(seq, &posed(20 * n + seq)).await;
+                let (of, frame) = drag.frame().await;
                 assert_eq!(of, seq);
-                assert!(frame == requested(server, id, &posed(20 * n + seq), &json!({})).await, "hand {n}");
-                hand.ack(seq).await;
+                assert!(frame == requested(server, id, &posed(20 * n + seq), &json!({})).await, "drag {n}");
+                drag.ack(seq).await;
             }
         }
     });
-    futures_util::future::join_all(hands).await;
+    futures_util::future::join_all(clients).await;
     // Poses of sockets are numbered by themselves: the session has seen none.
     let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
     assert_eq!(session["seq"], Value::Null);
@@ -375,12 +375,12 @@ async fn eight_hands_on_one_session_see_their_own_poses() {
 async fn a_drag_keeps_its_session_alive() {
     let server = Server::start(&["--session-idle", "4s"]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     for seq in 0..12 {
         tokio::time::sleep(Duration::from_millis(400)).await;
-        hand.pose(seq, &posed(seq)).await;
-        assert!(matches!(hand.next().await, Said::Frame(..)));
-        hand.ack(seq).await;
+        drag.pose(seq, &posed(seq)).await;
+        assert!(matches!(drag.next().await, Received::Frame(..)));
+        drag.ack(seq).await;
     }
     assert_eq!(server.get(&format!("/sessions/{id}")).send().await.unwrap().status(), 200);
 }

@@ -12,10 +12,10 @@ use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
 use crate::support::counters::Counted as _;
-use crate::support::hand::Said;
+use crate::support::drag_client::Received;
 use crate::support::program::Program;
 use crate::support::server::form;
-use crate::support::{Hand, Server, eventually, photo};
+use crate::support::{DragClient, Server, eventually, photo};
 
 fn rest() -> Value {
     json!({"p": [[20, 20], [100, 24]]})
@@ -27,11 +27,11 @@ fn posed(n: u64) -> Value {
 
 /// A client that must get every frame, whatever the others do.
 async fn healthy(address: SocketAddr, id: String, frames: u64) {
-    let mut hand = Hand::open(address, &id, "").await;
+    let mut drag = DragClient::open(address, &id, "").await;
     for seq in 0..frames {
-        hand.pose(seq, &posed(seq)).await;
-        assert_eq!(hand.frame().await.0, seq);
-        hand.ack(seq).await;
+        drag.pose(seq, &posed(seq)).await;
+        assert_eq!(drag.frame().await.0, seq);
+        drag.ack(seq).await;
     }
 }
 
@@ -41,14 +41,14 @@ async fn a_message_that_is_too_large_closes_its_socket_alone() {
     let id = server.session(&photo(128, 96), &rest()).await;
     let well = tokio::spawn(healthy(server.address, id.clone(), 100));
     for size in [(64 << 10) + 2 * 64 + 1, 1 << 20] {
-        let mut hand = Hand::open(server.address, &id, "").await;
+        let mut drag = DragClient::open(server.address, &id, "").await;
         // The server may close before all of it is written.
-        let _ = hand.socket.send(Message::text("x".repeat(size))).await;
-        assert_eq!(hand.closed().await, 1009, "{size}");
+        let _ = drag.socket.send(Message::text("x".repeat(size))).await;
+        assert_eq!(drag.closed().await, 1009, "{size}");
     }
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.socket_text(&" ".repeat((64 << 10) + 2 * 64)).await;
-    hand.problem("malformed_request").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.socket_text(&" ".repeat((64 << 10) + 2 * 64)).await;
+    drag.problem("malformed_request").await;
     well.await.unwrap();
 }
 
@@ -57,22 +57,22 @@ async fn a_flood_closes_its_socket_alone() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     let well = tokio::spawn(healthy(server.address, id.clone(), 200));
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     for seq in 0..10_000 {
-        if hand.socket.feed(Message::text(json!({"seq": seq, "q": posed(seq)}).to_string())).await.is_err() {
+        if drag.socket.feed(Message::text(json!({"seq": seq, "q": posed(seq)}).to_string())).await.is_err() {
             break;
         }
     }
-    let _ = hand.socket.flush().await;
-    assert_eq!(hand.closed().await, 1008);
+    let _ = drag.socket.flush().await;
+    assert_eq!(drag.closed().await, 1008);
     // So do problems that nobody reads.
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     for _ in 0..10_000 {
-        if hand.socket.send(Message::text("{")).await.is_err() {
+        if drag.socket.send(Message::text("{")).await.is_err() {
             break;
         }
     }
-    assert_eq!(hand.closed().await, 1008);
+    assert_eq!(drag.closed().await, 1008);
     well.await.unwrap();
     eventually("no seat is taken", || server.app.counters().sockets_open == 0).await;
 }
@@ -108,57 +108,57 @@ async fn empty_fragments_close_their_socket_alone() {
         assert!(said.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()), "closed as too large");
     }
     // A message of some hundred fragments is one, and so is the next.
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
     for seq in 0..3 {
         let text = json!({"seq": seq, "q": posed(seq)}).to_string();
         let pieces: Vec<&[u8]> = text.as_bytes().chunks(1).collect();
         for (n, piece) in pieces.iter().enumerate() {
             let opcode = if n == 0 { Data::Text } else { Data::Continue };
             let fragment = Frame::message(piece.to_vec(), OpCode::Data(opcode), n + 1 == pieces.len());
-            hand.socket.feed(Message::Frame(fragment)).await.unwrap();
-            hand.socket.feed(Message::Ping(vec![].into())).await.unwrap();
+            drag.socket.feed(Message::Frame(fragment)).await.unwrap();
+            drag.socket.feed(Message::Ping(vec![].into())).await.unwrap();
         }
-        hand.socket.flush().await.unwrap();
-        hand.ack_of_next_frame(seq).await;
+        drag.socket.flush().await.unwrap();
+        drag.ack_of_next_frame(seq).await;
     }
     well.await.unwrap();
 }
 
-/// Pings and empty messages are messages too: more of them a second than a hand sends close the socket.
+/// Pings and empty messages are messages too: more of them a second than a drag sends close the socket.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn floods_of_pings_and_of_empty_messages_close_their_socket() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     for message in [Message::Ping(vec![7; 125].into()), Message::Pong(vec![].into()), Message::text("")] {
-        let mut hand = Hand::open(server.address, &id, "").await;
+        let mut drag = DragClient::open(server.address, &id, "").await;
         for _ in 0..10_000 {
-            if hand.socket.feed(message.clone()).await.is_err() {
+            if drag.socket.feed(message.clone()).await.is_err() {
                 break;
             }
         }
-        let _ = hand.socket.flush().await;
-        assert_eq!(hand.closed().await, 1008, "{message:?}");
+        let _ = drag.socket.flush().await;
+        assert_eq!(drag.closed().await, 1008, "{message:?}");
     }
 }
 
 #[tokio::test]
-async fn a_hand_at_five_hundred_hertz_is_no_flood() {
+async fn a_drag_at_five_hundred_hertz_is_no_flood() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "?frames=mesh").await;
+    let mut drag = DragClient::open(server.address, &id, "?frames=mesh").await;
     let began = Instant::now();
     let mut shown = 0;
     for seq in 0..1500 {
         tokio::time::sleep_until((began + Duration::from_millis(2 * seq)).into()).await;
-        hand.pose(seq, &posed(seq)).await;
-        while let Some(Said::Frame(of, _)) = hand.next_within(Duration::ZERO).await {
-            hand.ack(of).await;
+        drag.pose(seq, &posed(seq)).await;
+        while let Some(Received::Frame(of, _)) = drag.next_within(Duration::ZERO).await {
+            drag.ack(of).await;
             shown = of;
         }
     }
     while shown < 1499 {
-        shown = hand.frame().await.0;
-        hand.ack(shown).await;
+        shown = drag.frame().await.0;
+        drag.ack(shown).await;
     }
 }
 
@@ -177,7 +177,7 @@ async fn upgraded(address: SocketAddr, id: &str) -> TcpStream {
 async fn a_peer_that_answers_no_ping_is_closed_and_one_that_does_is_kept() {
     let server = Server::start(&["--socket-idle", "400ms"]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
-    let mut alive = Hand::open(server.address, &id, "").await;
+    let mut alive = DragClient::open(server.address, &id, "").await;
     // The handshake, and then nothing, not even an answer to a ping.
     let mut half_open = upgraded(server.address, &id).await;
     eventually("both sit", || server.app.counters().sockets_open == 2).await;
@@ -200,10 +200,10 @@ async fn a_peer_that_answers_no_ping_is_closed_and_one_that_does_is_kept() {
 async fn a_frame_that_is_never_acknowledged_closes_the_socket() {
     let server = Server::start(&["--socket-timeout", "500ms"]).await;
     let id = server.session(&photo(64, 48), &rest()).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
-    hand.pose(1, &posed(1)).await;
-    assert_eq!(hand.frame().await.0, 1);
-    assert_eq!(hand.closed().await, 1008);
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.pose(1, &posed(1)).await;
+    assert_eq!(drag.frame().await.0, 1);
+    assert_eq!(drag.closed().await, 1008);
 }
 
 /// A way to the server over which answers trickle: so many bytes a second, through small buffers.
@@ -236,15 +236,15 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
     let well = tokio::spawn(healthy(server.address, server.session(&photo(128, 96), &rest()).await, 200));
     // 1 Mbit/s.
     let way = narrow_way(server.address, 125_000).await;
-    let mut hand = Hand::open(way, &id, "").await;
+    let mut drag = DragClient::open(way, &id, "").await;
     let began = Instant::now();
     let mut shown = Vec::new();
     for seq in 0..1000 {
         tokio::time::sleep_until((began + Duration::from_millis(8 * seq)).into()).await;
-        hand.pose(seq, &posed(seq)).await;
-        while let Some(said) = hand.next_within(Duration::ZERO).await {
-            let Said::Frame(of, frame) = said else { panic!("{said:?}") };
-            hand.ack(of).await;
+        drag.pose(seq, &posed(seq)).await;
+        while let Some(said) = drag.next_within(Duration::ZERO).await {
+            let Received::Frame(of, frame) = said else { panic!("{said:?}") };
+            drag.ack(of).await;
             shown.push((of, frame.len()));
         }
         let counters = server.app.counters();
@@ -252,8 +252,8 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
         assert!(counters.pictures_finished <= counters.frames_sent + counters.poses_superseded + 2);
     }
     while shown.last().is_none_or(|(of, _)| *of < 999) {
-        let (of, frame) = hand.frame().await;
-        hand.ack(of).await;
+        let (of, frame) = drag.frame().await;
+        drag.ack(of).await;
         shown.push((of, frame.len()));
     }
     let first = shown[0].1;
@@ -280,23 +280,23 @@ async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     let small = session(photo(128, 96)).await;
     healthy(program.address, small.clone(), 20).await;
     let before = program.resident();
-    let mut hands = Vec::new();
+    let mut clients = Vec::new();
     for n in 0..200 {
-        let mut hand = Hand::open(program.address, &ids[n % ids.len()], "?width=512").await;
+        let mut drag = DragClient::open(program.address, &ids[n % ids.len()], "?width=512").await;
         for seq in 0..20 {
-            hand.pose(seq, &posed(seq)).await;
+            drag.pose(seq, &posed(seq)).await;
         }
-        hands.push(hand);
+        clients.push(drag);
     }
     // One frame is under way to each and one is ahead; none is acknowledged.
     let mut largest = 0;
-    for hand in &mut hands {
-        largest = largest.max(hand.frame().await.1.len());
+    for drag in &mut clients {
+        largest = largest.max(drag.frame().await.1.len());
     }
     healthy(program.address, small, 100).await;
     let during = program.resident();
     println!("200 sockets, each with a frame ahead of {} KiB: {before} MiB before, {during} MiB during", largest >> 10);
     let frames = (2 * 200 * largest as u64) >> 20;
     assert!(during <= before + frames + 200 / 4 + 64, "{before} MiB before, {during} MiB during; frames are {frames} MiB");
-    drop(hands);
+    drop(clients);
 }

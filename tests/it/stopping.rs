@@ -9,7 +9,7 @@ use tokio::net::TcpStream;
 
 use crate::support::program::Program;
 use crate::support::server::form;
-use crate::support::{Hand, photo};
+use crate::support::{DragClient, photo};
 use crate::tls::Folder;
 
 /// What may have come of a connection's first request when the program stops: the beginning of a method, of a head, of HTTP/2's preface, and of a
@@ -67,7 +67,7 @@ async fn while_it_leaves_it_serves_and_says_that_it_is_not_ready() {
     let id = session["id"].as_str().unwrap().to_owned();
     let ready = client.get(at("/readyz")).send().await.unwrap();
     assert!(ready.status() == 200 && !ready.headers().contains_key("connection"));
-    let mut hand = Hand::open(program.address, &id, "").await;
+    let mut drag = DragClient::open(program.address, &id, "").await;
 
     program.terminate();
     let told = Instant::now();
@@ -84,14 +84,14 @@ async fn while_it_leaves_it_serves_and_says_that_it_is_not_ready() {
     let answer = client.post(at(&format!("/sessions/{id}/warp"))).json(&json!({"q": [[44, 44]]})).send().await.unwrap();
     assert!(answer.status() == 200 && answer.headers()["connection"] == "close");
     assert_eq!(client.get(at("/healthz")).send().await.unwrap().status(), 200);
-    let mut late = Hand::open(program.address, &id, "").await;
-    for hand in [&mut hand, &mut late] {
-        hand.pose(1, &json!([[44, 44]])).await;
-        assert_eq!(hand.frame().await.0, 1);
+    let mut late = DragClient::open(program.address, &id, "").await;
+    for drag in [&mut drag, &mut late] {
+        drag.pose(1, &json!([[44, 44]])).await;
+        assert_eq!(drag.frame().await.0, 1);
     }
     assert!(told.elapsed() < Duration::from_secs(4), "this machine is too slow to see anything");
 
-    assert_eq!((hand.closed().await, late.closed().await), (1012, 1012));
+    assert_eq!((drag.closed().await, late.closed().await), (1012, 1012));
     assert!(told.elapsed() >= Duration::from_millis(3500), "not before its time");
     let log = ends(program).await;
     let place = |words: &str| log.find(words).unwrap_or_else(|| panic!("{words} in {log}"));
@@ -174,13 +174,13 @@ async fn a_second_signal_waits_for_neither_delay_nor_grace_and_a_third_changes_n
     let client = Client::new();
     let upload = client.post(at("/sessions")).multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
     let session: Value = upload.send().await.unwrap().json().await.unwrap();
-    let mut hand = Hand::open(program.address, session["id"].as_str().unwrap(), "").await;
+    let mut drag = DragClient::open(program.address, session["id"].as_str().unwrap(), "").await;
     let begun = sent(&program, HALF).await;
     program.terminate();
     while client.get(at("/readyz")).send().await.unwrap().status() != 503 {}
     let told = Instant::now();
     program.terminate();
-    assert_eq!(hand.closed().await, 1012);
+    assert_eq!(drag.closed().await, 1012);
     program.terminate();
     let log = ends(program).await;
     assert!(log.contains("second signal"), "{log}");

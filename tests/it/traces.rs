@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::support::collector::{Collector, attributes};
 use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, png, problem};
-use crate::support::{Hand, Scratch, Server, eventually, photo};
+use crate::support::{DragClient, Scratch, Server, eventually, photo};
 use crate::tls::Folder;
 
 const KEY: &str = "a-key-of-the-tests-0123456789";
@@ -152,10 +152,10 @@ async fn a_frame_is_a_trace_that_links_to_its_handshake() {
     let collector = Collector::start().await;
     let server = Server::start(&["--otlp-endpoint", &collector.url(), "--workers", "2"]).await;
     let id = server.session(&photo(128, 96), &json!({"p": [[20, 20], [100, 24]]})).await;
-    let mut hand = Hand::open(server.address, &id, "").await;
+    let mut dragging = DragClient::open(server.address, &id, "").await;
     for seq in 1..=2 {
-        hand.pose(seq, &json!([[20 + seq, 20], [100, 24]])).await;
-        hand.ack_of_next_frame(seq).await;
+        dragging.pose(seq, &json!([[20 + seq, 20], [100, 24]])).await;
+        dragging.ack_of_next_frame(seq).await;
     }
     let frames = || collector.spans().into_iter().filter(|span| span.name == "drag frame").collect::<Vec<_>>();
     eventually("both come while the socket is open", || frames().len() == 2).await;
@@ -176,8 +176,8 @@ async fn a_frame_is_a_trace_that_links_to_its_handshake() {
         );
     }
     server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap();
-    hand.pose(3, &json!([[25, 20], [100, 24]])).await;
-    hand.problem("no_such_session").await;
+    dragging.pose(3, &json!([[25, 20], [100, 24]])).await;
+    dragging.problem("no_such_session").await;
     eventually("a frame that came to nothing", || frames().len() == 3).await;
     assert!(frames().iter().any(|frame| attributes(&frame.attributes).get("error.type").is_some_and(|code| code == "no_such_session")));
 }

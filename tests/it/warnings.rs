@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::support::program::Program;
-use crate::support::{Hand, Scratch, Server, photo};
+use crate::support::{DragClient, Scratch, Server, photo};
 use crate::tls::Folder;
 
 fn warns(response: &reqwest::Response) -> bool {
@@ -36,13 +36,13 @@ async fn handles_that_leave_nothing_visible_are_answered_with_a_warning() {
     let enlarged =
         json!({"p": [[31, 24], [33, 24]], "q": [[-10_000, 24], [10_000, 24]], "method": "similarity", "grid": {"columns": 2, "rows": 2}});
     assert!(!warns(&server.upload("/warp", &image, &enlarged).await));
-    let mut hand = Hand::open(server.address, &id, "?report=true").await;
+    let mut drag = DragClient::open(server.address, &id, "?report=true").await;
     for (seq, q, nothing) in [(1, by(70, 0), true), (2, by(1, 0), false)] {
-        hand.pose(seq, &q).await;
-        let report = hand.text().await;
+        drag.pose(seq, &q).await;
+        let report = drag.text().await;
         let warnings = report["warnings"].as_array().unwrap();
         assert_eq!(warnings.contains(&Value::from("nothing_visible")), nothing, "{report}");
-        hand.ack_of_next_frame(seq).await;
+        drag.ack_of_next_frame(seq).await;
     }
 }
 

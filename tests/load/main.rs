@@ -23,7 +23,7 @@ const SESSIONS: usize = 24;
 /// The program's account, bytes, and what it takes beside.
 const ACCOUNT: u64 = 256 << 20;
 const BESIDE: u64 = 96 << 20;
-/// What a hand may wait for a frame that is made; asserted ten times over.
+/// What a client may wait for a frame that is made; asserted ten times over.
 const DRAG_P99: Duration = Duration::from_millis(300);
 /// How soon all is well again; asserted ten times over.
 const RECOVERY: Duration = Duration::from_secs(2);

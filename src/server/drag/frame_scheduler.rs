@@ -252,7 +252,7 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    /// A hand, a machine and a client, millisecond by millisecond.
+    /// A simulated pointer, server and client, millisecond by millisecond.
     struct World {
         desk: FrameScheduler<u64>,
         start: Instant,
@@ -330,7 +330,7 @@ mod tests {
             self.now += 1;
         }
 
-        /// A hand at 125 Hz; what it sent when.
+        /// Poses at 125 Hz, with the times at which they are sent.
         fn drag(&mut self, poses: u64) {
             for seq in 0..poses {
                 self.pose(seq);

@@ -1,4 +1,4 @@
-//! A picture under a hand: everything that is made once, and the poses that come one after the other.
+//! A drag of a picture: everything that is made once, and the poses that come one after the other.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;

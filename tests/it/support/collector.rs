@@ -96,7 +96,7 @@ impl Collector {
     }
 }
 
-/// Connections that have shaken hands; others are nobody's trouble.
+/// Connections that have completed a handshake; the others are ignored.
 struct Encrypted {
     listener: TcpListener,
     acceptor: TlsAcceptor,

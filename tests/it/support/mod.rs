@@ -3,7 +3,7 @@
 pub(crate) mod bombs;
 pub(crate) mod collector;
 pub(crate) mod counters;
-pub(crate) mod hand;
+pub(crate) mod drag_client;
 pub(crate) mod healthy;
 pub(crate) mod http2;
 pub(crate) mod picture;
@@ -13,7 +13,7 @@ pub(crate) mod redis;
 pub(crate) mod relay;
 pub(crate) mod server;
 
-pub(crate) use hand::Hand;
+pub(crate) use drag_client::DragClient;
 pub(crate) use picture::photo;
 pub(crate) use server::Server;
 

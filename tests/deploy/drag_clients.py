@@ -78,18 +78,18 @@ class Server:
         return json.loads(answered)
 
 
-class Hand:
+class DragClient:
     """Drags its own image by its own handles, in cycles."""
 
     def __init__(self, name, picture, shift):
         self.name, self.picture, self.shift = name, picture, shift
         self.session = str(uuid.uuid4())
         # The last pose sent, and the last one answered.
-        self.diary, self.seq, self.answered = [], 0, 0
+        self.record, self.seq, self.answered = [], 0, 0
         self.file = (PICTURES / picture).read_bytes()
 
     def note(self, what, detail=None):
-        self.diary.append(Entry(what, time.monotonic(), detail))
+        self.record.append(Entry(what, time.monotonic(), detail))
 
     def learn(self, lone):
         """The expected image of each pose, from an undisturbed server."""
@@ -101,8 +101,8 @@ class Hand:
         moves = [(0.06 * width * math.cos(angle), 0.06 * height * math.sin(angle)) for angle in circle]
         self.poses = [[[x + dx, y + dy] if i == 0 else [x, y] for i, (x, y) in enumerate(self.rest)] for dx, dy in moves]
         self.put(lone)
-        self.looks = self._looks(lone)
-        if len(set.union(*self.looks)) < POSES * self.views:
+        self.expected = self._expected_frames(lone)
+        if len(set.union(*self.expected)) < POSES * self.views:
             raise Failure(f"two poses of {self.picture} look the same: nothing could be told from them")
 
     def _size(self, lone):
@@ -119,25 +119,25 @@ class Hand:
         """The current pose."""
         return json.dumps({"seq": self.seq, "q": self.poses[self.seq % POSES]})
 
-    def judge(self, seq, picture, plan=None):
-        right = picture in self.looks[seq % POSES]
+    def compare(self, seq, picture, plan=None):
+        right = picture in self.expected[seq % POSES]
         self.answered = seq
         self.note("frame" if right else "wrong", plan if right else (seq, len(picture)))
 
 
-class RequestHand(Hand):
+class RequestClient(DragClient):
     """Drags with `POST /sessions/{id}/warp`, one request at a time."""
 
     views = 1
 
-    def _looks(self, lone):
-        looks = []
+    def _expected_frames(self, lone):
+        expected = []
         for pose in self.poses:
             status, _, body = lone.ask("POST", f"/sessions/{self.session}/warp", json.dumps({"q": pose}))
             if status != 200:
                 raise Failure(f"the lone server answered {status}: {body[:300]!r}")
-            looks.append({body})
-        return looks
+            expected.append({body})
+        return expected
 
     def drag(self, server, stop):
         due = time.monotonic()
@@ -155,7 +155,7 @@ class RequestHand(Hand):
             status, said, body = server.ask("POST", f"/sessions/{session or self.session}/warp", self.question(), headers=headers)
         except (OSError, http.client.HTTPException) as error:
             return repr(error), False, None
-        return status, body in self.looks[self.seq % POSES], said["Warp-Plan"]
+        return status, body in self.expected[self.seq % POSES], said["Warp-Plan"]
 
     def _ask(self, server):
         """Whether there was a response: a cut-off request is repeated with the same seq."""
@@ -165,14 +165,14 @@ class RequestHand(Hand):
             self.note("cut", repr(error))
             return False
         if status == 200:
-            self.judge(self.seq, answer, headers["Warp-Plan"])
+            self.compare(self.seq, answer, headers["Warp-Plan"])
         else:
             self.note("refused", (status, headers["Retry-After"], reason(answer)))
             time.sleep(PAUSE)
         return True
 
 
-class SocketHand(Hand):
+class SocketClient(DragClient):
     """Drags with the socket; reopens it when it is closed, like the page."""
 
     # Previews, and the full image when the pointer rests.
@@ -181,8 +181,8 @@ class SocketHand(Hand):
     def open(self, server, more=""):
         return WebSocket(server.host, server.port, f"/sessions/{self.session}/drag?frames=png&width={PREVIEW_WIDTH}{more}")
 
-    def _looks(self, lone):
-        line, looks = self.open(lone, "&report=true"), []
+    def _expected_frames(self, lone):
+        line, expected = self.open(lone, "&report=true"), []
         for seq, pose in enumerate(self.poses):
             line.send(json.dumps({"seq": seq, "q": pose}).encode())
             seen, full = set(), False
@@ -196,9 +196,9 @@ class SocketHand(Hand):
                 else:
                     seen.add(message[8:])
                     line.send(json.dumps({"ack": seq}).encode())
-            looks.append(seen)
+            expected.append(seen)
         line.close()
-        return looks
+        return expected
 
     def once(self, server):
         """(a frame, is it the right picture) of the next pose, over a socket of its own; no frame is b""."""
@@ -208,7 +208,7 @@ class SocketHand(Hand):
         while kind == TEXT:
             kind, frame = line.receive(time.monotonic() + PATIENCE) or (None, b"")
         line.close()
-        return frame, frame[8:] in self.looks[self.seq % POSES]
+        return frame, frame[8:] in self.expected[self.seq % POSES]
 
     def drag(self, server, stop):
         while not stop.is_set():
@@ -234,7 +234,7 @@ class SocketHand(Hand):
             if kind == BINARY:
                 seq = int.from_bytes(message[:8], "little")
                 line.send(json.dumps({"ack": seq}).encode())
-                self.judge(seq, message[8:])
+                self.compare(seq, message[8:])
             elif kind == TEXT and "code" in (said := json.loads(message)):
                 self.note("refused", (said.get("status"), said.get("retry_after"), reason(message)))
         line.close()
@@ -247,10 +247,10 @@ class Uploader:
 
     def __init__(self):
         self.file = (PICTURES / "horse.png").read_bytes()
-        self.diary, self.promised = [], []
+        self.record, self.promised = [], []
 
     def note(self, what, detail=None):
-        self.diary.append(Entry(what, time.monotonic(), detail))
+        self.record.append(Entry(what, time.monotonic(), detail))
 
     def drag(self, server, stop):
         turn = 0

@@ -1,4 +1,4 @@
-//! A recorded hand: six strokes, each of which takes a handle, carries it along an arc as hands do (slow, fast, slow) and holds it, trembling,
+//! A recorded drag: six strokes, each of which takes a handle, carries it along an arc as people do (slow, fast, slow) and holds it, trembling,
 //! before the next. A device that reports 125 times a second is not punctual, and neither is this one. The same every time.
 
 use std::time::Duration;
@@ -31,7 +31,7 @@ pub fn poses(rest: &[Handle], target: &[Handle], height: f64) -> Vec<Vec<Handle>
         .map(|n| {
             let (stroke, step) = (n / STROKE.0, n % STROKE.0);
             let index = (2 * stroke as usize + 1) % rest.len();
-            let (Handle::Point(from), Handle::Point(to)) = (&rest[index], &target[index]) else { panic!("the hand moves points") };
+            let (Handle::Point(from), Handle::Point(to)) = (&rest[index], &target[index]) else { panic!("the drag moves points") };
             let t = (step as f64 / STROKE.1 as f64).min(1.0);
             // The smoothest way from rest to rest.
             let s = t * t * t * (10.0 - 15.0 * t + 6.0 * t * t);

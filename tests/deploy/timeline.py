@@ -13,7 +13,7 @@ WITHOUT_STORE = (SILENT, SPEAKS, ANEW)
 
 
 @dataclass
-class Chapter:
+class Phase:
     """The records of each client between two events."""
 
     name: str
@@ -31,7 +31,7 @@ class Chapter:
         return max(b - a for a, b in zip(moments, moments[1:], strict=False)) * 1000
 
 
-class Story:
+class Timeline:
     """The events and their times."""
 
     def __init__(self):
@@ -41,40 +41,40 @@ class Story:
         self.events.append((name, time.monotonic()))
         say(f"now: {name}")
 
-    def chapters(self, diaries):
+    def phases(self, records):
         for (name, begun), (_, ended) in zip(self.events, self.events[1:], strict=False):
-            parts = {client: [e for e in diary if begun <= e.at < ended] for client, diary in diaries.items()}
-            yield Chapter(name, begun, ended, parts)
+            parts = {client: [e for e in record if begun <= e.at < ended] for client, record in records.items()}
+            yield Phase(name, begun, ended, parts)
 
 
-def judge(check, story, clients, facts):
-    diaries = {client.name: client.diary for client in clients}
-    kinds = Counter(entry.what for diary in diaries.values() for entry in diary)
+def check_phases(check, timeline, clients, facts):
+    records = {client.name: client.record for client in clients}
+    kinds = Counter(entry.what for record in records.values() for entry in record)
     check("every picture is the right one", not kinds["wrong"], f"{kinds['frame']} right, {kinds['wrong']} wrong")
-    for chapter in story.chapters(diaries):
-        tell(chapter)
-        judge_chapter(check, chapter, facts)
+    for phase in timeline.phases(records):
+        report(phase)
+        check_phase(check, phase, facts)
     check("the third replica has its share", facts["third"] > 0, f"{facts['third']:.0f} requests and frames")
 
 
-def tell(chapter):
-    hands = [client for client in chapter.parts if client != "uploads"]
-    gaps = ", ".join(f"{client} {chapter.gap(client):.0f}" for client in hands)
-    say(f"{chapter.name}: {len(chapter.all('frame'))} frames, longest gaps {gaps} ms")
-    plans = Counter(filter(None, chapter.all("frame")))
-    refused = Counter(f"{status} {said}" for status, _, said in chapter.all("refused"))
-    say(f"{chapter.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; {len(chapter.all('upload'))} uploads")
-    broken = f"{len(chapter.all('cut'))} cut short, sockets closed with {chapter.all('closed') or 'nothing'}"
-    say(f"{chapter.name}: refused {dict(refused) or 'nothing'}, {broken}")
+def report(phase):
+    clients = [client for client in phase.parts if client != "uploads"]
+    gaps = ", ".join(f"{client} {phase.gap(client):.0f}" for client in clients)
+    say(f"{phase.name}: {len(phase.all('frame'))} frames, longest gaps {gaps} ms")
+    plans = Counter(filter(None, phase.all("frame")))
+    refused = Counter(f"{status} {said}" for status, _, said in phase.all("refused"))
+    say(f"{phase.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; {len(phase.all('upload'))} uploads")
+    broken = f"{len(phase.all('cut'))} cut short, sockets closed with {phase.all('closed') or 'nothing'}"
+    say(f"{phase.name}: refused {dict(refused) or 'nothing'}, {broken}")
 
 
-def judge_chapter(check, chapter, facts):
-    name, refused, closed = chapter.name, chapter.all("refused"), chapter.all("closed")
-    silent = [client for client, part in chapter.parts.items() if client != "uploads" and not any(e.what == "frame" for e in part)]
-    check(f"{name}: every hand goes on", not silent, silent)
+def check_phase(check, phase, facts):
+    name, refused, closed = phase.name, phase.all("refused"), phase.all("closed")
+    silent = [client for client, part in phase.parts.items() if client != "uploads" and not any(e.what == "frame" for e in part)]
+    check(f"{name}: every client receives frames", not silent, silent)
     # A response that a killed replica has begun cannot be completed by another one: the client already has the status. It repeats the request.
     if name != KILLED:
-        check(f"{name}: no answer breaks off", not chapter.all("cut"), chapter.all("cut")[:3])
+        check(f"{name}: no answer breaks off", not phase.all("cut"), phase.all("cut")[:3])
     if name in WITHOUT_STORE:
         unlike = [answer for answer in refused if answer[0] != 503 or not answer[1]]
         check(f"{name}: what is refused is 503 with Retry-After", not unlike, unlike[:3])

@@ -13,21 +13,21 @@ use tokio_tungstenite::{WebSocketStream, client_async_with_config};
 /// Longer than anything that must come takes.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the server said.
+/// A message of the server.
 #[derive(Debug)]
-pub(crate) enum Said {
+pub(crate) enum Received {
     Text(Value),
     Frame(u64, Vec<u8>),
     Closed(u16),
 }
 
-/// A socket whose server has said hello.
-pub(crate) struct Hand {
+/// A drag socket after the first message of the server.
+pub(crate) struct DragClient {
     pub(crate) socket: WebSocketStream<TcpStream>,
     pub(crate) hello: Value,
 }
 
-impl Hand {
+impl DragClient {
     pub(crate) async fn open(address: SocketAddr, session: &str, query: &str) -> Self {
         Self::over(TcpStream::connect(address).await.unwrap(), session, query).await
     }
@@ -39,12 +39,12 @@ impl Hand {
         let config = WebSocketConfig::default().max_message_size(None).max_frame_size(None);
         let (socket, response) = client_async_with_config(url, stream, Some(config)).await.unwrap();
         assert_eq!(response.status(), 101);
-        let mut hand = Self { socket, hello: Value::Null };
-        match hand.next().await {
-            Said::Text(hello) => hand.hello = hello,
+        let mut client = Self { socket, hello: Value::Null };
+        match client.next().await {
+            Received::Text(hello) => client.hello = hello,
             other => panic!("a hello was expected: {other:?}"),
         }
-        hand
+        client
     }
 
     pub(crate) async fn say(&mut self, message: &Value) {
@@ -69,23 +69,23 @@ impl Hand {
     }
 
     /// The next thing that the server says, within a long time.
-    pub(crate) async fn next(&mut self) -> Said {
+    pub(crate) async fn next(&mut self) -> Received {
         self.next_within(PATIENCE).await.expect("the server says something")
     }
 
     /// The next thing that the server says, if it says one in time.
-    pub(crate) async fn next_within(&mut self, time: Duration) -> Option<Said> {
+    pub(crate) async fn next_within(&mut self, time: Duration) -> Option<Received> {
         tokio::time::timeout(time, async {
             loop {
                 match self.socket.next().await {
-                    Some(Ok(Message::Text(text))) => return Said::Text(serde_json::from_str(&text).unwrap()),
+                    Some(Ok(Message::Text(text))) => return Received::Text(serde_json::from_str(&text).unwrap()),
                     Some(Ok(Message::Binary(frame))) => {
-                        return Said::Frame(u64::from_le_bytes(frame[..8].try_into().unwrap()), frame[8..].to_vec());
+                        return Received::Frame(u64::from_le_bytes(frame[..8].try_into().unwrap()), frame[8..].to_vec());
                     }
-                    Some(Ok(Message::Close(close))) => return Said::Closed(close.map_or(0, |close| close.code.into())),
+                    Some(Ok(Message::Close(close))) => return Received::Closed(close.map_or(0, |close| close.code.into())),
                     Some(Ok(_)) => {}
                     None | Some(Err(Error::Io(_) | Error::Protocol(_) | Error::ConnectionClosed | Error::AlreadyClosed)) => {
-                        return Said::Closed(0);
+                        return Received::Closed(0);
                     }
                     Some(Err(error)) => panic!("{error}"),
                 }
@@ -98,7 +98,7 @@ impl Hand {
     /// The next frame; nothing else may come before it.
     pub(crate) async fn frame(&mut self) -> (u64, Vec<u8>) {
         match self.next().await {
-            Said::Frame(seq, bytes) => (seq, bytes),
+            Received::Frame(seq, bytes) => (seq, bytes),
             other => panic!("a frame was expected: {other:?}"),
         }
     }
@@ -111,7 +111,7 @@ impl Hand {
 
     pub(crate) async fn text(&mut self) -> Value {
         match self.next().await {
-            Said::Text(text) => text,
+            Received::Text(text) => text,
             other => panic!("a text message was expected: {other:?}"),
         }
     }
@@ -128,7 +128,7 @@ impl Hand {
     /// Reads until the server closes; says with which code.
     pub(crate) async fn closed(&mut self) -> u16 {
         loop {
-            if let Said::Closed(code) = self.next().await {
+            if let Received::Closed(code) = self.next().await {
                 return code;
             }
         }
