@@ -8,7 +8,11 @@ mod columns;
 #[forbid(unsafe_code)]
 mod contradictions;
 #[forbid(unsafe_code)]
+mod curvature;
+#[forbid(unsafe_code)]
 mod error;
+#[forbid(unsafe_code)]
+mod exact_rows;
 #[forbid(unsafe_code)]
 mod falloff;
 #[forbid(unsafe_code)]
@@ -29,6 +33,8 @@ mod plan;
 #[forbid(unsafe_code)]
 mod quadrature;
 #[forbid(unsafe_code)]
+mod refine;
+#[forbid(unsafe_code)]
 mod row;
 #[forbid(unsafe_code)]
 mod segments;
@@ -36,10 +42,12 @@ mod segments;
 mod span;
 
 pub use contradictions::Contradiction;
+pub use exact_rows::ExactRows;
 pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
+pub use refine::{Refined, Refiner};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 
 /// The class of maps that is fitted at every position.

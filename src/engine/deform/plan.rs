@@ -211,12 +211,12 @@ fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
-fn to_f32(d: Vec2) -> [f32; 2] {
+pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
     [d.x as f32, d.y as f32]
 }
 
 /// The vertices of a block.
-fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
+pub(super) fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
     let mut v = Vertices::all(Point::new(0.0, 0.0));
     for lane in 0..LANES {
         let Point { x, y } = vertex(lane);
@@ -226,7 +226,7 @@ fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
 }
 
 /// Writes the rows of a block.
-fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
+pub(super) fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
     #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
     let put = |lanes: &mut Lanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match family {

@@ -1,8 +1,9 @@
 //! The posed grid: the result of the mathematics and the input of the renderer.
 
-use super::{Grid, Point, Vec2};
+use super::{Grid, Point, Refinement, Vec2};
 
-/// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch.
+/// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch, or as those of the smaller cells of its
+/// [`Refinement`].
 ///
 /// Displacements are f32: a displacement is small relative to a position, so the posed position `rest + displacement`, added in f64, keeps
 /// its precision on images of any size (absolute f32 positions would be off by 8e-3 px at 1e5 px).
@@ -10,6 +11,7 @@ use super::{Grid, Point, Vec2};
 pub struct Mesh {
     grid: Grid,
     displacement: Vec<[f32; 2]>,
+    refinement: Refinement,
 }
 
 impl Mesh {
@@ -20,13 +22,25 @@ impl Mesh {
     #[must_use]
     pub fn new(grid: Grid, displacement: Vec<[f32; 2]>) -> Self {
         assert_eq!(displacement.len(), grid.len(), "one displacement per vertex");
-        Self { grid, displacement }
+        Self { grid, displacement, refinement: Refinement::NONE }
     }
 
     /// The mesh that leaves every vertex at rest.
     #[must_use]
     pub fn identity(grid: Grid) -> Self {
-        Self { grid, displacement: vec![[0.0; 2]; grid.len()] }
+        Self { grid, displacement: vec![[0.0; 2]; grid.len()], refinement: Refinement::NONE }
+    }
+
+    /// The same mesh, with some of its cells drawn as smaller ones.
+    #[must_use]
+    pub fn refined(self, refinement: Refinement) -> Self {
+        Self { refinement, ..self }
+    }
+
+    /// The cells that are drawn as smaller ones.
+    #[must_use]
+    pub const fn refinement(&self) -> &Refinement {
+        &self.refinement
     }
 
     /// The grid at rest.
@@ -60,10 +74,13 @@ impl Mesh {
         self.grid.vertex(column, row) + self.displaced(column, row)
     }
 
-    /// The drawn position of the rest position `p`: the bilinear patch of its cell. `None` outside the image.
+    /// The drawn position of the rest position `p`: the bilinear patch of its cell, or of the smaller one. `None` outside the image.
     #[must_use]
     pub fn map(&self, p: Point) -> Option<Point> {
         let (i, j, s, t) = self.grid.locate(p)?;
+        if let Some(cell) = self.refinement.find(i, j) {
+            return Some(p + self.refinement.displaced(cell, s, t));
+        }
         let top = self.displaced(i, j) * (1.0 - s) + self.displaced(i + 1, j) * s;
         let bottom = self.displaced(i, j + 1) * (1.0 - s) + self.displaced(i + 1, j + 1) * s;
         Some(p + top * (1.0 - t) + bottom * t)

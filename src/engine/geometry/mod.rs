@@ -7,11 +7,13 @@
 mod compact;
 mod grid;
 mod mesh;
+mod refinement;
 mod vec;
 
 pub use compact::Compact;
 pub use grid::Grid;
 pub use mesh::Mesh;
+pub use refinement::{RefinedCell, Refinement};
 pub use vec::{Point, Vec2};
 
 /// Offset of a pixel's centre from its corner, px.

@@ -35,11 +35,16 @@ impl Border {
     /// Clockwise (y down) at rest: top row, right column, bottom row, left column.
     pub(super) fn new(lattice: &Lattice) -> Self {
         let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
-        let top_row = (0..right).map(|i| (i, 0));
-        let right_column = (0..bottom).map(|j| (right, j));
-        let bottom_row = (1..=right).rev().map(|i| (i, bottom));
-        let left_column = (0..=bottom).rev().map(|j| (0, j));
-        let vertices = top_row.chain(right_column).chain(bottom_row).chain(left_column).map(|(i, j)| lattice.corner(i, j)).collect();
+        // The first vertex of each edge, and the cell with that edge.
+        let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
+        let right_column = (0..bottom).map(|j| ((right, j), (right - 1, j), 1));
+        let bottom_row = (0..right).rev().map(|i| ((i + 1, bottom), (i, bottom - 1), 2));
+        let left_column = (0..bottom).rev().map(|j| ((0, j + 1), (0, j), 3));
+        let edges = top_row.chain(right_column).chain(bottom_row).chain(left_column);
+        let vertices = edges
+            .flat_map(|((i, j), cell, edge)| std::iter::once(lattice.corner(i, j)).chain(lattice.fine.edge(cell.0, cell.1, edge)))
+            .chain([lattice.corner(0, 0)])
+            .collect();
         Self { vertices, boxes: Vec::new() }
     }
 

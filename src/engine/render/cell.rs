@@ -6,6 +6,7 @@ use std::cmp::Ordering;
 use std::ops::Range;
 
 use super::edge::{self, Crossing};
+use super::fine::FineCell;
 use super::kernel::{Canvas, CellBlock, Kernel, Piece, UNCOVERED};
 use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
@@ -39,6 +40,10 @@ pub(super) fn draw_row(
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
             let i = b * BLOCK + k;
+            if let Some(cell) = lattice.fine.find(i, j) {
+                draw_fine(kernel, lattice, cell, column(i), canvas);
+                continue;
+            }
             let rows = seen.rows[k] & canvas.open & column(i);
             if rows == 0 {
                 continue;
@@ -53,33 +58,76 @@ pub(super) fn draw_row(
     }
 }
 
+/// Draws a refined cell as smaller ones, in the rows whose bits are set.
+fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, canvas: &mut Canvas<'_>) {
+    if rows & canvas.open & rows_between(cell.y.top, cell.y.bottom, canvas) == 0 {
+        return;
+    }
+    let part = |corners: &[Corner; 4], canvas: &mut Canvas<'_>| {
+        let rows = rows & canvas.open & rows_of(corners, canvas);
+        if rows == 0 {
+            return;
+        }
+        match Piece::patch(corners, lattice.longest_side, lattice.unit) {
+            Some(piece) => kernel.fill(&piece, rows, canvas),
+            None => draw(kernel, corners, lattice, rows, canvas),
+        }
+    };
+    let slivers = |canvas: &mut Canvas<'_>| {
+        if !lattice.fine.has_slivers(cell, canvas.over) {
+            return;
+        }
+        let area: i64 = lattice.fine.fan(cell).map(|[a, b, c]| turn(a, b, c)).sum();
+        for [a, b, c] in lattice.fine.fan(cell).filter(|&[a, b, c]| turn(a, b, c).signum() == area.signum()) {
+            let triangle = [a, b, c, c];
+            draw_triangle(kernel, &triangle, lattice, rows, canvas);
+        }
+    };
+    if canvas.over {
+        slivers(canvas);
+        lattice.fine.parts(cell).for_each(|corners| part(&corners, canvas));
+    } else {
+        lattice.fine.parts(cell).rev().for_each(|corners| part(&corners, canvas));
+        slivers(canvas);
+    }
+}
+
 /// Draws a cell that is not convex or has long sides.
 fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, canvas: &mut Canvas<'_>) {
     match shape(corners) {
         Shape::Convex(sign) => large(corners, Some(Patch::new(corners, sign)), lattice.unit, rows, canvas),
         Shape::Other => {
-            let ((left, right), (top, bottom)) = (bounds(corners.map(|c| c.x)), bounds(corners.map(|c| c.y)));
-            // Vertices lie within +-LIMIT, so differences do not overflow.
-            let small = (right - left).max(bottom - top) <= lattice.longest_side;
             for triangle in triangles(corners).into_iter().rev() {
-                let rows = rows & canvas.open & rows_of(&triangle, canvas);
-                let sign = turn(triangle[0], triangle[1], triangle[2]).signum();
-                if rows == 0 || sign == 0 {
-                    continue;
-                }
-                if small {
-                    kernel.fill(&Piece::triangle(&triangle, if sign > 0 { 1 } else { -1 }), rows, canvas);
-                } else {
-                    large(&triangle, None, lattice.unit, rows, canvas);
-                }
+                draw_triangle(kernel, &triangle, lattice, rows, canvas);
             }
         }
+    }
+}
+
+/// Draws a triangle, which repeats its last corner.
+fn draw_triangle(kernel: Kernel, triangle: &[Corner; 4], lattice: &Lattice, rows: u32, canvas: &mut Canvas<'_>) {
+    let rows = rows & canvas.open & rows_of(triangle, canvas);
+    let sign = turn(triangle[0], triangle[1], triangle[2]).signum();
+    if rows == 0 || sign == 0 {
+        return;
+    }
+    let ((left, right), (top, bottom)) = (bounds(triangle.map(|c| c.x)), bounds(triangle.map(|c| c.y)));
+    // Vertices lie within +-LIMIT, so differences do not overflow.
+    if (right - left).max(bottom - top) <= lattice.longest_side {
+        kernel.fill(&Piece::triangle(triangle, if sign > 0 { 1 } else { -1 }), rows, canvas);
+    } else {
+        large(triangle, None, lattice.unit, rows, canvas);
     }
 }
 
 /// The rows of the canvas that a polygon meets.
 fn rows_of(corners: &[Corner; 4], canvas: &Canvas<'_>) -> u32 {
     let (top, bottom) = bounds(corners.map(|c| c.y));
+    rows_between(top, bottom, canvas)
+}
+
+/// The rows of the canvas whose centres lie between two lattice y.
+fn rows_between(top: i32, bottom: i32, canvas: &Canvas<'_>) -> u32 {
     let from_first = |y: i32| (first_row(y) - i64::from(canvas.first)).clamp(0, i64::from(u32::BITS));
     #[expect(clippy::cast_possible_truncation, reason = "32 bits are kept of 64")]
     let below = |row: i64| (u64::from(u32::MAX) << row) as u32;

@@ -3,6 +3,8 @@
 //! vertex of a row is repeated). Ranges of y bound each row of cells and each block of cells, so that a strip of target rows finds the
 //! cells that it meets. Memory and time: O(vertices).
 
+use super::fine::FineCells;
+
 /// Lattice steps in a target pixel.
 pub(super) const ONE: i32 = 256;
 /// The lattice coordinate of the first pixel's centre.
@@ -93,6 +95,8 @@ pub(super) struct Lattice {
     pub(super) row_ranges: Vec<YRange>,
     /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK]`.
     pub(super) block_ranges: Vec<YRange>,
+    /// The cells that are drawn as smaller ones.
+    pub(super) fine: FineCells,
 }
 
 impl Lattice {
@@ -107,7 +111,15 @@ impl Lattice {
         let above = j * self.pitch + i;
         let below = above + self.pitch;
         let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
-        YRange { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) }
+        let range = YRange { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) };
+        self.fine.find(i, j).map_or(range, |cell| range.join(cell.y))
+    }
+
+    /// Extent of a cell in x.
+    pub(super) fn cell_extent(&self, i: usize, j: usize) -> (i32, i32) {
+        let x = [self.corner(i, j), self.corner(i + 1, j), self.corner(i + 1, j + 1), self.corner(i, j + 1)].map(|c| c.x);
+        let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| (left.min(x), right.max(x)));
+        self.fine.find(i, j).map_or((left, right), |cell| (left.min(cell.x.0), right.max(cell.x.1)))
     }
 
     /// The rows of cells that may touch target rows.

@@ -17,6 +17,8 @@ mod cell;
 mod drawing;
 #[forbid(unsafe_code)]
 mod edge;
+#[forbid(unsafe_code)]
+mod fine;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lattice;

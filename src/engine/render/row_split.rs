@@ -99,9 +99,7 @@ impl RowSplit {
                 if rows == 0 {
                     continue;
                 }
-                let x =
-                    [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)].map(|c| c.x);
-                let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| (left.min(x), right.max(x)));
+                let (left, right) = lattice.cell_extent(i, j);
                 while rows != 0 {
                     let known = &mut across[rows.trailing_zeros() as usize];
                     rows &= rows - 1;

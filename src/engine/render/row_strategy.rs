@@ -115,6 +115,15 @@ impl RowStrategies {
                 }
             }
         }
+        for cell in lattice.fine.cells() {
+            let (at, bit) = (cell.j * self.blocks + cell.i / BLOCK, 1 << (cell.i % BLOCK));
+            self.inaccurate[at] |= bit;
+            // Where the border is not straight, crossings would paint beyond it.
+            self.folded[at] |= if cell.is_ragged { bit } else { 0 };
+            let (rows, known) = (lattice.cell_range(cell.i, cell.j).rows(&target), if cell.is_ragged { &mut mixed } else { &mut fixups });
+            known[rows.start as usize] += 1;
+            known[rows.end.max(rows.start) as usize] -= 1;
+        }
         let (mut open_fixups, mut open_mixed) = (0, 0);
         for (row, (fixups, mixed)) in self.rows.iter_mut().zip(fixups.iter().zip(&mixed)) {
             (open_fixups, open_mixed) = (open_fixups + fixups, open_mixed + mixed);

@@ -2,6 +2,7 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "coordinates of the sampler are kept as f32")]
 
+use super::fine::{FineCells, Sampled};
 use super::kernel::Kernel;
 use super::lattice::{BLOCK, LONGEST_SIDE, Lattice, ONE, YRange};
 use super::{Filter, RenderOptions};
@@ -32,20 +33,38 @@ impl Axis {
     }
 }
 
+/// Both axes.
+struct Axes {
+    across: Axis,
+    down: Axis,
+}
+
+impl Sampled for Axes {
+    fn u(&self, x: f64) -> f32 {
+        self.across.at(x)
+    }
+
+    fn v(&self, y: f64) -> f32 {
+        self.down.at(y)
+    }
+}
+
 impl Lattice {
     /// Poses and snaps `mesh` for a target; `source` is the full source picture, sampled at a reduction by `2^k`.
     pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, options: &RenderOptions, kernel: Kernel) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
         let pitch = columns.next_multiple_of(BLOCK);
-        let across = Axis::new(options.filter, source.width(), grid.width(), k);
-        let down = Axis::new(options.filter, source.height(), grid.height(), k);
+        let axes = Axes {
+            across: Axis::new(options.filter, source.width(), grid.width(), k),
+            down: Axis::new(options.filter, source.height(), grid.height(), k),
+        };
         let scale = [f64::from(options.target.width()) / grid.width(), f64::from(options.target.height()) / grid.height()];
         let scale = scale.map(|s| s * f64::from(ONE));
         let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
-        let mut u: Vec<f32> = rest_x.iter().map(|&x| across.at(x)).collect();
-        u.resize(pitch + BLOCK, across.at(grid.width()));
-        let v: Vec<f32> = (0..grid.rows()).map(|j| down.at(grid.y(j))).collect();
+        let mut u: Vec<f32> = rest_x.iter().map(|&x| axes.u(x)).collect();
+        u.resize(pitch + BLOCK, axes.u(grid.width()));
+        let v: Vec<f32> = (0..grid.rows()).map(|j| axes.v(grid.y(j))).collect();
         let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
         for ((j, displacement), (x, y)) in
             (0..).zip(mesh.displacement().chunks_exact(columns)).zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
@@ -63,7 +82,10 @@ impl Lattice {
         // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
         let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
-        Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_ranges, block_ranges }
+        let fine = FineCells::new(mesh, scale, &axes, kernel);
+        let mut lattice = Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_ranges, block_ranges, fine };
+        lattice.cover_fine_cells();
+        lattice
     }
 }
 

@@ -57,6 +57,8 @@ pub enum WarpError {
 pub enum Warning {
     /// A property of the handles or the pose.
     Deform(deform::Warning),
+    /// Some cells of the grid are farther from the exact map than the tolerance.
+    ToleranceExceeded,
     /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far.
     HandlesOutsidePicture,
     /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
@@ -74,6 +76,7 @@ impl Warning {
     pub const fn code(self) -> &'static str {
         match self {
             Self::Deform(warning) => warning.code(),
+            Self::ToleranceExceeded => "tolerance_exceeded",
             Self::HandlesOutsidePicture => "handles_outside_picture",
             Self::LooksNormalized => "looks_normalized",
             Self::NothingVisible => "nothing_visible",

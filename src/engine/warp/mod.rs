@@ -13,6 +13,8 @@ mod posed;
 mod setup;
 mod spec;
 mod strip_scheduler;
+#[cfg(test)]
+mod tests;
 
 pub use self::digest::Digest;
 pub use self::drawing::Warp;

@@ -19,6 +19,8 @@ pub struct Report {
     pub folds: u64,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn.
     pub residual: f64,
+    /// Cells of the grid that are farther than the tolerance from the exact map.
+    pub exceeded: u64,
 }
 
 /// A posed mesh and its report.
@@ -31,12 +33,34 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Poses the grid. CPU work, microseconds to a millisecond; longer only if the grid is large or the plan has no table. Stops when
-    /// `cancelled` returns true.
+    /// Poses the grid, within its tolerance if it has one. CPU work, microseconds to a millisecond; longer only if the grid is large, the
+    /// plan has no table, or cells are refined for the first time. Stops when `cancelled` returns true.
     ///
     /// # Errors
     /// `folds: reject` and the grid folds; cancelled.
     pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+        let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
+        if let Some(refined) = setup.refine(plan, &posed.mesh, pose, cancelled)? {
+            posed.mesh = posed.mesh.refined(refined.refinement);
+            posed.report.residual = residual(setup.field().handles(), pose, &posed.mesh);
+            posed.report.exceeded = refined.exceeded;
+            if refined.exceeded > 0 {
+                posed.report.warnings.push(Warning::ToleranceExceeded);
+                posed.report.warnings.sort_unstable();
+            }
+            posed.digest = Collector::new("mlswarp refined pose 1")
+                .bytes(&posed.digest.0)
+                .float(setup.tolerance().unwrap_or_default())
+                .finish();
+        }
+        Ok(posed)
+    }
+
+    /// Like [`Posed::new`], without regard to a tolerance: the grid as it is.
+    ///
+    /// # Errors
+    /// Those of [`Posed::new`].
+    pub fn coarse(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
         let cells = mesh.folded_cell_count(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
@@ -50,7 +74,7 @@ impl Posed {
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
-        let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh) };
+        let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh), exceeded: 0 };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
     }
 

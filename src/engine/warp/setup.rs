@@ -9,7 +9,8 @@ use super::digest::Collector;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
-    self, DeformError, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, pose_without_table,
+    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, Refined, Refiner,
+    pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -22,6 +23,13 @@ const MESH_BYTES_PER_VERTEX: u64 = 8;
 /// always have.
 const LINES_PER_PX: f64 = 4.0;
 const LINES_ALWAYS: f64 = 4096.0;
+/// The rasteriser's share of a tolerance: at most its own accuracy, px of the source, or half.
+const DRAWN_WITHIN: f64 = 1.0 / 16.0;
+/// Most vertices inside the cells of a grid: this many for each of its own, and so many in any case.
+const FINE_PER_VERTEX: usize = 4;
+const FINE_ALWAYS: usize = 1 << 16;
+/// Most vertices inside a cell of the size of `grid: auto`.
+const FINE_PER_CELL: usize = 17 * 17;
 /// Positions that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
@@ -35,19 +43,27 @@ pub struct Setup {
     mixed: bool,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
+    /// Of the drawn picture, px.
+    tolerance: Option<f64>,
     plan_key: Digest,
-    plan_bytes: Option<u64>,
+    table_bytes: Option<u64>,
+    /// For exact rows that are kept with the table.
+    exact_bytes: u64,
 }
 
-/// The A_j of every grid vertex, or none if their table would not fit.
+/// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that poses have needed.
 #[derive(Debug)]
-pub struct Plan(Option<deform::Plan>);
+pub struct Plan {
+    table: Option<deform::Plan>,
+    exact: ExactRows,
+    exact_bytes: u64,
+}
 
 impl Plan {
-    /// Memory held, bytes: its weight in a cache.
+    /// Memory held at most, bytes: its weight in a cache.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.0.as_ref().map_or(0, deform::Plan::bytes)
+        self.table.as_ref().map_or(0, deform::Plan::bytes) + self.exact_bytes
     }
 }
 
@@ -79,23 +95,32 @@ impl Setup {
             error => WarpError::Rest(error),
         })?;
         let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
-        let plan_key = plan_key(&field, &grid, mixed);
+        let tolerance = rest.grid.tolerance();
+        let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
-        let plan_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
-        Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, plan_key, plan_bytes })
+        let table_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
+        let left = |bytes: u64| bytes.min(limits.plan_bytes - bytes);
+        let exact_bytes = table_bytes.filter(|_| tolerance.is_some()).map_or(0, left);
+        Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes })
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, effective alpha and point mass, family,
-    /// resolved grid. Two pictures of one size share one plan.
+    /// resolved grid, and whether it is refined. Two pictures of one size share one plan.
     #[must_use]
     pub const fn plan_key(&self) -> Digest {
         self.plan_key
     }
 
-    /// Bytes of the table that [`Setup::plan`] fills; `None` if the warp has no table.
+    /// Bytes of the table that [`Setup::plan`] fills, and of the exact rows that it may keep; `None` if the warp has no table.
     #[must_use]
-    pub const fn plan_bytes(&self) -> Option<u64> {
-        self.plan_bytes
+    pub fn plan_bytes(&self) -> Option<u64> {
+        self.table_bytes.map(|bytes| bytes + self.exact_bytes)
+    }
+
+    /// The tolerance of the drawn picture, px.
+    #[must_use]
+    pub const fn tolerance(&self) -> Option<f64> {
+        self.tolerance
     }
 
     /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data.
@@ -103,13 +128,20 @@ impl Setup {
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX: u64 = 64;
-        self.grid.len() as u64 * VERTEX
+        let fine = if self.tolerance.is_some() { self.fine_vertices() } else { 0 };
+        (self.grid.len() + fine) as u64 * VERTEX
+    }
+
+    /// Most vertices inside cells.
+    fn fine_vertices(&self) -> usize {
+        let all = self.grid.len();
+        (FINE_PER_VERTEX * all + FINE_ALWAYS).min(FINE_PER_CELL * all)
     }
 
     /// Whether posing is split over the current rayon pool.
     #[must_use]
     pub fn is_wide(&self) -> bool {
-        self.plan_bytes.is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
+        self.table_bytes.is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
     }
 
     /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
@@ -124,7 +156,8 @@ impl Setup {
     /// Cancelled.
     pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
         let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled);
-        self.plan_bytes.map(fill).transpose().map(Plan)
+        let table = self.table_bytes.map(fill).transpose()?;
+        Ok(Plan { table, exact: ExactRows::new(self.exact_bytes), exact_bytes: self.exact_bytes })
     }
 
     /// Validates posed handles against the rest handles.
@@ -210,11 +243,22 @@ impl Setup {
 
     /// The posed mesh; without a table every row is computed again, which may take long. Stops when `cancelled` returns true.
     pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
-        let posed = match &plan.0 {
+        let posed = match &plan.table {
             Some(table) => table.pose_unless(&self.grid, pose, cancelled),
             None => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
+    }
+
+    /// The cells of a posed mesh that are drawn as smaller ones to meet the tolerance, if there is one.
+    pub(super) fn refine(&self, plan: &Plan, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<Option<Refined>, WarpError> {
+        let refine = |tolerance: f64| {
+            let drawn_within = DRAWN_WITHIN.min(tolerance / 2.0);
+            let (field, rows, vertices) = (&*self.field, &plan.exact, self.fine_vertices());
+            let refiner = Refiner { field, rows, tolerance: tolerance - drawn_within, vertices };
+            refiner.refine(mesh, pose, cancelled).ok_or(WarpError::Cancelled)
+        };
+        self.tolerance.map(refine).transpose()
     }
 }
 
@@ -235,7 +279,11 @@ fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Res
         Ok(Grid::with_cell(width, height, cell))
     };
     match spec {
-        GridSpec::Auto => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
+        GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCES.contains(&tolerance) => {
+            let (least, most) = GridSpec::TOLERANCES.into_inner();
+            Err(WarpError::BadGrid(format!("the tolerance of a grid must be {least} to {most} px; found {}", Compact(tolerance))))
+        }
+        GridSpec::Auto | GridSpec::Tolerance(_) => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => {
@@ -269,13 +317,13 @@ fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
         .collect()
 }
 
-fn plan_key(field: &Field, grid: &Grid, mixed: bool) -> Digest {
+fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
     let family = match field.family() {
         Method::Affine => 0,
         Method::Similarity => 1,
         Method::Rigid => 2,
     };
-    let mut key = Collector::new("mlswarp plan 1")
+    let mut key = Collector::new("mlswarp plan 2")
         .integer(family)
         .float(field.falloff().alpha())
         // A mass that all points share cancels without lines.
@@ -285,7 +333,9 @@ fn plan_key(field: &Field, grid: &Grid, mixed: bool) -> Digest {
         .float(grid.cell().0)
         .float(grid.cell().1)
         .integer(grid.columns().into())
-        .integer(grid.rows().into());
+        .integer(grid.rows().into())
+        // Plans of refined grids may keep more rows.
+        .integer(is_refined.into());
     for (handle, &weight) in field.handles().handles().iter().zip(field.handles().weights()) {
         key = key.float(weight).integer(handle.places().len() as u64);
         for p in handle.places() {

@@ -1,5 +1,7 @@
 //! The parameters of a request, as in the contract, before they are resolved and validated.
 
+use std::ops::RangeInclusive;
+
 use super::WarpError;
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
 use crate::deform::{Handle, Method};
@@ -37,9 +39,11 @@ pub enum Units {
 /// The requested grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum GridSpec {
-    /// Cells of `clamp(min(W, H) / 100, 4, 8)` px.
+    /// The default tolerance.
     #[default]
     Auto,
+    /// Cells of `clamp(min(W, H) / 100, 4, 8)` px, drawn as smaller ones where they would be farther than this from the exact map, px.
+    Tolerance(f64),
     /// Cells of this size, px.
     Cell(f64),
     /// This number of vertices.
@@ -51,6 +55,23 @@ pub enum GridSpec {
     },
     /// A vertex at every pixel corner.
     Pixel,
+}
+
+impl GridSpec {
+    /// The tolerance of [`GridSpec::Auto`], px.
+    pub const TOLERANCE: f64 = 0.25;
+    /// The tolerances that can be requested, px.
+    pub const TOLERANCES: RangeInclusive<f64> = 0.05..=4.0;
+
+    /// The tolerance of the drawn picture, px; `None` if cells are drawn as they are.
+    #[must_use]
+    pub const fn tolerance(self) -> Option<f64> {
+        match self {
+            Self::Auto => Some(Self::TOLERANCE),
+            Self::Tolerance(tolerance) => Some(tolerance),
+            Self::Cell(_) | Self::Counts { .. } | Self::Pixel => None,
+        }
+    }
 }
 
 /// The treatment of folds of the posed grid.

@@ -135,6 +135,38 @@ impl Piece {
         }
     }
 
+    /// The patch of a single cell; `None` if it is not strictly convex, or has a side longer than `longest_side`.
+    #[inline(always)]
+    pub(in crate::render) fn patch(corners: &[Corner; 4], longest_side: i32, unit: f32) -> Option<Self> {
+        let [a, b, c, d] = corners;
+        let (left, right) = (a.x.min(b.x).min(c.x.min(d.x)), a.x.max(b.x).max(c.x.max(d.x)));
+        let (top, bottom) = (a.y.min(b.y).min(c.y.min(d.y)), a.y.max(b.y).max(c.y.max(d.y)));
+        if (right - left).max(bottom - top) > longest_side {
+            return None;
+        }
+        let turn = |a: &Corner, b: &Corner, c: &Corner| (b.x - a.x) * (c.y - b.y) - (b.y - a.y) * (c.x - b.x);
+        let turns = [turn(d, a, b), turn(a, b, c), turn(b, c, d), turn(c, d, a)];
+        let sign = i32::from(turns.iter().all(|&turn| turn > 0)) - i32::from(turns.iter().all(|&turn| turn < 0));
+        if sign == 0 {
+            return None;
+        }
+        let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
+        let twist = [e1[0] - e[0], e1[1] - e[1]];
+        let near = Near::new(e, f, twist);
+        let (du, dv) = (b.u - a.u, d.v - a.v);
+        let (map, off) = if near.is_accurate(du, dv, unit) {
+            (Map::Near(near), 0.5)
+        } else {
+            (Map::Root(Root::new(e, f, twist, sign)), 0.0)
+        };
+        let mut edges = [[0; 3]; 4];
+        for k in 0..4 {
+            edges[k] = edge(&corners[k], &corners[(k + 1) & 3], a, sign);
+        }
+        let pixels = [first_pixel(left), first_pixel(right)];
+        Some(Self { x: a.x, y: a.y, pixels, edges, map, u: [a.u + off * du, du, 0.0], v: [a.v + off * dv, 0.0, dv] })
+    }
+
     /// A triangle, which repeats its last corner.
     #[inline(always)]
     pub(in crate::render) fn triangle(corners: &[Corner; 4], sign: i32) -> Self {
@@ -214,6 +246,15 @@ impl Near {
             is_wide: area * area > NARROWEST * (norm2(middle_e) * norm2(middle_f)),
         }
     }
+
+    /// Whether two substitutions suffice for a cell that spans `du` and `dv`; false if the area vanishes.
+    #[inline(always)]
+    fn is_accurate(&self, du: f32, dv: f32, unit: f32) -> bool {
+        let [ds, dt] = self.twist.map(f32::abs);
+        let (off_u, off_v, both) = (ds * du.abs(), dt * dv.abs(), ds + dt);
+        let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
+        self.is_wide & (both < LARGEST_TWIST) & (off < NEAR * unit)
+    }
 }
 
 /// The classification of a block of cells.
@@ -277,11 +318,7 @@ pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_
         let side = |a: [i32; 2], b: [i32; 2]| [b[0].wrapping_sub(a[0]) as f32 * STEP, b[1].wrapping_sub(a[1]) as f32 * STEP];
         let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
         let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
-        let [ds, dt] = near.twist.map(f32::abs);
-        let (off_u, off_v, both) = (ds * (u[k + 1] - u[k]).abs(), dt * dv, ds + dt);
-        // False if the area vanishes.
-        let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
-        seen.is_near[k] = near.is_wide & (both < LARGEST_TWIST) & (off < NEAR * lattice.unit);
+        seen.is_near[k] = near.is_accurate(u[k + 1] - u[k], dv, lattice.unit);
         let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
         for (lanes, value) in seen.near.iter_mut().zip([s[0], s[1], s[2], t[0], t[1], t[2], twist[0], twist[1]]) {
             lanes[k] = value;

@@ -1,0 +1,95 @@
+//! The cells of a posed grid whose bilinear patch may be too far from f, found from the second differences of the grid alone.
+//! Cost: O(vertices), a few operations each.
+
+use crate::geometry::Mesh;
+
+/// A last row or column of cells narrower than this share of a cell takes the differences of the previous one.
+const NARROW: f64 = 0.25;
+
+/// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a patch is at most an eighth of the second
+/// differences of both axes together; of each vertex. On a grid of fewer than four lines along an axis: all cells.
+pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
+    let grid = mesh.grid();
+    let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
+    let cells = columns - 1;
+    let index = |i: usize, j: usize| u32::try_from(j * cells + i).expect("fewer cells than vertices");
+    if columns < 4 || rows < 4 {
+        return (0..rows - 1).flat_map(|j| (0..cells).map(move |i| (i, j))).map(|(i, j)| index(i, j)).collect();
+    }
+    let line = |j: usize| mesh.displacement()[j * columns..][..columns].as_flattened();
+    let share = |x: fn(&crate::geometry::Grid, u32) -> f64, last: u32| (x(grid, last) - x(grid, last - 1)) / (x(grid, 1) - x(grid, 0));
+    let last_column = Last::new(share(crate::geometry::Grid::x, grid.columns() - 1));
+    let last_row = Last::new(share(crate::geometry::Grid::y, grid.rows() - 1));
+    // |a| + |b| <= sqrt(2 (a^2 + b^2)).
+    #[expect(clippy::cast_possible_truncation, reason = "a threshold")]
+    let limit = ((8.0 * limit).powi(2) / 2.0) as f32;
+    let (mut squares, mut across) = (vec![0.0_f32; 2 * columns], vec![0.0_f32; 2 * columns]);
+    let (mut above, mut below) = (vec![0.0_f32; columns], vec![0.0_f32; columns]);
+    let mut bent = Vec::new();
+    for j in 0..rows {
+        // Rows at the border take the differences of their neighbours.
+        let middle = j.clamp(1, rows - 2);
+        let (middle, last) = if middle == rows - 2 { last_row.line(middle) } else { (middle, None) };
+        let (over, here, under) = (line(middle - 1), line(middle), line(middle + 1));
+        let at = line(j);
+        let n = 2 * columns;
+        for (((square, a), b), c) in squares.iter_mut().zip(over).zip(here).zip(under) {
+            let second = last.map_or((c - b) - (b - a), |last| last.second(*a, *b, *c));
+            *square = second * second;
+        }
+        for (((square, a), b), c) in across[2..n - 2].iter_mut().zip(at).zip(&at[2..]).zip(&at[4..]) {
+            let second = (c - b) - (b - a);
+            *square = second * second;
+        }
+        for k in n - 4..n - 2 {
+            across[k] = match last_column.line(columns - 2) {
+                (_, Some(last)) => last.second(at[k - 2], at[k], at[k + 2]).powi(2),
+                (line, None) if line < columns - 2 => across[k - 2],
+                _ => across[k],
+            };
+        }
+        (across[0], across[1]) = (across[2], across[3]);
+        (across[n - 2], across[n - 1]) = (across[n - 4], across[n - 3]);
+        for ((bend, x), y) in below.iter_mut().zip(across.chunks_exact(2)).zip(squares.chunks_exact(2)) {
+            *bend = (x[0] + x[1]) + (y[0] + y[1]);
+        }
+        if j > 0 {
+            let pairs = above.iter().zip(&below);
+            let high = |(a, b): (&f32, &f32)| a.max(*b) > limit;
+            let high: Vec<bool> = pairs.map(high).collect();
+            bent.extend(high.windows(2).enumerate().filter(|(_, ab)| ab[0] | ab[1]).map(|(i, _)| index(i, j - 1)));
+        }
+        std::mem::swap(&mut above, &mut below);
+    }
+    bent
+}
+
+/// The last line of a grid, which may be nearer than the others.
+#[derive(Clone, Copy)]
+struct Last {
+    share: f64,
+}
+
+impl Last {
+    const fn new(share: f64) -> Self {
+        Self { share }
+    }
+
+    /// The line whose differences stand for those of `line`, the second but last, and how to compute them.
+    fn line(self, line: usize) -> (usize, Option<Self>) {
+        if self.share < NARROW {
+            (line - 1, None)
+        } else if self.share < 1.0 {
+            (line, Some(self))
+        } else {
+            (line, None)
+        }
+    }
+
+    /// The second difference of three values, of which the last is nearer.
+    #[expect(clippy::cast_possible_truncation, reason = "an estimate")]
+    fn second(self, a: f32, b: f32, c: f32) -> f32 {
+        let share = self.share as f32;
+        ((c - b) / share - (b - a)) * 2.0 / (1.0 + share)
+    }
+}

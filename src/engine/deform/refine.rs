@@ -1,0 +1,434 @@
+//! Chooses the cells of a posed grid that must be drawn as smaller ones, so that the drawn map differs from f by at most a tolerance
+//! (mathematics section 12). A cell that may be bent is measured against exact rows where halving it would add vertices, and at the handles
+//! in it, where f is known. Cells over the tolerance are halved and measured again. Measurements and rejected variants: `warp/notes.md`.
+//!
+//! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept change it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::curvature::bent_cells;
+use super::exact_rows::{ExactRows, Posing, group, group_len};
+use super::handles::Handle;
+use super::plan::{IsCancelled, Plan, to_f32};
+use super::{Field, Pose};
+use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
+
+/// Cells are measured if their second differences predict more than this share of the tolerance.
+const SUSPECT: f64 = 0.6;
+/// Halving a smooth cell divides its error by four; half of that is relied on without measuring again.
+const HALVED: f32 = 0.5;
+/// Cells are not halved below this size, px.
+const SMALLEST_CELL: f64 = 0.5;
+/// Positions along a segment at which f is compared with the drawn map.
+const SEGMENT_SAMPLES: u32 = 5;
+/// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well.
+const BESIDE: f64 = 0.25;
+
+/// The tolerance of a posed grid, and what may be spent on it.
+#[derive(Clone, Copy, Debug)]
+pub struct Refiner<'a> {
+    /// The handles.
+    pub field: &'a Field,
+    /// The rows that are kept.
+    pub rows: &'a ExactRows,
+    /// Largest distance between the drawn map and f, px.
+    pub tolerance: f64,
+    /// Most vertices inside cells; cells that would need more remain over the tolerance.
+    pub vertices: usize,
+}
+
+/// The result of [`Refiner::refine`].
+#[derive(Clone, Debug)]
+pub struct Refined {
+    /// The refined cells.
+    pub refinement: Refinement,
+    /// Cells that remain over the tolerance.
+    pub exceeded: u64,
+}
+
+/// What is known of a cell.
+#[derive(Debug)]
+struct Measured {
+    /// Displacements on `[2^depth + 1][2^depth + 1]`.
+    vertices: Vec<[f32; 2]>,
+    depth: u8,
+    /// The largest error of the cell halved k times, for each k below `depth`.
+    errors: Vec<f32>,
+    /// Halved at least this many times, because a neighbour is.
+    least: u8,
+}
+
+/// A position at which f is known.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    s: f64,
+    t: f64,
+    displacement: Vec2,
+}
+
+impl Refiner<'_> {
+    /// Measures and halves cells of a posed mesh. `None` when cancelled.
+    #[must_use]
+    pub fn refine(&self, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Refined> {
+        let none = Refined { refinement: Refinement::NONE, exceeded: 0 };
+        if pose.is_identity() || self.field.handles().columns() == 0 {
+            return Some(none);
+        }
+        let grid = mesh.grid();
+        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let bytes = Plan::bytes_for(self.field, grid.len());
+        let posing = Posing { field: self.field, grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
+        let samples = samples(self.field, grid, pose);
+        let mut work = Work { refiner: self, mesh, samples, cells: BTreeMap::new(), left: self.vertices, exceeded: BTreeSet::new() };
+        work.run(&posing, cancelled)?;
+        Some(work.finish())
+    }
+}
+
+/// The times that a cell of a grid may be halved.
+fn deepest(grid: &Grid) -> u8 {
+    let mut cell = grid.cell().0.max(grid.cell().1);
+    let mut level = 0;
+    while cell > SMALLEST_CELL && level < 6 {
+        cell /= 2.0;
+        level += 1;
+    }
+    level
+}
+
+/// The handles inside the grid, by cell.
+fn samples(field: &Field, grid: &Grid, pose: &Pose) -> BTreeMap<u32, Vec<Sample>> {
+    let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
+    let mut add = |p: Point, displacement: Vec2| {
+        if let Some((i, j, s, t)) = grid.locate(p) {
+            samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
+        }
+    };
+    let mut d = pose.displacements().iter().copied();
+    for handle in field.handles().handles() {
+        match handle {
+            Handle::Point(p) => add(*p, d.next().expect("one column a point")),
+            Handle::Polyline(places) => {
+                for ab in places.windows(2) {
+                    let (da, db) = (d.next().expect("two columns a segment"), d.next().expect("two columns a segment"));
+                    for k in 0..SEGMENT_SAMPLES {
+                        let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
+                        add(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
+                    }
+                }
+            }
+        }
+    }
+    samples
+}
+
+/// The measurement of one pose.
+struct Work<'a> {
+    refiner: &'a Refiner<'a>,
+    mesh: &'a Mesh,
+    samples: BTreeMap<u32, Vec<Sample>>,
+    cells: BTreeMap<u32, Measured>,
+    /// Vertices that may still be computed.
+    left: usize,
+    exceeded: BTreeSet<u32>,
+}
+
+/// What to do with a cell.
+enum Decision {
+    /// Draw it halved this many times.
+    Draw(u8),
+    /// Measure one level more.
+    Measure,
+}
+
+impl Work<'_> {
+    #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
+    fn tolerance(&self) -> f32 {
+        self.refiner.tolerance as f32
+    }
+
+    fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
+        let mut pending: BTreeSet<u32> = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance).into_iter().collect();
+        for (&cell, samples) in &self.samples {
+            if self.sample_error(samples, &self.corners(cell), 0) > self.tolerance() * 0.5 {
+                pending.insert(cell);
+            }
+        }
+        let deepest = deepest(self.mesh.grid());
+        while !pending.is_empty() {
+            let mut by_depth = vec![Vec::new(); deepest.into()];
+            for &cell in &pending {
+                by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
+            }
+            for (depth, cells) in (0..).zip(&by_depth) {
+                self.measure(posing, depth, cells, cancelled)?;
+            }
+            let mut next = BTreeSet::new();
+            for &cell in &pending {
+                self.judge(cell, deepest, &mut next);
+            }
+            pending = next;
+        }
+        Some(())
+    }
+
+    /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
+    fn measure(&mut self, posing: &Posing<'_>, depth: u8, cells: &[u32], cancelled: IsCancelled<'_>) -> Option<()> {
+        let len = group_len(depth + 1);
+        let cells = &cells[..cells.len().min(self.left / len)];
+        self.left -= cells.len() * len;
+        let fresh = self.refiner.rows.displace(posing, depth + 1, cells, cancelled)?;
+        for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
+            let corners = self.corners(cell);
+            let known = self.cells.entry(cell).or_insert_with(|| Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 });
+            known.deepen(fresh);
+        }
+        Some(())
+    }
+
+    /// Decides on a cell that was measured; what must be measured next goes to `next`.
+    fn judge(&mut self, cell: u32, deepest: u8, next: &mut BTreeSet<u32>) {
+        let Some(known) = self.cells.get(&cell).filter(|known| known.depth > 0) else {
+            // No vertices were left for it.
+            self.exceeded.insert(cell);
+            return;
+        };
+        match self.decide(cell, known) {
+            Decision::Measure if known.depth < deepest => {
+                // Without vertices left the next measurement changes nothing.
+                if self.left < group_len(known.depth + 1) {
+                    self.exceeded.insert(cell);
+                } else {
+                    next.insert(cell);
+                }
+            }
+            Decision::Measure => _ = self.exceeded.insert(cell),
+            Decision::Draw(_) => {}
+        }
+        if known.depth == 1 && known.errors[0] > self.tolerance() {
+            next.extend(self.around(cell, |_, _| true).into_iter().filter(|other| !self.cells.contains_key(other)));
+        }
+        // Both cells at a side must be halved for the handles beside it.
+        let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
+        if self.sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
+            let beside = |di: i32, dj: i32| {
+                let near = |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
+                samples.iter().any(|sample| near(sample.s, di) && near(sample.t, dj))
+            };
+            for other in self.around(cell, beside) {
+                let corners = self.corners(other);
+                let known = || Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 };
+                let other_known = self.cells.entry(other).or_insert_with(known);
+                other_known.least = other_known.least.max(depth);
+                if other_known.depth < depth {
+                    next.insert(other);
+                }
+            }
+        }
+    }
+
+    /// The fewest halvings with which a cell meets the tolerance, as far as it was measured.
+    fn decide(&self, cell: u32, known: &Measured) -> Decision {
+        let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
+        for level in known.least..=known.depth {
+            let error = match known.errors.get(usize::from(level)) {
+                Some(&error) => error,
+                None => known.errors.last().map_or(f32::INFINITY, |error| error * HALVED),
+            };
+            if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
+                return Decision::Draw(level);
+            }
+        }
+        Decision::Measure
+    }
+
+    fn finish(self) -> Refined {
+        let grid = self.mesh.grid();
+        let mut refinement = Refinement::default();
+        for (&cell, known) in &self.cells {
+            let level = match self.decide(cell, known) {
+                Decision::Draw(level) => level,
+                Decision::Measure => known.depth,
+            };
+            if level > 0 {
+                let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
+                refinement.push(i, j, level, &known.at_level(level));
+            }
+        }
+        let outer = |cell: &RefinedCell, edge: usize| {
+            let index = cell.row * (grid.columns() - 1) + cell.column;
+            if self.samples.contains_key(&index) {
+                return cell.level;
+            }
+            let vertices = self.cells[&index].at_level(cell.level);
+            outer_level(&vertices, cell.side(), edge, self.tolerance())
+        };
+        // Neighbours decide with the levels of the first pass.
+        refinement.join(grid, outer);
+        Refined { refinement, exceeded: self.exceeded.len() as u64 }
+    }
+
+    /// The displacements of the corners of a cell.
+    fn corners(&self, cell: u32) -> [[f32; 2]; 4] {
+        let columns = self.mesh.grid().columns() as usize;
+        let at = cell as usize / (columns - 1) * columns + cell as usize % (columns - 1);
+        let d = self.mesh.displacement();
+        [d[at], d[at + 1], d[at + columns], d[at + columns + 1]]
+    }
+
+    /// The neighbours of a cell in the chosen directions.
+    fn around(&self, cell: u32, is_chosen: impl Fn(i32, i32) -> bool) -> Vec<u32> {
+        let grid = self.mesh.grid();
+        let (columns, rows) = (grid.columns() - 1, grid.rows() - 1);
+        let (i, j) = (cell % columns, cell / columns);
+        let directions = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (di, dj)));
+        directions
+            .filter(|&(di, dj)| (di, dj) != (0, 0) && is_chosen(di, dj))
+            .filter_map(|(di, dj)| Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?)))
+            .filter(|&(i, j)| i < columns && j < rows)
+            .map(|(i, j)| j * columns + i)
+            .collect()
+    }
+
+    fn sample_error_at(&self, samples: &[Sample], known: &Measured, level: u8) -> f32 {
+        if samples.is_empty() { 0.0 } else { self.sample_error(samples, &known.at_level(level), level) }
+    }
+
+    /// The largest distance at samples between f and a cell halved `level` times; its vertices may be finer.
+    #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
+    fn sample_error(&self, samples: &[Sample], vertices: &[[f32; 2]], level: u8) -> f32 {
+        if samples.is_empty() {
+            return 0.0;
+        }
+        let side = vertices.len().isqrt();
+        let coarse = at_level(vertices, side, level);
+        let error = |sample: &Sample| {
+            (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32
+        };
+        samples.iter().map(error).fold(0.0, f32::max)
+    }
+}
+
+impl Measured {
+    /// Adds the vertices of one halving more, and the error of the present lattice at them.
+    fn deepen(&mut self, fresh: &[[f32; 2]]) {
+        let coarse = (1_usize << self.depth) + 1;
+        let fine = 2 * coarse - 1;
+        let mut vertices = vec![[0.0; 2]; fine * fine];
+        for (b, row) in self.vertices.chunks_exact(coarse).enumerate() {
+            for (a, d) in row.iter().enumerate() {
+                vertices[2 * b * fine + 2 * a] = *d;
+            }
+        }
+        let mut worst = 0.0_f32;
+        let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
+        for ((a, b), d) in group(self.depth + 1).zip(fresh) {
+            let (a, b) = (a as usize, b as usize);
+            let old = |a: usize, b: usize| self.vertices[b / 2 * coarse + a / 2];
+            let patch = match (a & 1, b & 1) {
+                (1, 0) => mean(old(a, b), old(a + 1, b)),
+                (0, _) => mean(old(a, b), old(a, b + 1)),
+                _ => mean(mean(old(a, b), old(a + 1, b)), mean(old(a, b + 1), old(a + 1, b + 1))),
+            };
+            worst = worst.max((d[0] - patch[0]).hypot(d[1] - patch[1]));
+            vertices[b * fine + a] = *d;
+        }
+        self.vertices = vertices;
+        self.errors.push(worst);
+        self.depth += 1;
+    }
+
+    /// The vertices of the cell halved `level` times.
+    fn at_level(&self, level: u8) -> Vec<[f32; 2]> {
+        at_level(&self.vertices, (1 << self.depth) + 1, level)
+    }
+}
+
+/// Some of the vertices of a lattice: those of a coarser one.
+fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Vec<[f32; 2]> {
+    let step = (side - 1) >> level;
+    if step == 1 {
+        return vertices.to_vec();
+    }
+    (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
+}
+
+/// The fewest halvings with which an edge meets the tolerance.
+fn outer_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
+    let line: Vec<[f32; 2]> = (0..side)
+        .map(|k| match edge {
+            0 => vertices[k],
+            1 => vertices[k * side + side - 1],
+            2 => vertices[(side - 1) * side + k],
+            _ => vertices[k * side],
+        })
+        .collect();
+    let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
+    let is_within = |level: &u8| {
+        let step = (side - 1) >> level;
+        (0..side).all(|k| {
+            let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
+            let (a, b) = (line[from], line[(from + step).min(side - 1)]);
+            (line[k][0] - a[0] - (b[0] - a[0]) * share).hypot(line[k][1] - a[1] - (b[1] - a[1]) * share) <= tolerance
+        })
+    };
+    (0..last).find(is_within).unwrap_or(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::{Falloff, Handles, Method};
+
+    struct Random(u64);
+    impl Random {
+        fn next(&mut self) -> f64 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        }
+    }
+
+    #[test]
+    fn experiment() {
+        let tolerances: Vec<f64> = std::env::var("TOL").unwrap_or("0.5,0.25,0.1".into()).split(',').map(|t| t.parse().unwrap()).collect();
+        for (n, reach, spread) in [(7, 60.0, 0.9), (11, 60.0, 0.9), (100, 20.0, 0.95), (478, 6.0, 0.6)] {
+            for method in [Method::Affine, Method::Similarity, Method::Rigid] {
+                for alpha in [0.75, 1.0, 1.5, 2.0, 3.0] {
+                    let mut r = Random(n as u64 * 7 + 1);
+                    let p: Vec<Point> = (0..n).map(|_| Point::new(500.0 * (0.5 + spread * (r.next() - 0.5)), 500.0 * (0.5 + spread * (r.next() - 0.5)))).collect();
+                    let q = p.iter().map(|p| Handle::Point(*p + Vec2::new(reach * (2.0 * r.next() - 1.0), reach * (2.0 * r.next() - 1.0)))).collect::<Vec<_>>();
+                    let rest = Handles::new(p.into_iter().map(Handle::Point).collect(), None).unwrap();
+                    let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
+                    let pose = field.pose(&q).unwrap();
+                    let grid = Grid::with_cell(500.0, 500.0, 5.0);
+                    let (base, quality) = Plan::of_grid(&field, &grid).pose(&grid, &pose);
+                    let step = if n > 50 { 3 } else { 1 };
+                    let places: Vec<Point> = (0..500).step_by(step).flat_map(|y| (0..500).step_by(step).map(move |x| Point::new(x as f64 + 0.5, y as f64 + 0.5))).collect();
+                    let exact: Vec<Point> = places.iter().map(|p| field.map(&pose, *p)).collect();
+                    let error = |mesh: &Mesh| {
+                        let mut e: Vec<f64> = places.iter().zip(&exact).map(|(p, f)| mesh.map(*p).unwrap().distance(*f)).collect();
+                        e.sort_by(f64::total_cmp);
+                        let over = |t: f64| e.iter().filter(|x| **x > t).count();
+                        (e[e.len() - 1], e[e.len() * 99 / 100], over(0.1), over(0.25), over(0.5))
+                    };
+                    let (m, p99, ..) = error(&base);
+                    print!("{n:4} {method:?} {alpha}: base {m:.2}/{p99:.2} least {:.2}", quality.least_rotation);
+                    for &tolerance in &tolerances {
+                        let rows = ExactRows::new(1 << 30);
+                        let t = if tolerance >= 0.125 { tolerance - 0.0625 } else { tolerance * 0.5 };
+                        let refiner = Refiner { field: &field, rows: &rows, tolerance: t, vertices: 4 * grid.len() + 32768 };
+                        let refined = refiner.refine(&base, &pose, &|| false).unwrap();
+                        let cells = refined.refinement.cells().to_vec();
+                        let mut by = [0; 7];
+                        for c in &cells { by[c.level as usize] += 1; }
+                        let sub: usize = cells.iter().map(|c| (c.side() - 1).pow(2)).sum();
+                        let mesh = base.clone().refined(refined.refinement);
+                        let (m, p99, a, b, c) = error(&mesh);
+                        print!(" | t {tolerance}: {m:.3}/{p99:.3} over {} cells {:?} sub {sub} rows {} exc {}", if tolerance < 0.2 { a } else if tolerance < 0.4 { b } else { c }, &by[1..], rows.kept_bytes() as usize / 64 / (3 * n + 2) * 16, refined.exceeded);
+                    }
+                    println!();
+                }
+            }
+        }
+    }
+}
