@@ -116,6 +116,7 @@ export const WARNINGS = {
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",
   line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
+  tolerance_exceeded: "Some details are less precise than usual, because the picture changes too abruptly there.",
   handles_outside_picture: "A handle is far outside the picture.",
   looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
   nothing_visible: "The whole picture is outside the canvas.",

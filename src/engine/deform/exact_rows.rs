@@ -157,14 +157,4 @@ impl ExactRows {
             }
         }
     }
-
-    /// Memory of the rows that are kept, bytes.
-    #[cfg(test)]
-    pub(super) fn kept_bytes(&self) -> u64 {
-        let kept = self.kept.read().unwrap_or_else(PoisonError::into_inner);
-        let mut units: Vec<(*const Lanes, usize)> = kept.values().map(|(unit, _)| (unit.as_ptr(), unit.len())).collect();
-        units.sort_unstable();
-        units.dedup();
-        units.iter().map(|(_, lanes)| (lanes * size_of::<Lanes>()) as u64).sum()
-    }
 }

@@ -42,13 +42,13 @@ mod segments;
 mod span;
 
 pub use contradictions::Contradiction;
-pub use exact_rows::ExactRows;
 pub use error::{DeformError, Warning};
+pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
 pub use field::Field;
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
-pub use refine::{Refined, Refiner};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
+pub use refine::{Refined, Refiner};
 
 /// The class of maps that is fitted at every position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

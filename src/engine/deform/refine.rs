@@ -21,8 +21,10 @@ const HALVED: f32 = 0.5;
 const SMALLEST_CELL: f64 = 0.5;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
-/// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well.
-const BESIDE: f64 = 0.25;
+/// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
+const BESIDE: f64 = 0.5;
+/// An error between the vertices where it is measured is at most this much larger.
+const BETWEEN: f32 = 1.1;
 
 /// The tolerance of a posed grid, and what may be spent on it.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +35,10 @@ pub struct Refiner<'a> {
     pub rows: &'a ExactRows,
     /// Largest distance between the drawn map and f, px.
     pub tolerance: f64,
+    /// The largest distance between what is drawn and a cell, px of the source, which the tolerance leaves room for.
+    pub drawn_within: f32,
+    /// Whether some cell of the mesh is folded.
+    pub folds: bool,
     /// Most vertices inside cells; cells that would need more remain over the tolerance.
     pub vertices: usize,
 }
@@ -42,8 +48,8 @@ pub struct Refiner<'a> {
 pub struct Refined {
     /// The refined cells.
     pub refinement: Refinement,
-    /// Cells that remain over the tolerance.
-    pub exceeded: u64,
+    /// Column and row of the cells that remain over the tolerance.
+    pub exceeded: Vec<(u32, u32)>,
 }
 
 /// What is known of a cell.
@@ -70,7 +76,7 @@ impl Refiner<'_> {
     /// Measures and halves cells of a posed mesh. `None` when cancelled.
     #[must_use]
     pub fn refine(&self, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Refined> {
-        let none = Refined { refinement: Refinement::NONE, exceeded: 0 };
+        let none = Refined { refinement: Refinement::new(self.drawn_within), exceeded: Vec::new() };
         if pose.is_identity() || self.field.handles().columns() == 0 {
             return Some(none);
         }
@@ -154,6 +160,11 @@ impl Work<'_> {
                 pending.insert(cell);
             }
         }
+        if self.refiner.folds {
+            let columns = self.mesh.grid().columns() - 1;
+            let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
+            pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > self.tolerance()));
+        }
         let deepest = deepest(self.mesh.grid());
         while !pending.is_empty() {
             let mut by_depth = vec![Vec::new(); deepest.into()];
@@ -179,9 +190,10 @@ impl Work<'_> {
         self.left -= cells.len() * len;
         let fresh = self.refiner.rows.displace(posing, depth + 1, cells, cancelled)?;
         for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
-            let corners = self.corners(cell);
-            let known = self.cells.entry(cell).or_insert_with(|| Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 });
-            known.deepen(fresh);
+            let (corners, size) = (self.corners(cell), self.size(cell));
+            let known =
+                self.cells.entry(cell).or_insert_with(|| Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 });
+            known.deepen(fresh, size);
         }
         Some(())
     }
@@ -205,7 +217,7 @@ impl Work<'_> {
             Decision::Measure => _ = self.exceeded.insert(cell),
             Decision::Draw(_) => {}
         }
-        if known.depth == 1 && known.errors[0] > self.tolerance() {
+        if known.depth == 1 && known.errors[0] * BETWEEN > self.tolerance() {
             next.extend(self.around(cell, |_, _| true).into_iter().filter(|other| !self.cells.contains_key(other)));
         }
         // Both cells at a side must be halved for the handles beside it.
@@ -232,7 +244,7 @@ impl Work<'_> {
         let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
         for level in known.least..=known.depth {
             let error = match known.errors.get(usize::from(level)) {
-                Some(&error) => error,
+                Some(&error) => error * BETWEEN,
                 None => known.errors.last().map_or(f32::INFINITY, |error| error * HALVED),
             };
             if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
@@ -244,7 +256,7 @@ impl Work<'_> {
 
     fn finish(self) -> Refined {
         let grid = self.mesh.grid();
-        let mut refinement = Refinement::default();
+        let mut refinement = Refinement::new(self.refiner.drawn_within);
         for (&cell, known) in &self.cells {
             let level = match self.decide(cell, known) {
                 Decision::Draw(level) => level,
@@ -265,7 +277,16 @@ impl Work<'_> {
         };
         // Neighbours decide with the levels of the first pass.
         refinement.join(grid, outer);
-        Refined { refinement, exceeded: self.exceeded.len() as u64 }
+        let exceeded = self.exceeded.iter().map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1))).collect();
+        Refined { refinement, exceeded }
+    }
+
+    /// Width and height of a cell at rest.
+    #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
+    fn size(&self, cell: u32) -> [f32; 2] {
+        let grid = self.mesh.grid();
+        let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
+        [(grid.x(i + 1) - grid.x(i)) as f32, (grid.y(j + 1) - grid.y(j)) as f32]
     }
 
     /// The displacements of the corners of a cell.
@@ -302,16 +323,15 @@ impl Work<'_> {
         }
         let side = vertices.len().isqrt();
         let coarse = at_level(vertices, side, level);
-        let error = |sample: &Sample| {
-            (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32
-        };
+        let error =
+            |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
         samples.iter().map(error).fold(0.0, f32::max)
     }
 }
 
 impl Measured {
     /// Adds the vertices of one halving more, and the error of the present lattice at them.
-    fn deepen(&mut self, fresh: &[[f32; 2]]) {
+    fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
         let coarse = (1_usize << self.depth) + 1;
         let fine = 2 * coarse - 1;
         let mut vertices = vec![[0.0; 2]; fine * fine];
@@ -320,7 +340,7 @@ impl Measured {
                 vertices[2 * b * fine + 2 * a] = *d;
             }
         }
-        let mut worst = 0.0_f32;
+        let mut worst = split_error(&self.vertices, coarse, size);
         let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
         for ((a, b), d) in group(self.depth + 1).zip(fresh) {
             let (a, b) = (a as usize, b as usize);
@@ -342,6 +362,26 @@ impl Measured {
     fn at_level(&self, level: u8) -> Vec<[f32; 2]> {
         at_level(&self.vertices, (1 << self.depth) + 1, level)
     }
+}
+
+/// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells that are not convex are split into two
+/// triangles, which differ from the patch by a quarter of its twist.
+fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) -> f32 {
+    let (width, height) = (size[0] / (side - 1) as f32, size[1] / (side - 1) as f32);
+    let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
+    let mut worst = 0.0_f32;
+    for (above, below) in vertices.chunks_exact(side).zip(vertices.chunks_exact(side).skip(1)) {
+        for (ab, dc) in above.windows(2).zip(below.windows(2)) {
+            let across = |ab: &[[f32; 2]]| [width + (ab[1][0] - ab[0][0]), ab[1][1] - ab[0][1]];
+            let down = |k: usize| [dc[k][0] - ab[k][0], height + (dc[k][1] - ab[k][1])];
+            let (top, bottom, left, right) = (across(ab), across(dc), down(0), down(1));
+            let least = cross(top, left).min(cross(top, right)).min(cross(bottom, left)).min(cross(bottom, right));
+            if least <= 0.0 {
+                worst = worst.max(0.25 * (bottom[0] - top[0]).hypot(bottom[1] - top[1]));
+            }
+        }
+    }
+    worst
 }
 
 /// Some of the vertices of a lattice: those of a coarser one.
@@ -373,62 +413,4 @@ fn outer_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) 
         })
     };
     (0..last).find(is_within).unwrap_or(last)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::deform::{Falloff, Handles, Method};
-
-    struct Random(u64);
-    impl Random {
-        fn next(&mut self) -> f64 {
-            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (self.0 >> 11) as f64 / (1u64 << 53) as f64
-        }
-    }
-
-    #[test]
-    fn experiment() {
-        let tolerances: Vec<f64> = std::env::var("TOL").unwrap_or("0.5,0.25,0.1".into()).split(',').map(|t| t.parse().unwrap()).collect();
-        for (n, reach, spread) in [(7, 60.0, 0.9), (11, 60.0, 0.9), (100, 20.0, 0.95), (478, 6.0, 0.6)] {
-            for method in [Method::Affine, Method::Similarity, Method::Rigid] {
-                for alpha in [0.75, 1.0, 1.5, 2.0, 3.0] {
-                    let mut r = Random(n as u64 * 7 + 1);
-                    let p: Vec<Point> = (0..n).map(|_| Point::new(500.0 * (0.5 + spread * (r.next() - 0.5)), 500.0 * (0.5 + spread * (r.next() - 0.5)))).collect();
-                    let q = p.iter().map(|p| Handle::Point(*p + Vec2::new(reach * (2.0 * r.next() - 1.0), reach * (2.0 * r.next() - 1.0)))).collect::<Vec<_>>();
-                    let rest = Handles::new(p.into_iter().map(Handle::Point).collect(), None).unwrap();
-                    let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
-                    let pose = field.pose(&q).unwrap();
-                    let grid = Grid::with_cell(500.0, 500.0, 5.0);
-                    let (base, quality) = Plan::of_grid(&field, &grid).pose(&grid, &pose);
-                    let step = if n > 50 { 3 } else { 1 };
-                    let places: Vec<Point> = (0..500).step_by(step).flat_map(|y| (0..500).step_by(step).map(move |x| Point::new(x as f64 + 0.5, y as f64 + 0.5))).collect();
-                    let exact: Vec<Point> = places.iter().map(|p| field.map(&pose, *p)).collect();
-                    let error = |mesh: &Mesh| {
-                        let mut e: Vec<f64> = places.iter().zip(&exact).map(|(p, f)| mesh.map(*p).unwrap().distance(*f)).collect();
-                        e.sort_by(f64::total_cmp);
-                        let over = |t: f64| e.iter().filter(|x| **x > t).count();
-                        (e[e.len() - 1], e[e.len() * 99 / 100], over(0.1), over(0.25), over(0.5))
-                    };
-                    let (m, p99, ..) = error(&base);
-                    print!("{n:4} {method:?} {alpha}: base {m:.2}/{p99:.2} least {:.2}", quality.least_rotation);
-                    for &tolerance in &tolerances {
-                        let rows = ExactRows::new(1 << 30);
-                        let t = if tolerance >= 0.125 { tolerance - 0.0625 } else { tolerance * 0.5 };
-                        let refiner = Refiner { field: &field, rows: &rows, tolerance: t, vertices: 4 * grid.len() + 32768 };
-                        let refined = refiner.refine(&base, &pose, &|| false).unwrap();
-                        let cells = refined.refinement.cells().to_vec();
-                        let mut by = [0; 7];
-                        for c in &cells { by[c.level as usize] += 1; }
-                        let sub: usize = cells.iter().map(|c| (c.side() - 1).pow(2)).sum();
-                        let mesh = base.clone().refined(refined.refinement);
-                        let (m, p99, a, b, c) = error(&mesh);
-                        print!(" | t {tolerance}: {m:.3}/{p99:.3} over {} cells {:?} sub {sub} rows {} exc {}", if tolerance < 0.2 { a } else if tolerance < 0.4 { b } else { c }, &by[1..], rows.kept_bytes() as usize / 64 / (3 * n + 2) * 16, refined.exceeded);
-                    }
-                    println!();
-                }
-            }
-        }
-    }
 }

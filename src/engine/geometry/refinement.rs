@@ -27,15 +27,34 @@ impl RefinedCell {
 }
 
 /// The refined cells of a mesh, row by row, and the displacements of their vertices.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Refinement {
     cells: Vec<RefinedCell>,
     displacement: Vec<[f32; 2]>,
+    drawn_within: f32,
+}
+
+impl Default for Refinement {
+    fn default() -> Self {
+        Self::NONE
+    }
 }
 
 impl Refinement {
     /// No cell is refined.
-    pub const NONE: Self = Self { cells: Vec::new(), displacement: Vec::new() };
+    pub const NONE: Self = Self::new(1.0 / 16.0);
+
+    /// No cell yet, and the largest distance between what is drawn and the patch of a cell of any size, px of the source.
+    #[must_use]
+    pub const fn new(drawn_within: f32) -> Self {
+        Self { cells: Vec::new(), displacement: Vec::new(), drawn_within }
+    }
+
+    /// The largest distance between what is drawn and the patch of a cell, px of the source.
+    #[must_use]
+    pub const fn drawn_within(&self) -> f32 {
+        self.drawn_within
+    }
 
     /// Appends a cell, which must come after all others. Shapes: `vertices: [2^level + 1][2^level + 1]`. The edges are as fine as the cell
     /// until [`Refinement::join`].

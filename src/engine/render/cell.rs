@@ -74,13 +74,8 @@ fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, canv
         }
     };
     let slivers = |canvas: &mut Canvas<'_>| {
-        if !lattice.fine.has_slivers(cell, canvas.over) {
-            return;
-        }
-        let area: i64 = lattice.fine.fan(cell).map(|[a, b, c]| turn(a, b, c)).sum();
-        for [a, b, c] in lattice.fine.fan(cell).filter(|&[a, b, c]| turn(a, b, c).signum() == area.signum()) {
-            let triangle = [a, b, c, c];
-            draw_triangle(kernel, &triangle, lattice, rows, canvas);
+        for [a, b, c] in lattice.fine.slivers(cell, canvas.over) {
+            draw_triangle(kernel, &[a, b, c, c], lattice, rows, canvas);
         }
     };
     if canvas.over {

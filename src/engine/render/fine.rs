@@ -1,6 +1,6 @@
 //! The refined cells of a mesh on the lattice: each is drawn as smaller cells. Neighbours share the vertices of their common edge, but a
 //! vertex that lies on a straight edge of a coarser neighbour is snapped like any other, at most half a step beside it. The slivers that
-//! this leaves are painted by a fan of triangles over the same outline as the neighbours'.
+//! this leaves are painted as well.
 
 use super::kernel::Kernel;
 use super::lattice::{BLOCK, Corner, Lattice, YRange};
@@ -12,7 +12,7 @@ pub(super) struct FineCell {
     pub(super) i: usize,
     pub(super) j: usize,
     level: u8,
-    edges: [u8; 4],
+    pub(super) edges: [u8; 4],
     /// Extent of its vertices.
     pub(super) y: YRange,
     pub(super) x: (i32, i32),
@@ -82,12 +82,17 @@ impl FineCells {
         &self.cells
     }
 
+    /// The refined cells of a row of cells.
+    pub(super) fn row(&self, j: usize) -> &[FineCell] {
+        if self.cells.is_empty() { &[] } else { &self.cells[self.rows[j]..self.rows[j + 1]] }
+    }
+
     /// The refined cell at a column and row.
     pub(super) fn find(&self, i: usize, j: usize) -> Option<&FineCell> {
         if self.cells.is_empty() || self.bits[j * self.blocks + i / BLOCK] >> (i % BLOCK) & 1 == 0 {
             return None;
         }
-        let row = &self.cells[self.rows[j]..self.rows[j + 1]];
+        let row = self.row(j);
         row.binary_search_by_key(&i, |cell| cell.i).ok().map(|index| &row[index])
     }
 
@@ -101,21 +106,17 @@ impl FineCells {
         })
     }
 
-    /// Whether slivers may show beside a refined cell: some edge is coarser than the cell. `under`: whether the cell itself was painted
-    /// under it, which covers slivers at straight edges.
-    pub(super) fn has_slivers(&self, cell: &FineCell, under: bool) -> bool {
-        cell.edges.iter().any(|&level| level < cell.level && !(under && level == 0))
-    }
-
-    /// The fan of a refined cell: the middle, and the ends of each part of its outline as its neighbours draw it.
-    pub(super) fn fan(&self, cell: &FineCell) -> impl Iterator<Item = [Corner; 3]> + '_ {
+    /// The slivers between a refined cell and the straight parts of its edges, as triangles of either orientation. `under`: whether the
+    /// whole cell is painted under it, which covers those at edges that are straight as a whole.
+    pub(super) fn slivers(&self, cell: &FineCell, under: bool) -> impl Iterator<Item = [Corner; 3]> + '_ {
         let side = (1_usize << cell.level) + 1;
         let corners = &self.corners[cell.start..][..side * side];
-        let middle = corners[side / 2 * side + side / 2];
         let (level, edges) = (cell.level, cell.edges);
-        (0..4).flat_map(move |edge| {
+        let coarse = (0..4).filter(move |&edge| edges[edge] < level && !(under && edges[edge] == 0));
+        coarse.flat_map(move |edge| {
             let step = 1_usize << (level - edges[edge]);
-            (0..side - 1).step_by(step).map(move |k| [middle, corners[along(edge, k, side)], corners[along(edge, k + step, side)]])
+            let part = move |first: usize| (first + 1..first + step).map(move |k| [first, k, k + 1].map(|k| corners[along(edge, k, side)]));
+            (0..side - 1).step_by(step).flat_map(part)
         })
     }
 

@@ -91,6 +91,8 @@ pub(super) struct Lattice {
     pub(super) unit: f32,
     /// Cells with longer sides are drawn in double precision, lattice steps.
     pub(super) longest_side: i32,
+    /// Largest error of column crossings relative to the patch, px of the sampled picture.
+    pub(super) crossing_error: f32,
     /// Range of y of each row of cells.
     pub(super) row_ranges: Vec<YRange>,
     /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK]`.

@@ -26,6 +26,8 @@ pub(super) struct RowSplit {
     pub(super) parts: Vec<Part>,
     /// For each column of cells, the rows in which a cell is folded, one bit each.
     folded: Vec<u32>,
+    /// For each column of vertices, the rows in which it is not drawn straight, one bit each: refined cells beside it differ from crossings.
+    bent: Vec<u32>,
     /// Rows that are not split: drawn entirely cell by cell.
     unsplit: u32,
     /// The columns with folded cells, and their extent in each row, lattice x.
@@ -51,6 +53,8 @@ impl RowSplit {
         self.per_cell.resize(pitch, 0);
         self.folded.clear();
         self.folded.resize(cells, 0);
+        self.bent.clear();
+        self.bent.resize(cells + 1, 0);
         self.columns.clear();
         self.unsplit = 0;
         if mixed == 0 {
@@ -82,6 +86,11 @@ impl RowSplit {
                     left &= left - 1;
                     self.folded[i] |= rows_of(lattice.cell_range(i, j));
                 }
+            }
+            for cell in lattice.fine.row(j) {
+                let [_, right, _, left] = cell.edges.map(|level| if level > 0 { rows_of(cell.y) } else { 0 });
+                self.bent[cell.i] |= left;
+                self.bent[cell.i + 1] |= right;
             }
         }
         self.columns.extend((0..cells).filter(|&i| self.folded[i] != 0));
@@ -127,7 +136,8 @@ impl RowSplit {
             loop {
                 // The column at the left end lies left of all folded cells, and the cell left of it is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
-                let end = (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start));
+                let end =
+                    (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start) && self.bent[*c] & bit == 0);
                 match (end, self.parts.pop()) {
                     (Some(end), last) => {
                         part.cells.start = end;
@@ -145,7 +155,7 @@ impl RowSplit {
                 }
             }
             let last = next.map_or(cells, |next| self.columns[next]);
-            let end = (part.cells.end..last).find(|c| x[*c] - DOUBT >= px(part.across.end));
+            let end = (part.cells.end..last).find(|c| x[*c] - DOUBT >= px(part.across.end) && self.bent[*c] & bit == 0);
             part.cells.end = end.unwrap_or(last);
             self.parts.push(part);
         }

@@ -212,7 +212,10 @@ impl<'a> CellClassifier<'a> {
         let (under, below, behind) = if j < last { (under, below, j + 1) } else { (bottom, columns, j) };
         let height = self.height(before).min(self.height(j)).min(self.height(behind));
         let (lines, columns) = ([over, top, bottom, under], [above, columns, below]);
-        self.kernel.soundness(&Neighbours { lines, columns, height, u: &lattice.u, unit: lattice.unit.recip() }, &mut self.soundness);
+        self.kernel.soundness(
+            &Neighbours { lines, columns, height, u: &lattice.u, unit: lattice.unit.recip(), tolerance: lattice.crossing_error },
+            &mut self.soundness,
+        );
         let is_far = |line: (&[i32], &[i32])| {
             [line.0, line.1].into_iter().flatten().fold(0, |far, place| far.max(place.unsigned_abs())) >= FARTHEST * ONE.unsigned_abs()
         };
@@ -228,7 +231,14 @@ impl<'a> CellClassifier<'a> {
     /// Classifies the steep cells of a row.
     fn classify_steep(&mut self, j: usize) {
         let (lattice, unit) = (self.lattice, self.lattice.unit.recip());
-        let row = |j: usize| CellRow { top: self.vertices(j), bottom: self.vertices(j + 1), u: &lattice.u, height: self.height(j), unit };
+        let row = |j: usize| CellRow {
+            top: self.vertices(j),
+            bottom: self.vertices(j + 1),
+            u: &lattice.u,
+            height: self.height(j),
+            unit,
+            tolerance: lattice.crossing_error,
+        };
         let (mut above, mut below) = (vec![0.0; lattice.columns], vec![0.0; lattice.columns]);
         if j > 0 {
             self.kernel.bends(&row(j - 1), &row(j), &mut above);

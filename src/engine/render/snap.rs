@@ -12,6 +12,9 @@ use crate::pixmap::Extent;
 /// The largest extent of a cell that is drawn in f32, px of the sampled picture along either axis.
 const WIDEST: f32 = 1024.0;
 
+/// The share of the renderer's tolerance that column crossings may use; the rest is for snapping.
+const CROSSING_SHARE: f32 = 7.0 / 8.0;
+
 /// Converts a rest position to the sampler's coordinate: `scale * x + offset`.
 struct Axis {
     scale: f64,
@@ -82,8 +85,9 @@ impl Lattice {
         // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
         let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
+        let crossing_error = CROSSING_SHARE * mesh.refinement().drawn_within();
         let fine = FineCells::new(mesh, scale, &axes, kernel);
-        let mut lattice = Self { columns, rows, pitch, x, y, u, v, unit, longest_side, row_ranges, block_ranges, fine };
+        let mut lattice = Self { columns, rows, pitch, x, y, u, v, unit, longest_side, crossing_error, row_ranges, block_ranges, fine };
         lattice.cover_fine_cells();
         lattice
     }

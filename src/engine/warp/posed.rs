@@ -30,6 +30,7 @@ pub struct Posed {
     report: Report,
     digest: Digest,
     unit: (f64, f64),
+    exceeded: Vec<(u32, u32)>,
 }
 
 impl Posed {
@@ -40,18 +41,17 @@ impl Posed {
     /// `folds: reject` and the grid folds; cancelled.
     pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
-        if let Some(refined) = setup.refine(plan, &posed.mesh, pose, cancelled)? {
+        if let Some(refined) = setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)? {
             posed.mesh = posed.mesh.refined(refined.refinement);
             posed.report.residual = residual(setup.field().handles(), pose, &posed.mesh);
-            posed.report.exceeded = refined.exceeded;
-            if refined.exceeded > 0 {
+            posed.report.exceeded = refined.exceeded.len() as u64;
+            posed.exceeded = refined.exceeded;
+            if !posed.exceeded.is_empty() {
                 posed.report.warnings.push(Warning::ToleranceExceeded);
                 posed.report.warnings.sort_unstable();
             }
-            posed.digest = Collector::new("mlswarp refined pose 1")
-                .bytes(&posed.digest.0)
-                .float(setup.tolerance().unwrap_or_default())
-                .finish();
+            posed.digest =
+                Collector::new("mlswarp refined pose 1").bytes(&posed.digest.0).float(setup.tolerance().unwrap_or_default()).finish();
         }
         Ok(posed)
     }
@@ -75,13 +75,19 @@ impl Posed {
             warnings.push(Warning::NothingVisible);
         }
         let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh), exceeded: 0 };
-        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
+        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
     }
 
     /// The mesh, px.
     #[must_use]
     pub const fn mesh(&self) -> &Mesh {
         &self.mesh
+    }
+
+    /// Column and row of the cells of the grid that are farther than the tolerance from the exact map.
+    #[must_use]
+    pub fn exceeded_cells(&self) -> &[(u32, u32)] {
+        &self.exceeded
     }
 
     /// The report.

@@ -9,8 +9,8 @@ use super::digest::Collector;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
-    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, Refined, Refiner,
-    pose_without_table,
+    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, Refined,
+    Refiner, pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -251,11 +251,19 @@ impl Setup {
     }
 
     /// The cells of a posed mesh that are drawn as smaller ones to meet the tolerance, if there is one.
-    pub(super) fn refine(&self, plan: &Plan, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<Option<Refined>, WarpError> {
+    pub(super) fn refine(
+        &self,
+        plan: &Plan,
+        mesh: &Mesh,
+        folds: bool,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Option<Refined>, WarpError> {
         let refine = |tolerance: f64| {
             let drawn_within = DRAWN_WITHIN.min(tolerance / 2.0);
             let (field, rows, vertices) = (&*self.field, &plan.exact, self.fine_vertices());
-            let refiner = Refiner { field, rows, tolerance: tolerance - drawn_within, vertices };
+            #[expect(clippy::cast_possible_truncation, reason = "at most 1/16")]
+            let refiner = Refiner { field, rows, tolerance: tolerance - drawn_within, drawn_within: drawn_within as f32, folds, vertices };
             refiner.refine(mesh, pose, cancelled).ok_or(WarpError::Cancelled)
         };
         self.tolerance.map(refine).transpose()

@@ -76,15 +76,18 @@ pub(crate) struct DrawJob {
     pub(crate) q: Vec<Handle>,
     pub(crate) folds: Folds,
     pub(crate) output: OutputSpec,
+    /// A preview is drawn on the grid as it is, whatever its tolerance.
+    pub(crate) is_preview: bool,
     /// The client's quota of memory for responses.
     pub(crate) quota: ClientQuota,
 }
 
 impl DrawJob {
     fn warp(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
-        let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, .. } = self;
+        let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, is_preview, .. } = self;
         output.target(image.extent(), limits)?;
-        let posed = Posed::new(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
+        let pose_as = if *is_preview { Posed::coarse } else { Posed::new };
+        let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
         Ok((Warp::new(image, &posed, output, limits)?, posed.into_report_on(image)))
     }
 }

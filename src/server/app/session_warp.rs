@@ -8,7 +8,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, Image, OutputSpec, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{Image, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
@@ -40,7 +40,7 @@ struct SequencedRequest {
 /// A plan, and the ticket to use it.
 pub(crate) struct AdmittedPlan {
     pub(crate) ticket: Ticket,
-    planned: Planned,
+    pub(crate) planned: Planned,
 }
 
 impl AdmittedPlan {
@@ -100,7 +100,9 @@ impl App {
         let (record, image, plan) = self.unless_superseded(&request, plan).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
-        self.draw_admitted(plan, image, drag.q, record.folds, output, self.response_quota(client)).await
+        let AdmittedPlan { ticket, planned } = plan;
+        let (folds, quota) = (record.folds, self.response_quota(client));
+        self.draw(ticket, DrawJob { image, planned, q: drag.q, folds, output, is_preview: false, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
@@ -164,19 +166,6 @@ impl App {
         Ok(self.0.pool.admit(class, QueueKey::session(client, record.id)).await?)
     }
 
-    /// Poses and draws.
-    pub(crate) async fn draw_admitted(
-        &self,
-        plan: AdmittedPlan,
-        image: Arc<CacheEntry<Image>>,
-        q: Vec<Handle>,
-        folds: Folds,
-        output: OutputSpec,
-        quota: ClientQuota,
-    ) -> Result<Drawn, Problem> {
-        self.draw(plan.ticket, DrawJob { image, planned: plan.planned, q, folds, output, quota }).await
-    }
-
     /// Poses the grid and encodes it.
     pub(crate) async fn pose_mesh(
         &self,
@@ -192,7 +181,7 @@ impl App {
             let began = Instant::now();
             let is_cancelled = || cancel.is_cancelled();
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
-            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
+            let pose = || Posed::coarse(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
             let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
             timing.deform = began.elapsed();
             stage("deform", began);

@@ -19,7 +19,7 @@ pub(crate) const WARP_WITH_POINTS: [&str; 17] = {
 pub(crate) const POINTS_OF_SESSION: [&str; 6] = ["q", "points", "polygons", "boxes", "inverse", "refine"];
 
 /// The fields of `grid`.
-pub(crate) const GRID: [&str; 3] = ["cell", "columns", "rows"];
+pub(crate) const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 
 /// The fields of `output`, in the order of `OutputPatch::read`.
 pub(crate) const OUTPUT: [&str; 7] = ["format", "quality", "compression", "width", "filter", "outside", "canvas"];

@@ -1,5 +1,7 @@
 //! Numbers: text to f64 (correctly rounded) and to whole numbers.
 
+use std::ops::RangeInclusive;
+
 use mlswarp::geometry::Compact;
 
 use super::json::{Kind, Node};
@@ -26,6 +28,12 @@ pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem
 pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     let value = number(node, expected)?;
     if value > 0.0 { Ok(value) } else { Err(node.unexpected(expected, Compact(value)).actual(value)) }
+}
+
+/// A number in a range.
+pub(crate) fn number_in(node: &Node<'_, '_>, range: RangeInclusive<f64>, expected: &str) -> Result<f64, Problem> {
+    let value = number(node, expected)?;
+    if range.contains(&value) { Ok(value) } else { Err(node.unexpected(expected, Compact(value)).actual(value)) }
 }
 
 /// A whole number, at least 0; `8.0` and `1e3` are whole numbers.

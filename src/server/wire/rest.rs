@@ -6,12 +6,12 @@ use mlswarp::warp::{Folds, GridSpec, RestSpec, Units};
 use super::enum_name::{Metric, enum_name, unknown_name};
 use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
-use super::number::{count, number, positive};
+use super::number::{count, number, number_in, positive};
 use super::output::OutputPatch;
 use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
 
-const GRID: &str = "`auto`, `pixel`, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
+const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
 /// The fields that a warp object gives. They replace the defaults, or the values of a session.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -105,11 +105,19 @@ fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
         Kind::Object => {
             let vertices = "a whole number of vertices, at least 2";
             match node.fields(&fields::GRID)? {
-                [Some(cell), None, None] => Ok(GridSpec::Cell(positive(&cell, "a positive number of pixels")?)),
-                [None, Some(columns), Some(rows)] => {
+                [None, None, None, Some(tolerance)] => {
+                    let (least, most) = GridSpec::TOLERANCES.into_inner();
+                    let expected = format!("a number of pixels between {least} and {most}");
+                    Ok(GridSpec::Tolerance(number_in(&tolerance, GridSpec::TOLERANCES, &expected)?))
+                }
+                [Some(cell), None, None, None] => Ok(GridSpec::Cell(positive(&cell, "a positive number of pixels")?)),
+                [None, Some(columns), Some(rows), None] => {
                     Ok(GridSpec::Counts { columns: count(&columns, 2, vertices)?, rows: count(&rows, 2, vertices)? })
                 }
-                _ => Err(node.problem(Code::BadValue, format!("expected `cell` alone, or `columns` and `rows`; a grid is one of {GRID}"))),
+                _ => Err(node.problem(
+                    Code::BadValue,
+                    format!("expected `tolerance` or `cell` alone, or `columns` and `rows`; a grid is one of {GRID}"),
+                )),
             }
         }
         _ => Err(node.wrong_kind(&format!("one of {GRID}"))),

@@ -34,6 +34,7 @@ impl Serialize for AsJson<GridSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
             GridSpec::Auto => s.serialize_str("auto"),
+            GridSpec::Tolerance(tolerance) => s.collect_map([("tolerance", tolerance)]),
             GridSpec::Pixel => s.serialize_str("pixel"),
             GridSpec::Cell(cell) => s.collect_map([("cell", cell)]),
             GridSpec::Counts { columns, rows } => s.collect_map([("columns", columns), ("rows", rows)]),

@@ -94,11 +94,19 @@ const OF_MESH: usize = 11;
 pub fn handles(n: usize, extent: Extent, strength: f64) -> (Vec<Handle>, Vec<Handle>) {
     let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
     let place = |x: f64, y: f64| Handle::Point(Point::new(x * width, y * height));
-    let handles = &HANDLES[..n];
+    let many: Vec<_> = (0..u32::try_from(n).expect("a few")).map(lattice).collect();
+    let handles = HANDLES.get(..n).unwrap_or(&many);
     (
         handles.iter().map(|([x, y], _)| place(*x, *y)).collect(),
         handles.iter().map(|([x, y], [dx, dy])| place(x + strength * dx, y + strength * dy)).collect(),
     )
+}
+
+/// One of a hundred handles: a lattice of ten by ten, its points shifted, moved by up to 14 px of 500 along each axis.
+fn lattice(k: u32) -> ([f64; 2], [f64; 2]) {
+    let noise = |n: u32| f64::from((k * 4 + n).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 23) - 1.0;
+    let place = |k: u32, n: u32| 0.05 + 0.1 * f64::from(k % 10) + 0.03 * noise(n);
+    ([place(k, 0), place(k / 10, 1)], [0.028 * noise(2), 0.028 * noise(3)])
 }
 
 /// How many cells of a mesh fold.

@@ -154,11 +154,8 @@ impl Piece {
         let twist = [e1[0] - e[0], e1[1] - e[1]];
         let near = Near::new(e, f, twist);
         let (du, dv) = (b.u - a.u, d.v - a.v);
-        let (map, off) = if near.is_accurate(du, dv, unit) {
-            (Map::Near(near), 0.5)
-        } else {
-            (Map::Root(Root::new(e, f, twist, sign)), 0.0)
-        };
+        let (map, off) =
+            if near.is_accurate(du, dv, unit) { (Map::Near(near), 0.5) } else { (Map::Root(Root::new(e, f, twist, sign)), 0.0) };
         let mut edges = [[0; 3]; 4];
         for k in 0..4 {
             edges[k] = edge(&corners[k], &corners[(k + 1) & 3], a, sign);

@@ -58,6 +58,8 @@ pub(in crate::render) struct CellRow<'a> {
     pub(in crate::render) height: f32,
     /// Px of the sampled picture for one of `u`.
     pub(in crate::render) unit: f32,
+    /// Largest error of drawn coordinates relative to the patch, px of the sampled picture.
+    pub(in crate::render) tolerance: f32,
 }
 
 /// y of the centres of a row of pixels, px.
@@ -84,9 +86,6 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// Tolerance of drawn coordinates relative to the patch, px of the sampled picture: seven eighths of the contract's, the rest is for
-/// snapping.
-const TOLERANCE: f32 = 7.0 / 128.0;
 /// The smallest area of a cell, as a share of its area at rest, at which crossings are used.
 const LEAST_AREA: f32 = 0.02;
 /// Coordinates beyond this are inexact in f32, px.
@@ -133,6 +132,8 @@ pub(in crate::render) struct Neighbours<'a> {
     pub(in crate::render) u: &'a [f32],
     /// Px of the sampled picture for one of `u`.
     pub(in crate::render) unit: f32,
+    /// Largest error of drawn coordinates relative to the patch, px of the sampled picture.
+    pub(in crate::render) tolerance: f32,
 }
 
 /// How cells may be drawn: [`UPRIGHT`], [`SOUND`] and [`STEEP`].
@@ -180,7 +181,7 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
         let off = |one: (f32, f32), other: (f32, f32), twist: (f32, f32)| most(cross(one, twist).abs(), cross(other, twist).abs());
         let off_u = most(cross(left, right).abs(), most(off(left, right, across_top), off(left, right, across_bottom)));
         let off_v = most(off(top, bottom, twist), most(off(top, bottom, across_top), off(top, bottom, across_bottom)));
-        let near = slant * most(off_u * width, off_v) <= TOLERANCE * middle * least_fall;
+        let near = slant * most(off_u * width, off_v) <= cells.tolerance * middle * least_fall;
         let upright = (least(least_top, least_bottom) > LEAST_AREA / (STEP * STEP) * width) & (fall > 0.0);
         let flat = most_slant < least_fall * cells.height;
         soundness[c] = u8::from(upright) + u8::from(upright & flat & near) + if upright & !flat { STEEP } else { 0 };
@@ -218,7 +219,7 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
         // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else at most 1 + |dt|.
         let lines = if slant < fall { fall } else { fall + slant };
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
-        let near = off * off * reach2 <= 16.0 * TOLERANCE * TOLERANCE * (area * area) * (fall2 * fall2);
+        let near = off * off * reach2 <= 16.0 * cells.tolerance * cells.tolerance * (area * area) * (fall2 * fall2);
         let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
         let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
         let sound = upright & (slant <= STEEPEST * fall) & near;

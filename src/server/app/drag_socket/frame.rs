@@ -11,8 +11,8 @@ use mlswarp::warp::{OutputSpec, Report};
 use tokio::sync::Semaphore;
 
 use crate::app::App;
-use crate::app::draw::{Drawn, Picture, Piece};
-use crate::app::session_warp::{MeshForm, PosedMesh};
+use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
+use crate::app::session_warp::{AdmittedPlan, MeshForm, PosedMesh};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::observe::Scope;
@@ -99,9 +99,12 @@ async fn try_draw_frame(
             let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
             let shape = plan.shape(record.extent);
             let output = output(&record, format, request.width);
-            let Drawn { report, extent, timing, picture, .. } = app.draw_admitted(plan, image, q, record.folds, output, quota).await?;
-            let (pieces, cost) = collect(picture).await?;
             let is_full = request.width.is_none_or(|width| width >= full_width(&record));
+            let AdmittedPlan { ticket, planned } = plan;
+            let job = DrawJob { image, planned, q, folds: record.folds, output, is_preview: !is_full, quota };
+            let drawn = app.draw(ticket, job).await?;
+            let Drawn { report, extent, timing, picture, .. } = drawn;
+            let (pieces, cost) = collect(picture).await?;
             let report = report_json(seq, extent, is_full, &report, timing, cost);
             Ok(Frame { seq, record, shape, pieces, report })
         }

@@ -78,6 +78,7 @@ fn warp_has_defaults_for_everything() {
 fn warp_reads_every_form_of_grid_and_outside() {
     let grid = |text: &str| WarpObject::parse(format!("{{\"grid\": {text}}}").as_bytes()).map(|w| w.rest.grid);
     assert_eq!(grid("\"pixel\""), Ok(GridSpec::Pixel));
+    assert_eq!(grid("{\"tolerance\": 0.05}"), Ok(GridSpec::Tolerance(0.05)));
     assert_eq!(grid("{\"cell\": 5}"), Ok(GridSpec::Cell(5.0)));
     assert_eq!(grid("{\"rows\": 2, \"columns\": 3.0}"), Ok(GridSpec::Counts { columns: 3, rows: 2 }));
     let outside = |text: &str| WarpObject::parse(format!("{{\"output\": {{\"outside\": {text}}}}}").as_bytes()).map(|w| w.output.outside);
@@ -505,6 +506,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         Just(GridSpec::Auto),
         Just(GridSpec::Pixel),
         (1e-9..1e9).prop_map(GridSpec::Cell),
+        (0.05..=4.0).prop_map(GridSpec::Tolerance),
         (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
     ];
     let outside = prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), any::<[u8; 4]>().prop_map(Outside::Colour)];
