@@ -15,6 +15,9 @@ use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
 use super::plan::{IsCancelled, gather, store};
 use crate::geometry::{Grid, Point};
 
+/// Memory to find a group, bytes.
+const ENTRY: usize = 64;
+
 /// Blocks of one or more groups, as the table of a plan, and what they hold.
 type Unit = Arc<[Lanes]>;
 
@@ -129,7 +132,7 @@ impl ExactRows {
         let places: Vec<Point> = cells.iter().flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at))).collect();
         let per_block = lanes_per_block(field.family(), field.handles().columns());
         let blocks = places.len().div_ceil(LANES);
-        let bytes = (blocks * per_block * size_of::<Lanes>()) as u64;
+        let bytes = (blocks * per_block * size_of::<Lanes>() + cells.len() * ENTRY) as u64;
         let is_kept = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(bytes)).is_ok();
         let mut table = vec![Lanes::default(); if is_kept { blocks * per_block } else { per_block }];
         let mut pairs = Vec::with_capacity(blocks);
@@ -153,7 +156,7 @@ impl ExactRows {
                 kept.entry((cells[k], level)).or_insert_with(|| (Arc::clone(&unit), group));
             }
             if Arc::strong_count(&unit) == 1 {
-                self.left.fetch_add(size_of_val(&*unit) as u64, Ordering::Relaxed);
+                self.left.fetch_add((size_of_val(&*unit) + indices.len() * ENTRY) as u64, Ordering::Relaxed);
             }
         }
     }

@@ -15,8 +15,12 @@ use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance.
 const SUSPECT: f64 = 0.6;
-/// Halving a smooth cell divides its error by four; half of that is relied on without measuring again.
+/// Halving a smooth cell divides its error by four; half of that is relied on without measuring again, unless f has a cusp at its handles
+/// or a crease along them (mathematics sections 2.4, 3.4).
 const HALVED: f32 = 0.5;
+/// The least alpha of points and of lines at which f is smooth enough for that.
+const SMOOTH_POINTS: f64 = 1.0;
+const SMOOTH_LINES: f64 = 1.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
 /// Positions along a segment at which f is compared with the drawn map.
@@ -85,7 +89,17 @@ impl Refiner<'_> {
         let bytes = Plan::bytes_for(self.field, grid.len());
         let posing = Posing { field: self.field, grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
         let samples = samples(self.field, grid, pose);
-        let mut work = Work { refiner: self, mesh, samples, cells: BTreeMap::new(), left: self.vertices, exceeded: BTreeSet::new() };
+        let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };
+        let mut work = Work {
+            refiner: self,
+            mesh,
+            samples,
+            cells: BTreeMap::new(),
+            left: self.vertices,
+            exceeded: BTreeSet::new(),
+            deepest: deepest(grid),
+            is_smooth: self.field.falloff().alpha() >= smooth,
+        };
         work.run(&posing, cancelled)?;
         Some(work.finish())
     }
@@ -137,6 +151,9 @@ struct Work<'a> {
     /// Vertices that may still be computed.
     left: usize,
     exceeded: BTreeSet<u32>,
+    /// The times that a cell may be halved.
+    deepest: u8,
+    is_smooth: bool,
 }
 
 /// What to do with a cell.
@@ -165,9 +182,8 @@ impl Work<'_> {
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
             pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > self.tolerance()));
         }
-        let deepest = deepest(self.mesh.grid());
         while !pending.is_empty() {
-            let mut by_depth = vec![Vec::new(); deepest.into()];
+            let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
                 by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
             }
@@ -176,7 +192,7 @@ impl Work<'_> {
             }
             let mut next = BTreeSet::new();
             for &cell in &pending {
-                self.judge(cell, deepest, &mut next);
+                self.judge(cell, &mut next);
             }
             pending = next;
         }
@@ -199,14 +215,14 @@ impl Work<'_> {
     }
 
     /// Decides on a cell that was measured; what must be measured next goes to `next`.
-    fn judge(&mut self, cell: u32, deepest: u8, next: &mut BTreeSet<u32>) {
+    fn judge(&mut self, cell: u32, next: &mut BTreeSet<u32>) {
         let Some(known) = self.cells.get(&cell).filter(|known| known.depth > 0) else {
             // No vertices were left for it.
             self.exceeded.insert(cell);
             return;
         };
         match self.decide(cell, known) {
-            Decision::Measure if known.depth < deepest => {
+            Decision::Measure if known.depth < self.deepest => {
                 // Without vertices left the next measurement changes nothing.
                 if self.left < group_len(known.depth + 1) {
                     self.exceeded.insert(cell);
@@ -245,7 +261,8 @@ impl Work<'_> {
         for level in known.least..=known.depth {
             let error = match known.errors.get(usize::from(level)) {
                 Some(&error) => error * BETWEEN,
-                None => known.errors.last().map_or(f32::INFINITY, |error| error * HALVED),
+                None if self.is_smooth || level == self.deepest => known.errors.last().map_or(f32::INFINITY, |error| error * HALVED),
+                None => f32::INFINITY,
             };
             if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
                 return Decision::Draw(level);

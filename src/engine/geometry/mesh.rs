@@ -58,7 +58,7 @@ impl Mesh {
     /// Whether every vertex is exactly at rest.
     #[must_use]
     pub fn is_identity(&self) -> bool {
-        self.displacement.iter().all(|d| *d == [0.0; 2])
+        self.displacement.iter().all(|d| *d == [0.0; 2]) && self.refinement.is_empty()
     }
 
     /// Displacement of a vertex.

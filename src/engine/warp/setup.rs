@@ -128,8 +128,10 @@ impl Setup {
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX: u64 = 64;
+        /// Twice two f32, and the renderer's corner.
+        const FINE: u64 = 40;
         let fine = if self.tolerance.is_some() { self.fine_vertices() } else { 0 };
-        (self.grid.len() + fine) as u64 * VERTEX
+        self.grid.len() as u64 * VERTEX + fine as u64 * FINE
     }
 
     /// Most vertices inside cells.
