@@ -20,9 +20,8 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     let share = |x: fn(&crate::geometry::Grid, u32) -> f64, last: u32| (x(grid, last) - x(grid, last - 1)) / (x(grid, 1) - x(grid, 0));
     let last_column = Last::new(share(crate::geometry::Grid::x, grid.columns() - 1));
     let last_row = Last::new(share(crate::geometry::Grid::y, grid.rows() - 1));
-    // |a| + |b| <= sqrt(2 (a^2 + b^2)).
     #[expect(clippy::cast_possible_truncation, reason = "a threshold")]
-    let limit = ((8.0 * limit).powi(2) / 2.0) as f32;
+    let limit = (8.0 * limit) as f32;
     let (mut squares, mut across) = (vec![0.0_f32; 2 * columns], vec![0.0_f32; 2 * columns]);
     let (mut above, mut below) = (vec![0.0_f32; columns], vec![0.0_f32; columns]);
     let mut bent = Vec::new();
@@ -51,7 +50,7 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
         (across[0], across[1]) = (across[2], across[3]);
         (across[n - 2], across[n - 1]) = (across[n - 4], across[n - 3]);
         for ((bend, x), y) in below.iter_mut().zip(across.chunks_exact(2)).zip(squares.chunks_exact(2)) {
-            *bend = (x[0] + x[1]) + (y[0] + y[1]);
+            *bend = (x[0] + x[1]).sqrt() + (y[0] + y[1]).sqrt();
         }
         if j > 0 {
             let pairs = above.iter().zip(&below);

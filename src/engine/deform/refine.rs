@@ -4,7 +4,8 @@
 //!
 //! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept change it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group, group_len};
@@ -13,16 +14,18 @@ use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
 
-/// Cells are measured if their second differences predict more than this share of the tolerance.
-const SUSPECT: f64 = 0.6;
-/// Halving a smooth cell divides its error by four; half of that is relied on without measuring again, unless f has a cusp at its handles
+/// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
+const SUSPECT: f64 = 0.85;
+/// Halving a smooth cell divides its error by four; a part of that is relied on without measuring again, unless f has a cusp at its handles
 /// or a crease along them (mathematics sections 2.4, 3.4).
-const HALVED: f32 = 0.5;
+const HALVED: f32 = 0.4;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
+/// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
+const LEVELS: usize = 4;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
@@ -56,6 +59,18 @@ pub struct Refined {
     pub exceeded: Vec<(u32, u32)>,
 }
 
+/// An error this many times the tolerance, or a handle in a cell over the tolerance: the neighbours are measured, whatever their second
+/// differences, because the grid may not resolve f there.
+const STEEP: f32 = 1.5;
+
+/// What is known of some cells.
+#[derive(Debug)]
+struct Cells {
+    /// One more than the index of each cell of the grid, or 0.
+    index: Vec<u32>,
+    known: Vec<(u32, Measured)>,
+}
+
 /// What is known of a cell.
 #[derive(Debug)]
 struct Measured {
@@ -63,7 +78,7 @@ struct Measured {
     vertices: Vec<[f32; 2]>,
     depth: u8,
     /// The largest error of the cell halved k times, for each k below `depth`.
-    errors: Vec<f32>,
+    errors: [f32; LEVELS],
     /// Halved at least this many times, because a neighbour is.
     least: u8,
 }
@@ -94,9 +109,9 @@ impl Refiner<'_> {
             refiner: self,
             mesh,
             samples,
-            cells: BTreeMap::new(),
+            cells: Cells { index: vec![0; grid.len()], known: Vec::new() },
             left: self.vertices,
-            exceeded: BTreeSet::new(),
+            exceeded: Vec::new(),
             deepest: deepest(grid),
             is_smooth: self.field.falloff().alpha() >= smooth,
         };
@@ -109,7 +124,7 @@ impl Refiner<'_> {
 fn deepest(grid: &Grid) -> u8 {
     let mut cell = grid.cell().0.max(grid.cell().1);
     let mut level = 0;
-    while cell > SMALLEST_CELL && level < 6 {
+    while cell > SMALLEST_CELL && usize::from(level) < LEVELS {
         cell /= 2.0;
         level += 1;
     }
@@ -147,10 +162,10 @@ struct Work<'a> {
     refiner: &'a Refiner<'a>,
     mesh: &'a Mesh,
     samples: BTreeMap<u32, Vec<Sample>>,
-    cells: BTreeMap<u32, Measured>,
+    cells: Cells,
     /// Vertices that may still be computed.
     left: usize,
-    exceeded: BTreeSet<u32>,
+    exceeded: Vec<u32>,
     /// The times that a cell may be halved.
     deepest: u8,
     is_smooth: bool,
@@ -171,10 +186,10 @@ impl Work<'_> {
     }
 
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
-        let mut pending: BTreeSet<u32> = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance).into_iter().collect();
+        let mut pending = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance);
         for (&cell, samples) in &self.samples {
             if self.sample_error(samples, &self.corners(cell), 0) > self.tolerance() * 0.5 {
-                pending.insert(cell);
+                pending.push(cell);
             }
         }
         if self.refiner.folds {
@@ -183,6 +198,8 @@ impl Work<'_> {
             pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > self.tolerance()));
         }
         while !pending.is_empty() {
+            pending.sort_unstable();
+            pending.dedup();
             let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
                 by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
@@ -190,7 +207,7 @@ impl Work<'_> {
             for (depth, cells) in (0..).zip(&by_depth) {
                 self.measure(posing, depth, cells, cancelled)?;
             }
-            let mut next = BTreeSet::new();
+            let mut next = Vec::new();
             for &cell in &pending {
                 self.judge(cell, &mut next);
             }
@@ -207,49 +224,48 @@ impl Work<'_> {
         let fresh = self.refiner.rows.displace(posing, depth + 1, cells, cancelled)?;
         for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
             let (corners, size) = (self.corners(cell), self.size(cell));
-            let known =
-                self.cells.entry(cell).or_insert_with(|| Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 });
-            known.deepen(fresh, size);
+            self.cells.get_or_insert(cell, corners).deepen(fresh, size);
         }
         Some(())
     }
 
     /// Decides on a cell that was measured; what must be measured next goes to `next`.
-    fn judge(&mut self, cell: u32, next: &mut BTreeSet<u32>) {
+    fn judge(&mut self, cell: u32, next: &mut Vec<u32>) {
         let Some(known) = self.cells.get(&cell).filter(|known| known.depth > 0) else {
             // No vertices were left for it.
-            self.exceeded.insert(cell);
+            self.exceeded.push(cell);
             return;
         };
         match self.decide(cell, known) {
             Decision::Measure if known.depth < self.deepest => {
                 // Without vertices left the next measurement changes nothing.
                 if self.left < group_len(known.depth + 1) {
-                    self.exceeded.insert(cell);
+                    self.exceeded.push(cell);
                 } else {
-                    next.insert(cell);
+                    next.push(cell);
                 }
             }
-            Decision::Measure => _ = self.exceeded.insert(cell),
+            Decision::Measure => self.exceeded.push(cell),
             Decision::Draw(_) => {}
         }
-        if known.depth == 1 && known.errors[0] * BETWEEN > self.tolerance() {
-            next.extend(self.around(cell, |_, _| true).into_iter().filter(|other| !self.cells.contains_key(other)));
+        let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
+        let over = known.errors[0] * BETWEEN / self.tolerance();
+        if depth == 1 && (over > STEEP || over > 1.0 && !samples.is_empty()) {
+            next.extend(self.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
         }
         // Both cells at a side must be halved for the handles beside it.
-        let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
-        if self.sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
+        if !samples.is_empty() && self.sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
             let beside = |di: i32, dj: i32| {
                 let near = |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
                 samples.iter().any(|sample| near(sample.s, di) && near(sample.t, dj))
             };
-            for other in self.around(cell, beside) {
+            let others: Vec<u32> = self.around(cell, beside).collect();
+            for other in others {
                 let corners = self.corners(other);
-                let known = || Measured { vertices: corners.to_vec(), depth: 0, errors: vec![], least: 0 };
-                let other_known = self.cells.entry(other).or_insert_with(known);
+                let other_known = self.cells.get_or_insert(other, corners);
                 other_known.least = other_known.least.max(depth);
                 if other_known.depth < depth {
-                    next.insert(other);
+                    next.push(other);
                 }
             }
         }
@@ -259,10 +275,10 @@ impl Work<'_> {
     fn decide(&self, cell: u32, known: &Measured) -> Decision {
         let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
         for level in known.least..=known.depth {
-            let error = match known.errors.get(usize::from(level)) {
-                Some(&error) => error * BETWEEN,
-                None if self.is_smooth || level == self.deepest => known.errors.last().map_or(f32::INFINITY, |error| error * HALVED),
-                None => f32::INFINITY,
+            let error = match level.cmp(&known.depth) {
+                Ordering::Less => known.errors[usize::from(level)] * BETWEEN,
+                _ if level > 0 && (self.is_smooth || level == self.deepest) => known.errors[usize::from(level) - 1] * HALVED,
+                _ => f32::INFINITY,
             };
             if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
                 return Decision::Draw(level);
@@ -271,10 +287,12 @@ impl Work<'_> {
         Decision::Measure
     }
 
-    fn finish(self) -> Refined {
+    fn finish(mut self) -> Refined {
         let grid = self.mesh.grid();
         let mut refinement = Refinement::new(self.refiner.drawn_within);
-        for (&cell, known) in &self.cells {
+        self.cells.sort();
+        for (cell, known) in &self.cells.known {
+            let cell = *cell;
             let level = match self.decide(cell, known) {
                 Decision::Draw(level) => level,
                 Decision::Measure => known.depth,
@@ -289,11 +307,13 @@ impl Work<'_> {
             if self.samples.contains_key(&index) {
                 return cell.level;
             }
-            let vertices = self.cells[&index].at_level(cell.level);
+            let vertices = self.cells.get(&index).map_or_else(Vec::new, |known| known.at_level(cell.level));
             outer_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
         refinement.join(grid, outer);
+        self.exceeded.sort_unstable();
+        self.exceeded.dedup();
         let exceeded = self.exceeded.iter().map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1))).collect();
         Refined { refinement, exceeded }
     }
@@ -315,17 +335,16 @@ impl Work<'_> {
     }
 
     /// The neighbours of a cell in the chosen directions.
-    fn around(&self, cell: u32, is_chosen: impl Fn(i32, i32) -> bool) -> Vec<u32> {
+    fn around<'a>(&self, cell: u32, is_chosen: impl Fn(i32, i32) -> bool + 'a) -> impl Iterator<Item = u32> + 'a {
         let grid = self.mesh.grid();
         let (columns, rows) = (grid.columns() - 1, grid.rows() - 1);
         let (i, j) = (cell % columns, cell / columns);
         let directions = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (di, dj)));
         directions
-            .filter(|&(di, dj)| (di, dj) != (0, 0) && is_chosen(di, dj))
-            .filter_map(|(di, dj)| Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?)))
-            .filter(|&(i, j)| i < columns && j < rows)
-            .map(|(i, j)| j * columns + i)
-            .collect()
+            .filter(move |&(di, dj)| (di, dj) != (0, 0) && is_chosen(di, dj))
+            .filter_map(move |(di, dj)| Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?)))
+            .filter(move |&(i, j)| i < columns && j < rows)
+            .map(move |(i, j)| j * columns + i)
     }
 
     fn sample_error_at(&self, samples: &[Sample], known: &Measured, level: u8) -> f32 {
@@ -343,6 +362,30 @@ impl Work<'_> {
         let error =
             |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
         samples.iter().map(error).fold(0.0, f32::max)
+    }
+}
+
+impl Cells {
+    fn get(&self, cell: &u32) -> Option<&Measured> {
+        (self.index[*cell as usize] as usize).checked_sub(1).map(|at| &self.known[at].1)
+    }
+
+    fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
+        let index = &mut self.index[cell as usize];
+        if *index == 0 {
+            self.known.push((cell, Measured { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0 }));
+            *index = u32::try_from(self.known.len()).expect("fewer than the grid has");
+        }
+        let at = *index as usize - 1;
+        &mut self.known[at].1
+    }
+
+    /// Orders the cells row by row.
+    fn sort(&mut self) {
+        self.known.sort_unstable_by_key(|(cell, _)| *cell);
+        for ((cell, _), index) in self.known.iter().zip(1..) {
+            self.index[*cell as usize] = index;
+        }
     }
 }
 
@@ -371,7 +414,7 @@ impl Measured {
             vertices[b * fine + a] = *d;
         }
         self.vertices = vertices;
-        self.errors.push(worst);
+        self.errors[usize::from(self.depth)] = worst;
         self.depth += 1;
     }
 

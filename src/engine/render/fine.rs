@@ -2,16 +2,14 @@
 //! vertex that lies on a straight edge of a coarser neighbour is snapped like any other, at most half a step beside it. The slivers that
 //! this leaves are painted as well.
 
-use super::kernel::Kernel;
-use super::lattice::{BLOCK, Corner, Lattice, YRange};
-use crate::geometry::{Grid, Mesh, RefinedCell};
+use super::steps::{BLOCK, Corner, YRange};
 
 /// A refined cell.
 #[derive(Debug)]
 pub(super) struct FineCell {
     pub(super) i: usize,
     pub(super) j: usize,
-    level: u8,
+    pub(super) level: u8,
     pub(super) edges: [u8; 4],
     /// Extent of its vertices.
     pub(super) y: YRange,
@@ -19,65 +17,22 @@ pub(super) struct FineCell {
     /// Some edge on the border of the grid is not straight.
     pub(super) is_ragged: bool,
     /// Index of its first corner.
-    start: usize,
+    pub(super) start: usize,
 }
 
 /// The refined cells, row by row.
 #[derive(Debug, Default)]
 pub(super) struct FineCells {
-    cells: Vec<FineCell>,
-    corners: Vec<Corner>,
+    pub(super) cells: Vec<FineCell>,
+    pub(super) corners: Vec<Corner>,
     /// Index of the first cell of each row of cells, and the number of all.
-    rows: Vec<usize>,
+    pub(super) rows: Vec<usize>,
     /// The refined cells, one bit each, `[rows][pitch / BLOCK]`.
-    bits: Vec<u8>,
-    blocks: usize,
-}
-
-/// Converts a position at rest to the sampler's coordinates.
-pub(super) trait Sampled {
-    fn u(&self, x: f64) -> f32;
-    fn v(&self, y: f64) -> f32;
+    pub(super) bits: Vec<u8>,
+    pub(super) blocks: usize,
 }
 
 impl FineCells {
-    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px.
-    pub(super) fn new(mesh: &Mesh, scale: [f64; 2], sampled: &impl Sampled, kernel: Kernel) -> Self {
-        let refinement = mesh.refinement();
-        if refinement.is_empty() {
-            return Self::default();
-        }
-        let grid = mesh.grid();
-        let (cell_rows, blocks) = (grid.rows() as usize - 1, (grid.columns() as usize).div_ceil(BLOCK));
-        let mut fine = Self { blocks, bits: vec![0; cell_rows * blocks], ..Self::default() };
-        let (mut rest_x, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new());
-        for cell in refinement.cells() {
-            let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
-            fine.rows.resize(j + 1, fine.cells.len());
-            fine.bits[j * blocks + i / BLOCK] |= 1 << (i % BLOCK);
-            let (start, mut range) = (fine.corners.len(), YRange::NOWHERE);
-            let mut across = (i32::MAX, i32::MIN);
-            rest_x.clear();
-            rest_x.extend((0..side).map(|a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side)));
-            x.resize(side, 0);
-            y.resize(side, 0);
-            for (b, displacement) in refinement.displacement(cell).chunks_exact(side).enumerate() {
-                let rest_y = between(grid.y(cell.row), grid.y(cell.row + 1), b, side);
-                kernel.snap(&rest_x, rest_y, displacement, scale, &mut x, &mut y);
-                let v = sampled.v(rest_y);
-                for ((&rest_x, &x), &y) in rest_x.iter().zip(&x).zip(&y) {
-                    fine.corners.push(Corner { x, y, u: sampled.u(rest_x), v });
-                    range = range.join(YRange { top: y, bottom: y });
-                    across = (across.0.min(x), across.1.max(x));
-                }
-            }
-            let is_ragged = outer_edges(grid, cell).zip(cell.edges).any(|(is_outer, level)| is_outer && level > 0);
-            fine.cells.push(FineCell { i, j, level: cell.level, edges: cell.edges, y: range, x: across, is_ragged, start });
-        }
-        fine.rows.resize(cell_rows + 1, fine.cells.len());
-        fine
-    }
-
     pub(super) fn cells(&self) -> &[FineCell] {
         &self.cells
     }
@@ -138,28 +93,5 @@ const fn along(edge: usize, k: usize, side: usize) -> usize {
         1 => k * side + last,
         2 => last * side + last - k,
         _ => (last - k) * side,
-    }
-}
-
-/// The k-th of `side` positions at equal distances.
-fn between(from: f64, to: f64, k: usize, side: usize) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
-    let share = k as f64 / (side - 1) as f64;
-    if k + 1 == side { to } else { from + (to - from) * share }
-}
-
-/// Whether each edge lies on the border of the grid.
-fn outer_edges(grid: &Grid, cell: &RefinedCell) -> std::array::IntoIter<bool, 4> {
-    [cell.row == 0, cell.column + 2 == grid.columns(), cell.row + 2 == grid.rows(), cell.column == 0].into_iter()
-}
-
-impl Lattice {
-    /// Extends the ranges of y to the refined cells.
-    pub(super) fn cover_fine_cells(&mut self) {
-        let blocks = self.pitch / BLOCK;
-        for cell in self.fine.cells() {
-            let (row, block) = (&mut self.row_ranges[cell.j], &mut self.block_ranges[cell.j * blocks + cell.i / BLOCK]);
-            (*row, *block) = (row.join(cell.y), block.join(cell.y));
-        }
     }
 }

@@ -33,7 +33,11 @@ mod sampler;
 #[forbid(unsafe_code)]
 mod snap;
 #[forbid(unsafe_code)]
+mod snap_fine;
+#[forbid(unsafe_code)]
 mod source;
+#[forbid(unsafe_code)]
+mod steps;
 #[cfg(test)]
 #[forbid(unsafe_code)]
 mod tests;

@@ -2,9 +2,10 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "coordinates of the sampler are kept as f32")]
 
-use super::fine::{FineCells, Sampled};
+use super::fine::FineCells;
 use super::kernel::Kernel;
 use super::lattice::{BLOCK, LONGEST_SIDE, Lattice, ONE, YRange};
+use super::snap_fine::Sampled;
 use super::{Filter, RenderOptions};
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;

@@ -30,6 +30,9 @@ const FINE_PER_VERTEX: usize = 4;
 const FINE_ALWAYS: usize = 1 << 16;
 /// Most vertices inside a cell of the size of `grid: auto`.
 const FINE_PER_CELL: usize = 17 * 17;
+/// Memory for exact rows, bytes for each byte of the table, up to a size of the rows that larger tables alone exceed.
+const EXACT_PER_BYTE: u64 = 4;
+const EXACT_ALWAYS: u64 = 64 << 20;
 /// Positions that one task maps.
 const PLACES_PER_TASK: usize = 64;
 
@@ -99,7 +102,7 @@ impl Setup {
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let table_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
-        let left = |bytes: u64| bytes.min(limits.plan_bytes - bytes);
+        let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
         let exact_bytes = table_bytes.filter(|_| tolerance.is_some()).map_or(0, left);
         Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes })
     }

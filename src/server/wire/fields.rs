@@ -33,7 +33,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 12] = [
+const UNSUPPORTED: [(&str, &str); 11] = [
     ("coincident", "p"),
     ("smoothing", "p"),
     ("strength", "q"),
@@ -42,7 +42,6 @@ const UNSUPPORTED: [(&str, &str); 12] = [
     ("holes", "q"),
     ("geojson", "points"),
     ("subsampling", "quality"),
-    ("tolerance", "cell"),
     ("region", "image"),
     ("window", "frames"),
     ("mesh", "frames"),

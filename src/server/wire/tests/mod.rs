@@ -193,7 +193,7 @@ fn unknown_fields_are_named_with_what_is_known() {
     check(WarpObject::parse, table);
     check(DragObject::parse, &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
     check(PointsObject::parse_posed, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
-    assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known fields: `cell`, `columns`, `rows`");
+    assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known fields: `cell`, `columns`, `rows`, `tolerance`");
 }
 
 #[test]

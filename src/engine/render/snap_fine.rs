@@ -1,0 +1,63 @@
+//! Conversion of the refined cells of a mesh to the lattice. Cost: O(their vertices).
+
+use super::fine::{FineCell, FineCells};
+use super::kernel::Kernel;
+use super::steps::{BLOCK, Corner, YRange};
+use crate::geometry::{Grid, Mesh, RefinedCell};
+
+/// Converts a position at rest to the sampler's coordinates.
+pub(super) trait Sampled {
+    fn u(&self, x: f64) -> f32;
+    fn v(&self, y: f64) -> f32;
+}
+
+impl FineCells {
+    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px.
+    pub(super) fn new(mesh: &Mesh, scale: [f64; 2], sampled: &impl Sampled, kernel: Kernel) -> Self {
+        let refinement = mesh.refinement();
+        if refinement.is_empty() {
+            return Self::default();
+        }
+        let grid = mesh.grid();
+        let (cell_rows, blocks) = (grid.rows() as usize - 1, (grid.columns() as usize).div_ceil(BLOCK));
+        let mut fine = Self { blocks, bits: vec![0; cell_rows * blocks], ..Self::default() };
+        let (mut rest_x, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new());
+        for cell in refinement.cells() {
+            let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
+            fine.rows.resize(j + 1, fine.cells.len());
+            fine.bits[j * blocks + i / BLOCK] |= 1 << (i % BLOCK);
+            let (start, mut range) = (fine.corners.len(), YRange::NOWHERE);
+            let mut across = (i32::MAX, i32::MIN);
+            rest_x.clear();
+            rest_x.extend((0..side).map(|a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side)));
+            x.resize(side, 0);
+            y.resize(side, 0);
+            for (b, displacement) in refinement.displacement(cell).chunks_exact(side).enumerate() {
+                let rest_y = between(grid.y(cell.row), grid.y(cell.row + 1), b, side);
+                kernel.snap(&rest_x, rest_y, displacement, scale, &mut x, &mut y);
+                let v = sampled.v(rest_y);
+                for ((&rest_x, &x), &y) in rest_x.iter().zip(&x).zip(&y) {
+                    fine.corners.push(Corner { x, y, u: sampled.u(rest_x), v });
+                    range = range.join(YRange { top: y, bottom: y });
+                    across = (across.0.min(x), across.1.max(x));
+                }
+            }
+            let is_ragged = outer_edges(grid, cell).zip(cell.edges).any(|(is_outer, level)| is_outer && level > 0);
+            fine.cells.push(FineCell { i, j, level: cell.level, edges: cell.edges, y: range, x: across, is_ragged, start });
+        }
+        fine.rows.resize(cell_rows + 1, fine.cells.len());
+        fine
+    }
+}
+
+/// The k-th of `side` positions at equal distances.
+fn between(from: f64, to: f64, k: usize, side: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
+    let share = k as f64 / (side - 1) as f64;
+    if k + 1 == side { to } else { from + (to - from) * share }
+}
+
+/// Whether each edge lies on the border of the grid.
+fn outer_edges(grid: &Grid, cell: &RefinedCell) -> std::array::IntoIter<bool, 4> {
+    [cell.row == 0, cell.column + 2 == grid.columns(), cell.row + 2 == grid.rows(), cell.column == 0].into_iter()
+}

@@ -1,0 +1,66 @@
+//! The lattice of 1/256 target px: positions, ranges and rows in its steps.
+
+/// Lattice steps in a target pixel.
+pub(super) const ONE: i32 = 256;
+/// The lattice coordinate of the first pixel's centre.
+pub(super) const HALF: i32 = ONE / 2;
+/// The largest lattice coordinate, 2^21 px; vertices beyond it are clamped. Products of two differences stay below 2^62.
+pub(super) const LIMIT: i32 = 1 << 29;
+
+/// Lattice steps to px.
+pub(super) const STEP: f32 = 1.0 / ONE as f32;
+/// The longest side of a cell that is drawn in lanes, lattice steps: the edge functions of all lanes then fit 31 bits.
+pub(super) const LONGEST_SIDE: i32 = 112 * ONE;
+/// Columns that are processed together.
+pub(super) const BLOCK: usize = 8;
+
+/// A range of lattice y, both ends included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct YRange {
+    pub(super) top: i32,
+    pub(super) bottom: i32,
+}
+
+impl YRange {
+    pub(super) const NOWHERE: Self = Self { top: i32::MAX, bottom: i32::MIN };
+
+    pub(super) fn join(self, other: Self) -> Self {
+        Self { top: self.top.min(other.top), bottom: self.bottom.max(other.bottom) }
+    }
+
+    /// The rows of `rows` whose pixel centres may lie inside.
+    pub(super) fn rows(self, rows: &std::ops::Range<u32>) -> std::ops::Range<u32> {
+        let clip = |y: i32| u32::try_from(first_row(y).max(0)).unwrap_or(u32::MAX).clamp(rows.start, rows.end);
+        clip(self.top)..clip(self.bottom)
+    }
+
+    /// Whether some row of pixel centres of `rows` may lie inside.
+    pub(super) fn meets(self, rows: &std::ops::Range<u32>) -> bool {
+        let (first, last) = (row_centre(rows.start), row_centre(rows.end) - i64::from(ONE));
+        i64::from(self.top) <= last && i64::from(self.bottom) > first
+    }
+}
+
+/// Lattice y of the centres of a row of pixels.
+pub(super) const fn row_centre(row: u32) -> i64 {
+    row as i64 * ONE as i64 + HALF as i64
+}
+
+/// Lattice x of the centre of a column of pixels.
+pub(super) const fn column_centre(pixel: usize) -> f64 {
+    pixel as f64 * ONE as f64 + HALF as f64
+}
+
+/// The first row whose centre is at or below a lattice y.
+pub(super) const fn first_row(y: i32) -> i64 {
+    (y as i64 - HALF as i64 + ONE as i64 - 1).div_euclid(ONE as i64)
+}
+
+/// A vertex: its lattice position and the sampler's coordinates there.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Corner {
+    pub(super) x: i32,
+    pub(super) y: i32,
+    pub(super) u: f32,
+    pub(super) v: f32,
+}
