@@ -51,10 +51,9 @@ def folding(visit):
 def refused(visit):
     visit.expects("422")
     visit.sample("cat")
-    for axis, number in zip("xy", (138, 108)):
-        visit.page.fill(f"#p-1-0-{axis}", str(number))
-        visit.page.keyboard.press("Enter")
-    visit.body("[data-problem=contradictory_handles]")
+    visit.page.fill("#q-1-0-x", "2000000")
+    visit.page.keyboard.press("Enter")
+    visit.body("[data-problem=bad_value]")
 
 
 def comparing(visit):
