@@ -115,6 +115,7 @@ export const WARNINGS = {
   translation_only: "One handle: the whole picture is moved.",
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",
+  coincident_handles: "Handles at the same position are moved apart: the picture follows their mean.",
   line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
   tolerance_exceeded: "Some details are less precise than usual, because the picture changes too abruptly there.",
   handles_outside_picture: "A handle is far outside the picture.",

@@ -1,7 +1,7 @@
 //! The independent reference cases of `tests/oracle.json` (generic weighted least squares and quadrature at 50 digits and more; no closed
 //! form of the paper): exact evaluation within `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
-use mlswarp::deform::{DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose, Warning};
+use mlswarp::deform::{Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose, Warning};
 use mlswarp::geometry::{Grid, Point};
 use serde_json::Value;
 
@@ -68,7 +68,9 @@ fn handles(case: &Value, end: &str) -> Vec<Handle> {
 fn field(case: &Value, method: Method) -> Result<(Field, Pose), DeformError> {
     let rest = Handles::new(handles(case, "p"), None)?;
     let falloff = Falloff::new(case["alpha"].as_f64().unwrap(), rest.has_lines())?;
-    let field = Field::new(rest, method, falloff, case["point_mass"].as_f64().unwrap_or(1.0))?;
+    let coincident = Coincident { policy: CoincidentPolicy::Reject, within: 0.0 };
+    let mass = case["point_mass"].as_f64().unwrap_or(1.0);
+    let field = Field::new_unless(rest, coincident, method, falloff, mass, &|| false)?;
     let pose = field.pose(&handles(case, "q"))?;
     Ok((field, pose))
 }

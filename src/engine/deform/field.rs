@@ -5,15 +5,17 @@ use std::cell::RefCell;
 
 use super::coincidences::Coincidences;
 use super::columns::{Element, Rank, Sources, elements, rank};
+use super::contradictions::{Contradictions, Member};
 use super::falloff::Falloff;
 use super::family::displacement;
-use super::handles::Handles;
+use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
+use super::handles::{Handles, MAX_COORDINATE};
 use super::kernel;
 use super::lanes::{Rows, Vertices};
 use super::row::RowInputs;
 use super::span::Scratch;
-use super::{DeformError, Handle, Method, Pose, Warning};
-use crate::geometry::Point;
+use super::{Contradictory, DeformError, Handle, Method, Pose, Warning};
+use crate::geometry::{Point, Vec2};
 
 /// Masses outside of this range would overflow or underflow the ratios in f64, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
@@ -21,7 +23,11 @@ const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 /// Handles at rest with method, fall-off and point mass: everything that f depends on except the pose.
 #[derive(Clone, Debug)]
 pub struct Field {
+    /// Coincident points are one handle.
     handles: Handles,
+    /// The client's handles, if some of their points coincide.
+    grouped: Option<Box<(Handles, Groups)>>,
+    policy: CoincidentPolicy,
     falloff: Falloff,
     point_mass: f64,
     /// The family whose rows are used: affine on a line falls back to similarity.
@@ -29,6 +35,7 @@ pub struct Field {
     rank: Rank,
     elements: Vec<Element>,
     sources: Sources,
+    /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
     coincidences: Coincidences,
     warnings: Vec<Warning>,
@@ -51,9 +58,9 @@ impl Field {
     /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where points and lines are mixed.
     ///
     /// # Errors
-    /// A mass out of range, too many coincidences of handles, or too many lines close to each other.
+    /// A mass or a distance out of range, too many coincidences of handles, or too many lines close to each other.
     pub fn new(handles: Handles, method: Method, falloff: Falloff, point_mass: f64) -> Result<Self, DeformError> {
-        Self::new_unless(handles, method, falloff, point_mass, &|| false)
+        Self::new_unless(handles, Coincident::default(), method, falloff, point_mass, &|| false)
     }
 
     /// Like [`Field::new`]; stops when `cancelled` returns true.
@@ -62,6 +69,7 @@ impl Field {
     /// Those of [`Field::new`]; cancelled.
     pub fn new_unless(
         handles: Handles,
+        coincident: Coincident,
         method: Method,
         falloff: Falloff,
         point_mass: f64,
@@ -70,7 +78,19 @@ impl Field {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
-        let (elements, owners) = elements(&handles, point_mass);
+        let Coincident { policy, within } = coincident;
+        if !(0.0..=MAX_COORDINATE).contains(&within) {
+            return Err(DeformError::BadWithin { value: within });
+        }
+        let groups = Groups::find(&handles, within.max(coincidence_distance(handles.extent())), cancelled)?;
+        let (handles, grouped, handle_of) = match groups {
+            Some((groups, merged, handle_of)) => (merged, Some(Box::new((handles, groups))), Some(handle_of)),
+            None => (handles, None, None),
+        };
+        let (elements, mut owners) = elements(&handles, point_mass);
+        if let Some(handle_of) = handle_of {
+            owners.iter_mut().for_each(|owner| *owner = handle_of[*owner]);
+        }
         let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
@@ -87,10 +107,11 @@ impl Field {
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        Ok(Self { handles, falloff, point_mass, family, rank, sources: Sources::of(&elements), elements, owners, coincidences, warnings })
+        let sources = Sources::of(&elements);
+        Ok(Self { handles, grouped, policy, falloff, point_mass, family, rank, sources, elements, owners, coincidences, warnings })
     }
 
-    /// The handles at rest.
+    /// The handles at rest; coincident points are one handle.
     #[must_use]
     pub const fn handles(&self) -> &Handles {
         &self.handles
@@ -114,22 +135,66 @@ impl Field {
         self.family
     }
 
-    /// Pairs posed handles with the rest handles and checks that coincident handles have the same target.
+    /// The client's handles of each group of coincident points, ascending.
+    #[must_use]
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        self.grouped.iter().flat_map(|grouped| grouped.1.handles()).collect()
+    }
+
+    /// Pairs posed handles with the client's handles at rest. Coincident points move by the weighted mean of their displacements.
     ///
     /// # Errors
-    /// Shapes, numbers, contradictory targets.
+    /// Shapes, numbers; contradictory targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
-        let pose = Pose::new(&self.handles, posed)?;
-        self.coincidences.check(&self.elements, &self.owners, self.handles.weights(), &pose)?;
-        Ok(pose)
+        let given = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0);
+        let given = Pose::new(given, posed)?;
+        let (displacements, contradictions) = match self.grouped.as_deref() {
+            Some((_, groups)) => {
+                let mean = groups.displacements(given.displacements());
+                let contradictions = self.contradictions(&mean, Some((groups, given.displacements())));
+                (mean, contradictions)
+            }
+            None => {
+                let contradictions = self.contradictions(given.displacements(), None);
+                (given.into_displacements(), contradictions)
+            }
+        };
+        if self.policy == CoincidentPolicy::Reject && contradictions.total > 0 {
+            let Contradictory { listed, total, .. } = contradictions;
+            return Err(DeformError::Contradictory { listed, total });
+        }
+        Ok(Pose::of_columns(displacements, contradictions))
+    }
+
+    /// `given`: the groups and the displacements of the client's columns.
+    fn contradictions(&self, displacements: &[Vec2], given: Option<(&Groups, &[Vec2])>) -> Contradictory {
+        let tolerance = self.coincidences.tolerance();
+        let mut found = Contradictions::new(tolerance);
+        if let Some((groups, given)) = given {
+            groups.add_contradictions(&mut found, &self.handles, given, displacements, tolerance);
+        }
+        self.coincidences.add_contradictions(&mut found, &self.elements, displacements, |element, displacement| {
+            let column = self.elements[element].column();
+            let members: Option<Vec<Member>> = given.and_then(|(groups, given)| groups.members(column, given)).map(Iterator::collect);
+            members.unwrap_or_else(|| {
+                let handle = self.owners[element];
+                let weights = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0).weights();
+                // Columns of the client's set identify the points of groups; these must differ from them.
+                vec![Member { element: usize::MAX - element, handle, weight: weights[handle], displacement }]
+            })
+        });
+        found.finish()
     }
 
     /// Warnings for this set and pose, in the order of [`Warning`], except undefined rotations, which only the plan finds.
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
-        if self.coincidences.tears(&self.elements, pose) {
+        if self.coincidences.tears(&self.elements, pose.displacements()) {
             warnings.push(Warning::NearDuplicateHandles);
+        }
+        if pose.contradictions().total > 0 {
+            warnings.push(Warning::CoincidentHandles);
         }
         warnings.sort_unstable();
         warnings
@@ -156,7 +221,8 @@ impl Field {
             Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => {
                 let (extent, falloff, method) = (self.handles.extent(), self.falloff, self.family);
-                kernel::rows(&RowInputs { sources: &self.sources, extent, falloff, method, exact }, v, scratch, rows);
+                let point_mass = self.point_mass;
+                kernel::rows(&RowInputs { sources: &self.sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
             }
         }
     }

@@ -22,6 +22,8 @@ mod field;
 #[forbid(unsafe_code)]
 mod fit;
 #[forbid(unsafe_code)]
+mod groups;
+#[forbid(unsafe_code)]
 mod handles;
 mod kernel;
 #[forbid(unsafe_code)]
@@ -41,11 +43,12 @@ mod segments;
 #[forbid(unsafe_code)]
 mod span;
 
-pub use contradictions::Contradiction;
+pub use contradictions::{Contradiction, Contradictory};
 pub use error::{DeformError, Warning};
 pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
 pub use field::Field;
+pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 pub use refine::{Refined, Refiner};

@@ -131,10 +131,13 @@ fn deepest(grid: &Grid) -> u8 {
     level
 }
 
-/// The handles inside the grid, by cell.
+/// The handles inside the grid, by cell; not where handles contradict each other.
 fn samples(field: &Field, grid: &Grid, pose: &Pose) -> BTreeMap<u32, Vec<Sample>> {
     let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
     let mut add = |p: Point, displacement: Vec2| {
+        if pose.contradictions().contains(p) {
+            return;
+        }
         if let Some((i, j, s, t)) = grid.locate(p) {
             samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
         }

@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
-use crate::deform::{self, Handle, Handles, IsCancelled, Pose};
+use crate::deform::{self, Contradiction, Handle, Handles, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -17,10 +17,13 @@ pub struct Report {
     pub warnings: Vec<Warning>,
     /// Drawn cells that fold.
     pub folds: u64,
-    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn.
+    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
+    /// positions at which handles contradict each other are left out.
     pub residual: f64,
     /// Cells of the grid that are farther than the tolerance from the exact map.
     pub exceeded: u64,
+    /// The first groups of handles that coincide at rest and move differently, at most 100.
+    pub coincident: Vec<Contradiction>,
 }
 
 /// A posed mesh and its report.
@@ -74,7 +77,8 @@ impl Posed {
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
-        let report = Report { warnings, folds: cells, residual: residual(setup.field().handles(), pose, &mesh), exceeded: 0 };
+        let residual = residual(setup.field().handles(), pose, &mesh);
+        let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
     }
 
@@ -153,6 +157,9 @@ fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
     let mut d = pose.displacements().iter().copied();
     let mut worst = 0.0f64;
     let mut look = |p, displacement| {
+        if pose.contradictions().contains(p) {
+            return;
+        }
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }

@@ -93,7 +93,7 @@ impl Setup {
         let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-        let field = Field::new_unless(handles, rest.method, falloff, given, cancelled).map_err(|error| match error {
+        let field = Field::new_unless(handles, rest.coincident, rest.method, falloff, given, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
@@ -172,6 +172,12 @@ impl Setup {
     pub fn pose(&self, q: &[Handle]) -> Result<Pose, WarpError> {
         let posed = if self.units == Units::Px { self.field.pose(q) } else { self.field.pose(&to_px(q, self.unit())) };
         posed.map_err(WarpError::Posed)
+    }
+
+    /// The handles of each group of coincident points, ascending.
+    #[must_use]
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        self.field.groups()
     }
 
     /// Effective alpha.

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::WarpError;
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
-use crate::deform::{Handle, Method};
+use crate::deform::{Coincident, Handle, Method};
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
@@ -97,6 +97,8 @@ pub struct RestSpec {
     pub alpha: Option<f64>,
     /// Mass of a point in a mixed set, px; default the mean length of the segments.
     pub point_mass: Option<f64>,
+    /// The treatment of handles that coincide at rest.
+    pub coincident: Coincident,
     /// Unit of p and q.
     pub units: Units,
     /// The grid.

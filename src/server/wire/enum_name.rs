@@ -2,7 +2,7 @@
 //! document (tested).
 
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::Method;
+use mlswarp::deform::{CoincidentPolicy, Method};
 use mlswarp::render::Filter;
 use mlswarp::warp::{Folds, Units};
 use serde::{Serialize, Serializer};
@@ -78,6 +78,7 @@ enum_names!(
     Method, unsupported ["auto", "tps", "global_affine", "beier_neely", "arap"],
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine"
 );
+enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");

@@ -1,6 +1,7 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
-use mlswarp::deform::{Handle, Method};
+use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE, Method};
+use mlswarp::geometry::Compact;
 use mlswarp::warp::{Folds, GridSpec, RestSpec, Units};
 
 use super::enum_name::{Metric, enum_name, unknown_name};
@@ -11,6 +12,7 @@ use super::output::OutputPatch;
 use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
 
+const WITHIN: &str = "a distance in pixels, 0 to 1000000";
 const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
 /// The fields that a warp object gives. They replace the defaults, or the values of a session.
@@ -22,6 +24,7 @@ pub(crate) struct WarpPatch {
     pub(crate) method: Option<Method>,
     pub(crate) alpha: Option<f64>,
     pub(crate) point_mass: Option<f64>,
+    pub(crate) coincident: Option<Coincident>,
     pub(crate) units: Option<Units>,
     pub(crate) grid: Option<GridSpec>,
     pub(crate) folds: Option<Folds>,
@@ -34,7 +37,7 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, weights_, method, alpha, point_mass, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 11],
+        [p, q, weights_, method, alpha, point_mass, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 12],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
@@ -44,6 +47,7 @@ impl WarpPatch {
             method: optional(method, enum_name)?,
             alpha: optional(alpha, |n| number(n, "a number"))?,
             point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
+            coincident: optional(coincident_, coincident)?,
             units: optional(units, enum_name)?,
             grid: optional(grid_, grid)?,
             folds: optional(folds, enum_name)?,
@@ -85,6 +89,7 @@ impl WarpPatch {
                 method: self.method.unwrap_or(base.rest.method),
                 alpha: self.alpha.or(base.rest.alpha),
                 point_mass: self.point_mass.or(base.rest.point_mass),
+                coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
             },
@@ -93,6 +98,15 @@ impl WarpPatch {
             output: self.output.merge_onto(&base.output),
         }
     }
+}
+
+fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
+    let [policy, within] = node.fields(&fields::COINCIDENT)?;
+    let distance = |node: &Node<'_, '_>| match number(node, WITHIN)? {
+        value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),
+        value => Err(node.unexpected(WITHIN, Compact(value)).actual(value)),
+    };
+    Ok(Coincident { policy: optional(policy, enum_name)?.unwrap_or_default(), within: optional(within, distance)?.unwrap_or_default() })
 }
 
 fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
