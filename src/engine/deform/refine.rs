@@ -15,10 +15,10 @@ use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
-const SUSPECT: f64 = 0.85;
+const SUSPECT: f64 = 0.6;
 /// Halving a smooth cell divides its error by four; a part of that is relied on without measuring again, unless f has a cusp at its handles
 /// or a crease along them (mathematics sections 2.4, 3.4).
-const HALVED: f32 = 0.4;
+const HALVED: f32 = 0.5;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
@@ -58,10 +58,6 @@ pub struct Refined {
     /// Column and row of the cells that remain over the tolerance.
     pub exceeded: Vec<(u32, u32)>,
 }
-
-/// An error this many times the tolerance, or a handle in a cell over the tolerance: the neighbours are measured, whatever their second
-/// differences, because the grid may not resolve f there.
-const STEEP: f32 = 1.5;
 
 /// What is known of some cells.
 #[derive(Debug)]
@@ -252,8 +248,8 @@ impl Work<'_> {
             Decision::Draw(_) => {}
         }
         let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
-        let over = known.errors[0] * BETWEEN / self.tolerance();
-        if depth == 1 && (over > STEEP || over > 1.0 && !samples.is_empty()) {
+        // The grid may not resolve f there.
+        if depth == 1 && known.errors[0] * BETWEEN > self.tolerance() {
             next.extend(self.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
         }
         // Both cells at a side must be halved for the handles beside it.
