@@ -37,6 +37,14 @@ FLAGS = [
 # The browser's message for a drag socket that does not open.
 SOCKET = re.compile("WebSocket connection to .* failed")
 
+
+def crossed(these, those):
+    """Pairs for a test: all of them in the long form, otherwise each of these with one of those in turn."""
+    if os.environ.get("MLSWARP_TESTS_FULL") == "1":
+        return [(this, that) for this in these for that in those]
+    return [(this, those[k % len(those)]) for k, this in enumerate(these)]
+
+
 class Server:
     """The program on a loopback port. After a restart it has the same port and an empty store."""
 

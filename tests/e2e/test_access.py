@@ -5,10 +5,11 @@ from pathlib import Path
 import axe_playwright_python
 import pytest
 
-from support import GREEN, RED, Fingers
+from support import GREEN, RED, Fingers, crossed
 
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js").read_text()
 NARROW = {"viewport": {"width": 360, "height": 740}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+THEMES = ["light", "dark"]
 RULES = {"resultTypes": ["violations", "incomplete"]}
 
 
@@ -98,8 +99,7 @@ def help(visit):
 STATES = [empty, ready, selected, folding, refused, comparing, drawing, exporting, waiting, help]
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("state, theme", crossed(STATES, THEMES))
 def test_axe_finds_nothing_serious(visits, state, theme):
     visit = visits(color_scheme=theme)
     state(visit)
@@ -107,8 +107,7 @@ def test_axe_finds_nothing_serious(visits, state, theme):
     assert not faults(visit)
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("state", [empty, ready, exporting, waiting])
+@pytest.mark.parametrize("state, theme", crossed([empty, ready, exporting, waiting], THEMES))
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
     state(visit)

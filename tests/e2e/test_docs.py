@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 
-from support import KEPT, Server
+from support import KEPT, Server, crossed
 
 KEY = "a-key-of-the-tests-0123456789"
 ROOT = Path(__file__).resolve().parents[2]
@@ -129,8 +129,7 @@ def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, 
     assert page.locator("#lines-py").is_visible()
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 360])
+@pytest.mark.parametrize("width, scheme", crossed([1280, 360], ["light", "dark"]))
 def test_the_guide_is_read_in_any_light_and_width(docs, server, scheme, width):
     page = docs(server, viewport={"width": width, "height": 900}, color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page never scrolls sideways"
@@ -143,8 +142,7 @@ def test_the_guide_is_read_in_any_light_and_width(docs, server, scheme, width):
         assert "#" not in link or page.locator(f"#{link.split('#')[1]}").count() == 1, link
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 360])
+@pytest.mark.parametrize("width, scheme", crossed([1280, 360], ["light", "dark"]))
 def test_the_reference_shows_every_operation(docs, server, scheme, width):
     page = docs(server, "/docs/reference", "#reference h1", viewport={"width": width, "height": 900}, color_scheme=scheme)
     document = json.loads(server.ask("GET", "/openapi.json").body)

@@ -66,8 +66,10 @@ pub(super) fn hold(bytes: &[u8]) {
         let exact = field.map(&pose, *v) - *v;
         assert!(exact.norm().is_finite(), "the function is {exact:?} at {v:?}");
         assert!(d.iter().all(|c| c.is_finite()), "the plan says {d:?} at {v:?}");
-        // Where rotations fit almost equally well, which one is found hangs on the last digit.
-        if let Some(gain) = probes.gain(*v).filter(|_| quality.least_rotation > 1e-2) {
+        // Where rotations fit almost equally well, which one is found hangs on the last digit. Beside handles that contradict each other,
+        // f has no bound.
+        let is_bounded = quality.least_rotation > 1e-2 && pose.contradictions().total == 0;
+        if let Some(gain) = probes.gain(*v).filter(|_| is_bounded) {
             let rounding = 1e-15 * ((*v - Point::default()).norm() + exact.norm());
             let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
             let allowed = 2e-6 * farthest * gain.max(1.0) / f64::from(quality.least_rotation) + rounding;
@@ -104,7 +106,7 @@ impl Probes {
         let poses: Vec<_> = (1..=PROBES).map(|seed| stepped(seed * 0x1234_5678_9ABC_DEF1_u64)).collect();
         let columns = rest.columns() as f64;
         let field = Field::new(rest, family, *falloff, point_mass).expect("the handles of a field");
-        let poses = poses.iter().filter_map(|q| field.pose(q).ok()).collect();
+        let poses = poses.iter().filter_map(|q| field.pose(q).ok()).filter(|pose| pose.contradictions().total == 0).collect();
         Self { field, poses, columns }
     }
 
