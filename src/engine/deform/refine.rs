@@ -19,6 +19,8 @@ const SUSPECT: f64 = 0.6;
 /// Halving a smooth cell divides its error by four; a part of that is relied on without measuring again, unless f has a cusp at its handles
 /// or a crease along them (mathematics sections 2.4, 3.4).
 const HALVED: f32 = 0.5;
+/// The largest error of a smooth cell, as a share of its size.
+const RESOLVED: f32 = 0.1;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
@@ -273,10 +275,17 @@ impl Work<'_> {
     /// The fewest halvings with which a cell meets the tolerance, as far as it was measured.
     fn decide(&self, cell: u32, known: &Measured) -> Decision {
         let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
+        let size = self.size(cell);
+        let is_resolved = |level: u8| {
+            let size = size[0].max(size[1]) / f32::from(1_u8 << (level - 1));
+            known.errors[usize::from(level) - 1] <= RESOLVED * size
+        };
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
                 Ordering::Less => known.errors[usize::from(level)] * BETWEEN,
-                _ if level > 0 && (self.is_smooth || level == self.deepest) => known.errors[usize::from(level) - 1] * HALVED,
+                _ if level > 0 && (level == self.deepest || self.is_smooth && is_resolved(level)) => {
+                    known.errors[usize::from(level) - 1] * HALVED
+                }
                 _ => f32::INFINITY,
             };
             if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
