@@ -6,10 +6,11 @@
 //! of the square around them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is therefore searched
 //! once per square and not once per pixel. The work is bounded for every border, because list lengths are ([`SQUARES`]).
 
+use std::ops::Range;
+
 use super::kernel::UNCOVERED;
 use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
 use crate::geometry::Point;
-use crate::pixmap::Extent;
 
 /// Segments in a leaf of the tree.
 const LEAF: usize = 4;
@@ -52,22 +53,23 @@ impl Border {
         self.vertices.windows(2).map(|pair| (pair[0], pair[1]))
     }
 
-    /// Whether every pixel centre of the target is certainly inside: no segment meets the rectangle of the centres, and the polygon winds
+    /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets the rectangle of the centres, and the polygon winds
     /// around it. The picture's map then has the same non-zero degree on the whole rectangle, so every centre is covered.
-    pub(super) fn surrounds(&self, target: Extent) -> bool {
-        let far = |pixels: u32| i64::from(pixels) * i64::from(ONE) - i64::from(HALF);
-        let near = i64::from(HALF);
-        let (right, bottom) = (far(target.width()), far(target.height()));
+    pub(super) fn surrounds(&self, columns: &Range<usize>, rows: &Range<u32>) -> bool {
+        let centre = |pixel: i64| pixel * i64::from(ONE) + i64::from(HALF);
+        #[expect(clippy::cast_possible_wrap, reason = "a window has few columns")]
+        let (left, right) = (centre(columns.start as i64), centre(columns.end as i64 - 1));
+        let (top, bottom) = (centre(rows.start.into()), centre(i64::from(rows.end) - 1));
         let mut winding = 0;
         for (a, b) in self.segments() {
-            if meets(a, b, near, right, bottom) {
+            if meets(a, b, [left, top, right, bottom]) {
                 return false;
             }
             // Rays from the first centre to the right.
-            let crosses = |low: Corner, high: Corner| i64::from(low.y) <= near && i64::from(high.y) > near;
+            let crosses = |low: Corner, high: Corner| i64::from(low.y) <= top && i64::from(high.y) > top;
             let side = || {
                 let (dx, dy) = (i128::from(b.x) - i128::from(a.x), i128::from(b.y) - i128::from(a.y));
-                dx * (i128::from(near) - i128::from(a.y)) - dy * (i128::from(near) - i128::from(a.x))
+                dx * (i128::from(top) - i128::from(a.y)) - dy * (i128::from(left) - i128::from(a.x))
             };
             if crosses(a, b) && side() > 0 {
                 winding += 1;
@@ -115,10 +117,11 @@ impl Border {
     }
 }
 
-/// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which `width` are pixels.
+/// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to `width` are filled.
 #[derive(Debug)]
 pub(super) struct Rows<'a> {
     pub(super) first: u32,
+    pub(super) left: usize,
     pub(super) width: usize,
     pub(super) pitch: usize,
     pub(super) u: &'a mut [f32],
@@ -159,7 +162,7 @@ impl<'a> Search<'a> {
         let (side, _) = SQUARES[0];
         let before = self.work;
         for y in (rows.first as usize / side * side..rows.end()).step_by(side) {
-            for x in (0..rows.width).step_by(side) {
+            for x in (rows.left / side * side..rows.width).step_by(side) {
                 self.square(0, x, y, rows);
             }
         }
@@ -311,16 +314,16 @@ fn nearest_on(a: Corner, b: Corner, place: Point) -> (f64, (f32, f32)) {
     (distance2, (blend(a.u, b.u), blend(a.v, b.v)))
 }
 
-/// Whether a segment meets the closed rectangle `[near, right] x [near, bottom]`.
-fn meets(a: Corner, b: Corner, near: i64, right: i64, bottom: i64) -> bool {
-    let apart = |a: i32, b: i32, far: i64| i64::from(a.max(b)) < near || i64::from(a.min(b)) > far;
-    if apart(a.x, b.x, right) || apart(a.y, b.y, bottom) {
+/// Whether a segment meets the closed rectangle `[left, right] x [top, bottom]`.
+fn meets(a: Corner, b: Corner, [left, top, right, bottom]: [i64; 4]) -> bool {
+    let apart = |a: i32, b: i32, near: i64, far: i64| i64::from(a.max(b)) < near || i64::from(a.min(b)) > far;
+    if apart(a.x, b.x, left, right) || apart(a.y, b.y, top, bottom) {
         return false;
     }
     // The boxes overlap, so they are disjoint only if the rectangle lies on one side of the line.
     let (dx, dy) = (i128::from(b.x) - i128::from(a.x), i128::from(b.y) - i128::from(a.y));
     let side = |x: i64, y: i64| (dx * (i128::from(y) - i128::from(a.y)) - dy * (i128::from(x) - i128::from(a.x))).signum();
-    let sides = [side(near, near), side(right, near), side(right, bottom), side(near, bottom)];
+    let sides = [side(left, top), side(right, top), side(right, bottom), side(left, bottom)];
     !(sides == [1; 4] || sides == [-1; 4])
 }
 
@@ -335,20 +338,19 @@ mod tests {
         Border { vertices, boxes: Vec::new() }
     }
 
-    fn extent(width: u32, height: u32) -> Extent {
-        Extent::new(width, height).unwrap()
-    }
-
     #[test]
     fn border_surrounds_what_it_winds_around() {
         let rectangle = polygon(&[(0, 0), (10, 0), (10, 8), (0, 8)]);
-        assert!(rectangle.surrounds(extent(10, 8)));
-        assert!(!rectangle.surrounds(extent(11, 8)));
-        assert!(!rectangle.surrounds(extent(10, 9)));
-        assert!(polygon(&[(0, 0), (0, 8), (10, 8), (10, 0)]).surrounds(extent(10, 8)), "flipped");
-        assert!(!polygon(&[(20, 0), (30, 0), (30, 8), (20, 8)]).surrounds(extent(10, 8)), "beside");
-        assert!(!polygon(&[(-9, -9), (40, -9), (40, -8), (-8, -8), (-8, 40), (-9, 40)]).surrounds(extent(10, 8)), "around a corner only");
-        assert!(polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(extent(10, 8)), "a slanted one");
+        assert!(rectangle.surrounds(&(0..10), &(0..8)));
+        assert!(!rectangle.surrounds(&(0..11), &(0..8)));
+        assert!(!rectangle.surrounds(&(0..10), &(0..9)));
+        assert!(polygon(&[(0, 0), (0, 8), (10, 8), (10, 0)]).surrounds(&(0..10), &(0..8)), "flipped");
+        assert!(!polygon(&[(20, 0), (30, 0), (30, 8), (20, 8)]).surrounds(&(0..10), &(0..8)), "beside");
+        assert!(
+            !polygon(&[(-9, -9), (40, -9), (40, -8), (-8, -8), (-8, 40), (-9, 40)]).surrounds(&(0..10), &(0..8)),
+            "around a corner only"
+        );
+        assert!(polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(&(0..10), &(0..8)), "a slanted one");
     }
 
     /// The nearest position by a search of the tree for this position alone; it defines the result among equals.
@@ -384,7 +386,7 @@ mod tests {
             let pitch = width + 5;
             let (mut u, mut v) = (vec![UNCOVERED; rows.len() * pitch], vec![0.0; rows.len() * pitch]);
             let mut search = Search::new(border);
-            search.fill(&mut Rows { first: rows.start as u32, width, pitch, u: &mut u, v: &mut v });
+            search.fill(&mut Rows { first: rows.start as u32, left: 0, width, pitch, u: &mut u, v: &mut v });
             work += search.work;
             let pairs = u.chunks_exact(pitch).zip(v.chunks_exact(pitch));
             found.extend(pairs.flat_map(|(u, v)| u[..width].iter().copied().zip(v[..width].iter().copied()).collect::<Vec<_>>()));

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::edge::{self, Crossing};
 use super::fine::FineCell;
-use super::kernel::{Canvas, CellBlock, Kernel, Piece, UNCOVERED};
+use super::kernel::{CellBlock, Kernel, Piece, Raster, UNCOVERED};
 use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centre};
 use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
 use crate::geometry::Point;
@@ -24,84 +24,84 @@ pub(super) fn draw_row(
     blocks: impl Fn(usize) -> u8,
     column: impl Fn(usize) -> u32,
     rows: &Range<u32>,
-    canvas: &mut Canvas<'_>,
+    raster: &mut Raster<'_>,
 ) {
     let mut seen = CellBlock::default();
     for (n, b) in (0..lattice.blocks()).rev().enumerate() {
         if n % BLOCKS_PER_LOOK == 0 {
-            canvas.shrink();
+            raster.shrink();
         }
         let mut cells = blocks(b);
         if cells == 0 || !lattice.block_touches(j, b, rows) {
             continue;
         }
-        kernel.classify(lattice, j, b, canvas, &mut seen);
+        kernel.classify(lattice, j, b, raster, &mut seen);
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
             let i = b * BLOCK + k;
             if let Some(cell) = lattice.fine.find(i, j) {
-                draw_fine(kernel, lattice, cell, column(i), canvas);
+                draw_fine(kernel, lattice, cell, column(i), raster);
                 continue;
             }
-            let rows = seen.rows[k] & canvas.open & column(i);
+            let rows = seen.rows[k] & raster.open & column(i);
             if rows == 0 {
                 continue;
             }
             let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
             if seen.convex[k] == 0 {
-                draw(kernel, &corners, lattice, rows, canvas);
+                draw(kernel, &corners, lattice, rows, raster);
             } else {
-                kernel.fill(&Piece::cell(&seen, k, &corners), rows, canvas);
+                kernel.fill(&Piece::cell(&seen, k, &corners), rows, raster);
             }
         }
     }
 }
 
 /// Draws a refined cell as smaller ones, in the rows whose bits are set.
-fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, canvas: &mut Canvas<'_>) {
-    if rows & canvas.open & rows_between(cell.y.top, cell.y.bottom, canvas) == 0 {
+fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, raster: &mut Raster<'_>) {
+    if rows & raster.open & rows_between(cell.y.top, cell.y.bottom, raster) == 0 {
         return;
     }
-    let part = |corners: &[Corner; 4], canvas: &mut Canvas<'_>| {
-        let rows = rows & canvas.open & rows_of(corners, canvas);
+    let part = |corners: &[Corner; 4], raster: &mut Raster<'_>| {
+        let rows = rows & raster.open & rows_of(corners, raster);
         if rows == 0 {
             return;
         }
         match Piece::patch(corners, lattice.longest_side, lattice.unit) {
-            Some(piece) => kernel.fill(&piece, rows, canvas),
-            None => draw(kernel, corners, lattice, rows, canvas),
+            Some(piece) => kernel.fill(&piece, rows, raster),
+            None => draw(kernel, corners, lattice, rows, raster),
         }
     };
-    let slivers = |canvas: &mut Canvas<'_>| {
-        for [a, b, c] in lattice.fine.slivers(cell, canvas.over) {
-            draw_triangle(kernel, &[a, b, c, c], lattice, rows, canvas);
+    let slivers = |raster: &mut Raster<'_>| {
+        for [a, b, c] in lattice.fine.slivers(cell, raster.over) {
+            draw_triangle(kernel, &[a, b, c, c], lattice, rows, raster);
         }
     };
-    if canvas.over {
-        slivers(canvas);
-        lattice.fine.parts(cell).for_each(|corners| part(&corners, canvas));
+    if raster.over {
+        slivers(raster);
+        lattice.fine.parts(cell).for_each(|corners| part(&corners, raster));
     } else {
-        lattice.fine.parts(cell).rev().for_each(|corners| part(&corners, canvas));
-        slivers(canvas);
+        lattice.fine.parts(cell).rev().for_each(|corners| part(&corners, raster));
+        slivers(raster);
     }
 }
 
 /// Draws a cell that is not convex or has long sides.
-fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, canvas: &mut Canvas<'_>) {
+fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, raster: &mut Raster<'_>) {
     match shape(corners) {
-        Shape::Convex(sign) => large(corners, Some(Patch::new(corners, sign)), lattice.unit, rows, canvas),
+        Shape::Convex(sign) => large(corners, Some(Patch::new(corners, sign)), lattice.unit, rows, raster),
         Shape::Other => {
             for triangle in triangles(corners).into_iter().rev() {
-                draw_triangle(kernel, &triangle, lattice, rows, canvas);
+                draw_triangle(kernel, &triangle, lattice, rows, raster);
             }
         }
     }
 }
 
 /// Draws a triangle, which repeats its last corner.
-fn draw_triangle(kernel: Kernel, triangle: &[Corner; 4], lattice: &Lattice, rows: u32, canvas: &mut Canvas<'_>) {
-    let rows = rows & canvas.open & rows_of(triangle, canvas);
+fn draw_triangle(kernel: Kernel, triangle: &[Corner; 4], lattice: &Lattice, rows: u32, raster: &mut Raster<'_>) {
+    let rows = rows & raster.open & rows_of(triangle, raster);
     let sign = turn(triangle[0], triangle[1], triangle[2]).signum();
     if rows == 0 || sign == 0 {
         return;
@@ -109,21 +109,21 @@ fn draw_triangle(kernel: Kernel, triangle: &[Corner; 4], lattice: &Lattice, rows
     let ((left, right), (top, bottom)) = (bounds(triangle.map(|c| c.x)), bounds(triangle.map(|c| c.y)));
     // Vertices lie within +-LIMIT, so differences do not overflow.
     if (right - left).max(bottom - top) <= lattice.longest_side {
-        kernel.fill(&Piece::triangle(triangle, if sign > 0 { 1 } else { -1 }), rows, canvas);
+        kernel.fill(&Piece::triangle(triangle, if sign > 0 { 1 } else { -1 }), rows, raster);
     } else {
-        large(triangle, None, lattice.unit, rows, canvas);
+        large(triangle, None, lattice.unit, rows, raster);
     }
 }
 
-/// The rows of the canvas that a polygon meets.
-fn rows_of(corners: &[Corner; 4], canvas: &Canvas<'_>) -> u32 {
+/// The rows of the raster that a polygon meets.
+fn rows_of(corners: &[Corner; 4], raster: &Raster<'_>) -> u32 {
     let (top, bottom) = bounds(corners.map(|c| c.y));
-    rows_between(top, bottom, canvas)
+    rows_between(top, bottom, raster)
 }
 
-/// The rows of the canvas whose centres lie between two lattice y.
-fn rows_between(top: i32, bottom: i32, canvas: &Canvas<'_>) -> u32 {
-    let from_first = |y: i32| (first_row(y) - i64::from(canvas.first)).clamp(0, i64::from(u32::BITS));
+/// The rows of the raster whose centres lie between two lattice y.
+fn rows_between(top: i32, bottom: i32, raster: &Raster<'_>) -> u32 {
+    let from_first = |y: i32| (first_row(y) - i64::from(raster.first)).clamp(0, i64::from(u32::BITS));
     #[expect(clippy::cast_possible_truncation, reason = "32 bits are kept of 64")]
     let below = |row: i64| (u64::from(u32::MAX) << row) as u32;
     below(from_first(top)) & !below(from_first(bottom))
@@ -146,26 +146,26 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
 
 /// Draws a polygon with long sides row by row between its exact crossings. Coordinates are linear along the row, or the exact inverse of
 /// the patch where that differs too much.
-fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, canvas: &mut Canvas<'_>) {
+fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, raster: &mut Raster<'_>) {
     // If the area vanishes in f64, the error is NaN and the patch is used.
     let patch = patch.filter(|patch| patch.linear_error(unit).partial_cmp(&TOLERANCE).is_none_or(Ordering::is_gt));
-    let range = canvas.first + rows.trailing_zeros()..canvas.first + (u32::BITS - rows.leading_zeros());
+    let range = raster.first + rows.trailing_zeros()..raster.first + (u32::BITS - rows.leading_zeros());
     edge::walk(corners, range, |row, a, b| {
-        if rows >> (row - canvas.first) & 1 == 0 {
+        if rows >> (row - raster.first) & 1 == 0 {
             return;
         }
         let (left, right) = if a.pixel <= b.pixel { (a, b) } else { (b, a) };
-        let clip = |pixel: i64| usize::try_from(pixel.max(0)).unwrap_or(0).min(canvas.width);
+        let clip = |pixel: i64| usize::try_from(pixel.max(0)).unwrap_or(0).min(raster.width);
         let (first, end) = (clip(left.pixel), clip(right.pixel));
         if first >= end {
             return;
         }
         if let Some(patch) = &patch {
             let y = row_centre(row) as f64;
-            paint(canvas, row, first..end, |pixel| patch.inverse(Point::new(column_centre(pixel), y)));
+            paint(raster, row, first..end, |pixel| patch.inverse(Point::new(column_centre(pixel), y)));
         } else {
             let along = Along::new(&left, &right);
-            paint(canvas, row, first..end, |pixel| along.at(pixel));
+            paint(raster, row, first..end, |pixel| along.at(pixel));
         }
     });
 }
@@ -194,17 +194,17 @@ impl Along {
 }
 
 /// Paints a run of pixels, each at its own position.
-fn paint(canvas: &mut Canvas<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
-    let index = (row - canvas.first) as usize;
-    let start = index * canvas.pitch;
+fn paint(raster: &mut Raster<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
+    let index = (row - raster.first) as usize;
+    let start = index * raster.pitch;
     let pixels =
-        if canvas.over { pixels } else { pixels.start.max(canvas.uncovered[index].start)..pixels.end.min(canvas.uncovered[index].end) };
+        if raster.over { pixels } else { pixels.start.max(raster.uncovered[index].start)..pixels.end.min(raster.uncovered[index].end) };
     if pixels.is_empty() {
         return;
     }
-    let (u, v) = (&mut canvas.u[start..][pixels.clone()], &mut canvas.v[start..][pixels.clone()]);
+    let (u, v) = (&mut raster.u[start..][pixels.clone()], &mut raster.v[start..][pixels.clone()]);
     for (pixel, (u, v)) in pixels.zip(u.iter_mut().zip(v)) {
-        if canvas.over || *u == UNCOVERED {
+        if raster.over || *u == UNCOVERED {
             let at = place(pixel);
             #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
             ((*u, *v) = (at.0 as f32, at.1 as f32));

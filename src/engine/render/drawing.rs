@@ -5,16 +5,17 @@
 use std::ops::Range;
 
 use super::border::{Border, Rows, Search};
+use super::canvas::Window;
 use super::cell;
 use super::edge::Edge;
-use super::kernel::{Canvas, Kernel, LANES, NOTES, Spans, UNCOVERED};
+use super::kernel::{Kernel, LANES, NOTES, Raster, Spans, UNCOVERED};
 use super::lattice::{BLOCK, Lattice, row_centre};
 use super::row_split::{DOUBT, RowSplit};
 use super::row_strategy::{RowStrategies, RowStrategy};
 use super::sampler;
 use super::source::Source;
-use super::{Outside, RenderOptions};
-use crate::pixmap::Channels;
+use super::{Filter, Outside, RenderOptions};
+use crate::pixmap::{Channels, Extent};
 
 /// Rows whose coordinates are computed together.
 const STRIP: u32 = 32;
@@ -25,12 +26,14 @@ const SLACK: usize = LANES;
 pub(super) struct Drawing {
     pub(super) lattice: Lattice,
     border: Border,
-    options: RenderOptions,
+    filter: Filter,
+    outside: Outside,
     kernel: Kernel,
+    window: Window,
     /// The source is sampled at a reduction by 2^level.
     level: u32,
     strategies: RowStrategies,
-    /// Every pixel of the target is certainly covered.
+    /// Every pixel of the window that is drawn is certainly covered.
     pub(super) covered: bool,
 }
 
@@ -54,46 +57,59 @@ struct Scratch {
 }
 
 impl Drawing {
-    pub(super) fn new(lattice: Lattice, options: RenderOptions, level: u32, kernel: Kernel) -> Self {
+    /// `source` is the size of the whole source at the scale of the target.
+    pub(super) fn new(lattice: Lattice, window: Window, source: Extent, options: RenderOptions, level: u32, kernel: Kernel) -> Self {
         let mut border = Border::new(&lattice);
-        let covered = border.surrounds(options.target);
+        let covered = border.surrounds(&window.columns, &window.rows);
         if !covered && options.outside == Outside::Edge {
             border.index();
         }
-        let strategies = RowStrategies::new(&lattice, options.target, kernel);
-        Self { lattice, border, options, kernel, level, strategies, covered }
+        let strategies = RowStrategies::new(&lattice, window.rows.end, source.height(), kernel);
+        Self { lattice, border, filter: options.filter, outside: options.outside, kernel, window, level, strategies, covered }
     }
 
-    /// Draws target rows.
-    pub(super) fn band(&self, source: &Source, channels: Channels, rows: Range<u32>, out: &mut [u8]) {
+    /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
+    pub(super) fn band(&self, source: &Source, channels: Channels, rows: &Range<u32>, out: &mut [u8]) {
+        let Window { columns, rows: drawn, first: (left, top), .. } = &self.window;
+        // The target's rows that lie in the window.
+        let (start, end) = (rows.start.max(*top), rows.end.min(top + (drawn.end - drawn.start)));
+        if start >= end {
+            return;
+        }
         let source = source.level(self.level);
         let pixel = channels.count() * source.pixmap().depth().bytes();
-        let width = self.options.target.width() as usize;
+        let pitch = out.len() / rows.len();
+        let part = left * pixel..(left + columns.len()) * pixel;
+        let mut lines = out.chunks_exact_mut(pitch).skip((start - rows.start) as usize);
         let mut scratch = self.scratch();
-        for first in rows.clone().step_by(STRIP as usize) {
-            let strip = first..rows.end.min(first.saturating_add(STRIP));
-            let at = (strip.start - rows.start) as usize * width * pixel;
-            let out = &mut out[at..at + strip.len() * width * pixel];
+        let within = drawn.start + (start - top)..drawn.start + (end - top);
+        for first in within.clone().step_by(STRIP as usize) {
+            let strip = first..within.end.min(first.saturating_add(STRIP));
             self.prepare(&strip, &mut scratch);
             if self.is_extended() {
                 self.extend(&strip, &mut scratch);
             }
-            for (row, out) in strip.clone().zip(out.chunks_exact_mut(width * pixel)) {
+            for (row, out) in strip.clone().zip(&mut lines) {
                 let line =
                     if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
-                self.paint(source, channels, line, &scratch, out);
+                self.paint(source, channels, line, &scratch, &mut out[part.clone()]);
             }
         }
     }
 
+    /// The columns of the window up to the last one that is drawn.
+    const fn width(&self) -> usize {
+        self.window.columns.end
+    }
+
     /// Whether uncovered pixels show the picture's edge.
     fn is_extended(&self) -> bool {
-        !self.covered && self.options.outside == Outside::Edge
+        !self.covered && self.outside == Outside::Edge
     }
 
     /// Computes the coordinates of all pixels of a strip.
     fn extend(&self, strip: &Range<u32>, scratch: &mut Scratch) {
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         let pitch = width + SLACK;
         for row in strip.clone() {
             let start = self.coordinates(row, strip, scratch);
@@ -103,12 +119,12 @@ impl Drawing {
         }
         let rows = pitch..(1 + strip.len()) * pitch;
         let (u, v) = (&mut scratch.u[rows.clone()], &mut scratch.v[rows]);
-        Search::new(&self.border).fill(&mut Rows { first: strip.start, width, pitch, u, v });
+        Search::new(&self.border).fill(&mut Rows { first: strip.start, left: self.window.columns.start, width, pitch, u, v });
     }
 
     /// Start of a row of an extended strip in the scratch: one run, as wide as the target.
     fn extended(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         scratch.runs.clear();
         scratch.runs.push(0..width);
         (1 + (row - strip.start) as usize) * (width + SLACK)
@@ -129,9 +145,9 @@ impl Drawing {
 
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
-        let width = self.options.target.width();
+        let width = self.width();
         let all_plain = strip.clone().all(|row| self.strategies.of(row) == RowStrategy::Scanline);
-        let pitch = width as usize + SLACK;
+        let pitch = width + SLACK;
         // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless they are extended; the others follow
         // it.
         let size = if all_plain && !self.is_extended() { 1 } else { 1 + strip.len() } * pitch;
@@ -166,29 +182,29 @@ impl Drawing {
         }
         let drawn = mended | divided;
         let (u, v, uncovered) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.uncovered);
-        let mut canvas = Canvas { first: strip.start, width: width as usize, pitch, u, v, over: true, uncovered, open: drawn };
+        let mut raster = Raster { first: strip.start, width, pitch, u, v, over: true, uncovered, open: drawn };
         let RowSplit { per_cell, blocks, .. } = &scratch.split;
         let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k);
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
             let inaccurate = self.strategies.inaccurate(j);
-            cell::draw_row(self.kernel, &self.lattice, j, |b| inaccurate[b] & ordered[b], |i| drawn & !per_cell[i], strip, &mut canvas);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| inaccurate[b] & ordered[b], |i| drawn & !per_cell[i], strip, &mut raster);
         }
         // From the last cell back and into uncovered pixels only: the same picture, without repeated work where cells overlap.
-        (canvas.over, canvas.open) = (false, divided);
+        (raster.over, raster.open) = (false, divided);
         for j in self.lattice.rows_touching(strip).rev() {
-            if canvas.open == 0 {
+            if raster.open == 0 {
                 break;
             }
-            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| per_cell[i], strip, &mut canvas);
+            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| per_cell[i], strip, &mut raster);
         }
-        canvas.shrink();
+        raster.shrink();
     }
 
     /// Computes a row's coordinates and its covered runs; returns where the row begins in the scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         let strategy = self.strategies.of(row);
         let start = if strategy == RowStrategy::Scanline && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
         scratch.runs.clear();
@@ -204,7 +220,7 @@ impl Drawing {
     /// Coordinates of a split row between the columns drawn by cells, from `start` on in the scratch, the rest uncovered; returns the
     /// covered range.
     fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         let stride = self.lattice.pitch + BLOCK;
         scratch.split.split(index, &scratch.x_crossings[index * stride..]);
         let parts = std::mem::take(&mut scratch.split.parts);
@@ -236,7 +252,7 @@ impl Drawing {
     /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first
     /// and the last.
     fn spans(&self, row: u32, index: usize, columns: Range<usize>, start: usize, scratch: &mut Scratch) {
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         let stride = self.lattice.pitch + BLOCK;
         let x = &scratch.x_crossings[index * stride..];
         let mut pixel = |column: usize| {
@@ -294,17 +310,23 @@ impl Drawing {
 
     /// Samples a row with known coordinates and fills what is outside.
     fn paint(&self, source: &Source, channels: Channels, start: usize, scratch: &Scratch, out: &mut [u8]) {
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
-        if let Some(colour) = sampler::outside_pixel(self.options.outside, depth) {
-            for gap in gaps(&scratch.runs, width) {
-                sampler::fill(&mut out[gap.start * pixel..gap.end * pixel], &colour[..pixel]);
+        let left = self.window.columns.start;
+        // What is drawn of a run, and its bytes.
+        let drawn = |run: &Range<usize>| {
+            let run = run.start.max(left)..run.end;
+            (!run.is_empty()).then(|| (run.clone(), (run.start - left) * pixel..(run.end - left) * pixel))
+        };
+        if let Some(colour) = sampler::outside_pixel(self.outside, depth) {
+            for (_, bytes) in gaps(&scratch.runs, width).filter_map(|gap| drawn(&gap)) {
+                sampler::fill(&mut out[bytes], &colour[..pixel]);
             }
         }
-        for run in &scratch.runs {
-            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
-            sampler::sample(self.kernel, source, self.options.filter, u, v, channels, &mut out[run.start * pixel..run.end * pixel]);
+        for (run, bytes) in scratch.runs.iter().filter_map(drawn) {
+            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run]);
+            sampler::sample(self.kernel, source, self.filter, u, v, channels, &mut out[bytes]);
         }
     }
 
@@ -333,7 +355,7 @@ impl Drawing {
         let strip = row..row + 1;
         self.prepare(&strip, &mut scratch);
         let start = self.coordinates(row, &strip, &mut scratch);
-        let width = self.options.target.width() as usize;
+        let width = self.width();
         (scratch.u[start..start + width].to_vec(), scratch.v[start..start + width].to_vec(), scratch.runs)
     }
 }

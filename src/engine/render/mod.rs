@@ -12,6 +12,8 @@ use crate::pixmap::{Channels, Depth, Extent};
 #[forbid(unsafe_code)]
 mod border;
 #[forbid(unsafe_code)]
+mod canvas;
+#[forbid(unsafe_code)]
 mod cell;
 #[forbid(unsafe_code)]
 mod drawing;
@@ -42,8 +44,10 @@ mod steps;
 #[forbid(unsafe_code)]
 mod tests;
 
+pub use canvas::Canvas;
 pub use source::Source;
 
+use canvas::{Placement, Window};
 use drawing::Drawing;
 use kernel::Kernel;
 use lattice::Lattice;
@@ -73,8 +77,10 @@ pub enum Outside {
 /// How the mesh is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RenderOptions {
-    /// Size of the target picture; the mesh is scaled to it.
+    /// Size of the target picture; the canvas is scaled to it.
     pub target: Extent,
+    /// The part of the posed plane that is drawn; default the box of the source.
+    pub canvas: Option<Canvas>,
     /// How the source is sampled.
     pub filter: Filter,
     /// What fills target pixels that the posed picture does not cover.
@@ -88,8 +94,16 @@ pub struct Renderer {
     options: RenderOptions,
     channels: Channels,
     level: Level,
-    /// `None` for the identity: rows are copied.
-    drawing: Option<Box<Drawing>>,
+    work: Work,
+}
+
+/// What a renderer draws.
+#[derive(Debug)]
+enum Work {
+    /// The identity: samples are copied. Where the canvas begins, px of the source.
+    Copy { x: i32, y: i32 },
+    /// One drawing per window.
+    Draw(Vec<Drawing>),
 }
 
 impl Renderer {
@@ -104,24 +118,32 @@ impl Renderer {
     pub fn with_level(source: Arc<Source>, mesh: &Mesh, options: RenderOptions, level: Level) -> Self {
         let kernel = Kernel::new(level);
         let pixmap = source.pixmap();
-        let drawing = (options.target != pixmap.extent() || !mesh.is_identity()).then(|| {
-            let k = source.level_for(options.target);
-            let lattice = Lattice::new(mesh, pixmap.extent(), k, &options, kernel);
+        let canvas = options.canvas.unwrap_or(Canvas::of(pixmap.extent()));
+        let (work, uncovered) = if options.target == canvas.extent && mesh.is_identity() {
+            (Work::Copy { x: canvas.x, y: canvas.y }, !sampler::covers(pixmap.extent(), canvas))
+        } else {
+            let placement = Placement::new(canvas, options.target);
+            let k = source.level_for(placement.source(mesh.grid()));
             // Makes the copies now, not in the first band.
             let reduced = source.level(k);
             if options.filter == Filter::Bilinear {
                 reduced.packed();
             }
-            Box::new(Drawing::new(lattice, options, k, kernel))
-        });
-        let uncovered = drawing.as_ref().is_some_and(|drawing| !drawing.covered);
+            let draw = |window: Window| {
+                let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
+                Drawing::new(lattice, window, placement.source(mesh.grid()), options, k, kernel)
+            };
+            let drawings: Vec<_> = placement.windows().into_iter().map(draw).collect();
+            let uncovered = drawings.iter().any(|drawing| !drawing.covered);
+            (Work::Draw(drawings), uncovered)
+        };
         let clear = match options.outside {
             Outside::Transparent => uncovered,
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge => false,
         };
         let channels = if clear { Channels::Rgba } else { pixmap.channels() };
-        Self { source, options, channels, level: kernel.level(), drawing }
+        Self { source, options, channels, level: kernel.level(), work }
     }
 
     /// Size of the target.
@@ -156,9 +178,19 @@ impl Renderer {
         assert!(rows.end <= self.options.target.height(), "rows lie in the target");
         let size = self.options.target.width() as usize * self.channels.count() * self.depth().bytes() * rows.len();
         assert_eq!(out.len(), size, "one sample for each channel of each pixel");
-        match &self.drawing {
-            Some(drawing) => drawing.band(&self.source, self.channels, rows, out),
-            None => sampler::copy(self.source.pixmap(), rows, out),
+        let pixmap = self.source.pixmap();
+        match &self.work {
+            Work::Copy { x: 0, y: 0 } if self.options.target == pixmap.extent() => sampler::copy(pixmap, rows, out),
+            Work::Copy { x, y } => {
+                for (row, out) in rows.clone().zip(out.chunks_exact_mut(size / rows.len())) {
+                    sampler::copy_row(pixmap, (i64::from(*x), i64::from(*y) + i64::from(row)), self.options.outside, self.channels, out);
+                }
+            }
+            Work::Draw(drawings) => {
+                for drawing in drawings {
+                    drawing.band(&self.source, self.channels, &rows, out);
+                }
+            }
         }
     }
 }

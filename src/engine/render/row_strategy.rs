@@ -7,7 +7,6 @@ use std::ops::Range;
 
 use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
 use super::lattice::{BLOCK, Lattice, ONE, YRange};
-use crate::pixmap::Extent;
 
 /// Rows are split only if at most one in this number of cells is folded; with more, finding the splits costs more than it saves.
 const FOLDED: usize = 24;
@@ -46,21 +45,19 @@ pub(super) struct RowStrategies {
 }
 
 impl RowStrategies {
-    pub(super) fn new(lattice: &Lattice, target: Extent, kernel: Kernel) -> Self {
-        let (height, blocks) = (target.height(), lattice.blocks());
+    /// For this many rows; `source` is the height of the whole source at this scale.
+    pub(super) fn new(lattice: &Lattice, height: u32, source: u32, kernel: Kernel) -> Self {
+        let blocks = lattice.blocks();
         let none = vec![0; (lattice.rows - 1) * blocks];
         let mut strategies =
             Self { rows: vec![RowStrategy::Mixed; height as usize], blocks, inaccurate: none.clone(), folded: none, splittable: 0..0 };
-        if height.max(target.width()) > FARTHEST {
-            return strategies;
-        }
         let crossing = rows_that_cross(lattice, height);
         strategies.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Scanline);
         strategies.classify(lattice, kernel);
         let folded: u32 = strategies.folded.iter().map(|cells| cells.count_ones()).sum();
         let met: u64 = lattice.block_ranges.iter().map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs())).sum();
         let are_few = folded as usize * FOLDED <= strategies.folded.len() * BLOCK;
-        if are_few && met <= SHARES * u64::from(height) * blocks as u64 {
+        if are_few && met <= SHARES * u64::from(source) * blocks as u64 {
             strategies.splittable = crossing;
         }
         strategies

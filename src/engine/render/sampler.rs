@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use super::kernel::{Kernel, ROUND_SAMPLE, fixed};
 use super::source::Source;
-use super::{Filter, Outside};
-use crate::pixmap::{Channels, Depth, Pixmap, Samples};
+use super::{Canvas, Filter, Outside};
+use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 
 /// Samples a run of pixels; `out` has `channels` samples for each of `u`.
 pub(super) fn sample(kernel: Kernel, source: &Source, filter: Filter, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
@@ -145,13 +145,57 @@ pub(super) fn fill(out: &mut [u8], pixel: &[u8]) {
 /// Copies rows of the source as they are.
 pub(super) fn copy(pixmap: &Pixmap, rows: Range<u32>, out: &mut [u8]) {
     let row = pixmap.extent().width() as usize * pixmap.channels().count();
-    let samples = rows.start as usize * row..rows.end as usize * row;
+    put_samples(pixmap, rows.start as usize * row..rows.end as usize * row, out);
+}
+
+/// Writes samples of the source as they are.
+fn put_samples(pixmap: &Pixmap, samples: Range<usize>, out: &mut [u8]) {
     match pixmap.samples() {
         Samples::Eight(source) => out.copy_from_slice(&source[samples]),
         Samples::Sixteen(source) => {
             for (bytes, sample) in out.as_chunks_mut::<2>().0.iter_mut().zip(&source[samples]) {
                 *bytes = sample.to_be_bytes();
             }
+        }
+    }
+}
+
+/// Whether a canvas lies in a picture of this size.
+pub(super) fn covers(picture: Extent, canvas: Canvas) -> bool {
+    let within = |at: i32, length: u32, side: u32| at >= 0 && i64::from(at) + i64::from(length) <= i64::from(side);
+    within(canvas.x, canvas.extent.width(), picture.width()) && within(canvas.y, canvas.extent.height(), picture.height())
+}
+
+/// Copies a row of the source's plane that begins at `(x, y)`, of which a part may lie outside the source.
+pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, channels: Channels, out: &mut [u8]) {
+    let (width, height) = (i64::from(pixmap.extent().width()), i64::from(pixmap.extent().height()));
+    let (count, bytes) = (channels.count(), pixmap.depth().bytes());
+    let pixel = count * bytes;
+    let pixels = out.len() / pixel;
+    let colour = outside_pixel(outside, pixmap.depth());
+    if colour.is_some() && !(0..height).contains(&y) {
+        return fill(out, &colour.unwrap_or_default()[..pixel]);
+    }
+    // The pixels of the row before which the source begins and ends.
+    let before = |x: i64| usize::try_from(x).unwrap_or(0).min(pixels);
+    let (first, end) = (before(-x), before(width - x));
+    let source = y.clamp(0, height - 1) as usize * width as usize;
+    let put = |from: usize, out: &mut [u8]| {
+        let stored = pixmap.channels().count();
+        for (k, out) in out.chunks_exact_mut(pixel).enumerate() {
+            let (samples, opaque) = out.split_at_mut(stored.min(count) * bytes);
+            put_samples(pixmap, (from + k) * stored..(from + k) * stored + stored.min(count), samples);
+            opaque.fill(u8::MAX);
+        }
+    };
+    if first < end {
+        put(source + usize::try_from(x).unwrap_or(0), &mut out[first * pixel..end * pixel]);
+    }
+    for (range, nearest) in [(0..first, 0), (end.max(first)..pixels, width as usize - 1)] {
+        let out = &mut out[range.start * pixel..range.end * pixel];
+        match &colour {
+            Some(colour) => fill(out, &colour[..pixel]),
+            None => out.chunks_exact_mut(pixel).for_each(|out| put(source + nearest, out)),
         }
     }
 }

@@ -2,11 +2,11 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "coordinates of the sampler are kept as f32")]
 
+use super::Filter;
 use super::fine::FineCells;
 use super::kernel::Kernel;
 use super::lattice::{BLOCK, LONGEST_SIDE, Lattice, ONE, YRange};
 use super::snap_fine::Sampled;
-use super::{Filter, RenderOptions};
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;
 
@@ -54,32 +54,30 @@ impl Sampled for Axes {
 }
 
 impl Lattice {
-    /// Poses and snaps `mesh` for a target; `source` is the full source picture, sampled at a reduction by `2^k`.
-    pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, options: &RenderOptions, kernel: Kernel) -> Self {
+    /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by `2^k`. `scale`: px of the target per px of
+    /// the source; `origin`: the position of the window that is drawn, px of the source.
+    pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, filter: Filter, (scale, origin): ([f64; 2], [f64; 2]), kernel: Kernel) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
         let pitch = columns.next_multiple_of(BLOCK);
-        let axes = Axes {
-            across: Axis::new(options.filter, source.width(), grid.width(), k),
-            down: Axis::new(options.filter, source.height(), grid.height(), k),
-        };
-        let scale = [f64::from(options.target.width()) / grid.width(), f64::from(options.target.height()) / grid.height()];
+        let axes =
+            Axes { across: Axis::new(filter, source.width(), grid.width(), k), down: Axis::new(filter, source.height(), grid.height(), k) };
         let scale = scale.map(|s| s * f64::from(ONE));
-        let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
-        let mut u: Vec<f32> = rest_x.iter().map(|&x| axes.u(x)).collect();
+        let mut u: Vec<f32> = (0..grid.columns()).map(|i| axes.u(grid.x(i))).collect();
+        let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i) - origin[0]).collect();
         u.resize(pitch + BLOCK, axes.u(grid.width()));
         let v: Vec<f32> = (0..grid.rows()).map(|j| axes.v(grid.y(j))).collect();
         let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
         for ((j, displacement), (x, y)) in
             (0..).zip(mesh.displacement().chunks_exact(columns)).zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
         {
-            kernel.snap(&rest_x, grid.y(j), displacement, scale, &mut x[..columns], &mut y[..columns]);
+            kernel.snap(&rest_x, grid.y(j) - origin[1], displacement, scale, &mut x[..columns], &mut y[..columns]);
             let last = (x[columns - 1], y[columns - 1]);
             x[columns..].fill(last.0);
             y[columns..].fill(last.1);
         }
         let (row_ranges, block_ranges) = y_ranges(&y, pitch, kernel);
-        let unit = match options.filter {
+        let unit = match filter {
             Filter::Nearest => 1.0,
             Filter::Bilinear => 128.0,
         };
@@ -87,7 +85,7 @@ impl Lattice {
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
         let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
         let crossing_error = CROSSING_SHARE * mesh.refinement().drawn_within();
-        let fine = FineCells::new(mesh, scale, &axes, kernel);
+        let fine = FineCells::new(mesh, (scale, origin), &axes, kernel);
         let mut lattice = Self { columns, rows, pitch, x, y, u, v, unit, longest_side, crossing_error, row_ranges, block_ranges, fine };
         lattice.cover_fine_cells();
         lattice

@@ -12,8 +12,8 @@ pub(super) trait Sampled {
 }
 
 impl FineCells {
-    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px.
-    pub(super) fn new(mesh: &Mesh, scale: [f64; 2], sampled: &impl Sampled, kernel: Kernel) -> Self {
+    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of the window, px of the source.
+    pub(super) fn new(mesh: &Mesh, (scale, origin): ([f64; 2], [f64; 2]), sampled: &impl Sampled, kernel: Kernel) -> Self {
         let refinement = mesh.refinement();
         if refinement.is_empty() {
             return Self::default();
@@ -21,23 +21,26 @@ impl FineCells {
         let grid = mesh.grid();
         let (cell_rows, blocks) = (grid.rows() as usize - 1, (grid.columns() as usize).div_ceil(BLOCK));
         let mut fine = Self { blocks, bits: vec![0; cell_rows * blocks], ..Self::default() };
-        let (mut rest_x, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut rest_x, mut u, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for cell in refinement.cells() {
             let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
             fine.rows.resize(j + 1, fine.cells.len());
             fine.bits[j * blocks + i / BLOCK] |= 1 << (i % BLOCK);
             let (start, mut range) = (fine.corners.len(), YRange::NOWHERE);
             let mut across = (i32::MAX, i32::MIN);
+            let at_rest = |a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side);
             rest_x.clear();
-            rest_x.extend((0..side).map(|a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side)));
+            rest_x.extend((0..side).map(|a| at_rest(a) - origin[0]));
+            u.clear();
+            u.extend((0..side).map(|a| sampled.u(at_rest(a))));
             x.resize(side, 0);
             y.resize(side, 0);
             for (b, displacement) in refinement.displacement(cell).chunks_exact(side).enumerate() {
                 let rest_y = between(grid.y(cell.row), grid.y(cell.row + 1), b, side);
-                kernel.snap(&rest_x, rest_y, displacement, scale, &mut x, &mut y);
+                kernel.snap(&rest_x, rest_y - origin[1], displacement, scale, &mut x, &mut y);
                 let v = sampled.v(rest_y);
-                for ((&rest_x, &x), &y) in rest_x.iter().zip(&x).zip(&y) {
-                    fine.corners.push(Corner { x, y, u: sampled.u(rest_x), v });
+                for ((&u, &x), &y) in u.iter().zip(&x).zip(&y) {
+                    fine.corners.push(Corner { x, y, u, v });
                     range = range.join(YRange { top: y, bottom: y });
                     across = (across.0.min(x), across.1.max(x));
                 }

@@ -28,7 +28,7 @@ impl Warp {
     /// A target over the limits; [`OutputSpec::target`] checks it before anything is posed.
     pub fn new(image: &Image, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
         let target = output.target(image.extent(), limits)?;
-        let options = RenderOptions { target, filter: output.filter, outside: output.outside };
+        let options = RenderOptions { target, canvas: None, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
         let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
         let writer = Writer::new(shape, output.encoding(), image.icc.as_ref());

@@ -63,7 +63,7 @@ fn draw(case: &Case, tolerance: f64, pose_as: PoseAs) -> Drawn {
     let setup = Setup::new(&rest, extent, &Limits::default()).unwrap();
     let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
     let posed = pose_as(&setup, &plan, &pose, Folds::Report, &|| false).unwrap();
-    let options = RenderOptions { target: extent, filter: Filter::Bilinear, outside: Outside::Transparent };
+    let options = RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent };
     let renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
     let (width, height, channels) = (extent.width() as usize, extent.height() as usize, renderer.channels().count());
     let mut out = vec![0; width * height * channels * 2];

@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 use std::ops::Range;
 
 use super::Kernel;
-use super::cells::{Canvas, CellBlock};
+use super::cells::{CellBlock, Raster};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
@@ -34,7 +34,7 @@ widened! {
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock);
+    classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.

@@ -3,23 +3,23 @@
 use std::arch::x86_64::*;
 
 use super::Kernel;
-use super::cells::{Canvas, LANES, Map, Near, Piece, Root, UNCOVERED, column, line, reach};
+use super::cells::{LANES, Map, Near, Piece, Raster, Root, UNCOVERED, column, line, reach};
 use crate::level::Level;
 use crate::render::lattice::ONE;
 use crate::render::lattice::STEP;
 
 /// [`super::cells::fill`].
-pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     debug_assert!(kernel.0 >= Level::Avx2);
-    let (from, to) = reach(piece, canvas.width);
+    let (from, to) = reach(piece, raster.width);
     if rows == 0 || from >= to {
         return;
     }
     // A block may begin at the last pixel.
-    let end = (u32::BITS - rows.leading_zeros()) as usize * canvas.pitch;
-    assert!(canvas.width + LANES <= canvas.pitch && end <= canvas.u.len() && end <= canvas.v.len(), "a block may end behind the row");
+    let end = (u32::BITS - rows.leading_zeros()) as usize * raster.pitch;
+    assert!(raster.width + LANES <= raster.pitch && end <= raster.u.len() && end <= raster.v.len(), "a block may end behind the row");
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
-    unsafe { if canvas.over { blocks::<true>(piece, rows, canvas) } else { blocks::<false>(piece, rows, canvas) } }
+    unsafe { if raster.over { blocks::<true>(piece, rows, raster) } else { blocks::<false>(piece, rows, raster) } }
 }
 
 /// s and t at px (x, y) from the origin.
@@ -66,11 +66,11 @@ fn within(share: __m256) -> __m256 {
 /// # Safety
 /// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block behind the width.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
-    let (from, to) = reach(piece, canvas.width);
+unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
+    let (from, to) = reach(piece, raster.width);
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let top = rows.trailing_zeros();
-    let y0 = line(canvas.first + top).wrapping_sub(piece.y);
+    let y0 = line(raster.first + top).wrapping_sub(piece.y);
     let down = piece.edges.map(|[_, gy, _]| _mm256_set1_epi32(gy.wrapping_mul(ONE)));
     let [[u0, us, ut], [v0, vs, vt]] = [piece.u, piece.v].map(|axis| axis.map(|value| _mm256_set1_ps(value)));
     let coordinate = |at: __m256, s: __m256, t: __m256, per_s: __m256, per_t: __m256| {
@@ -87,11 +87,11 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
+            let wanted = left & 1 == 1 && (OVER || at < raster.uncovered[row].end && at + LANES > raster.uncovered[row].start);
             let outside = _mm256_or_si256(_mm256_or_si256(inside[0], inside[1]), _mm256_or_si256(inside[2], inside[3]));
-            let start = row * canvas.pitch + at;
+            let start = row * raster.pitch + at;
             // SAFETY: `at < width`, and there is room for a block behind the width.
-            let (u, v) = unsafe { (canvas.u.as_mut_ptr().add(start), canvas.v.as_mut_ptr().add(start)) };
+            let (u, v) = unsafe { (raster.u.as_mut_ptr().add(start), raster.v.as_mut_ptr().add(start)) };
             // SAFETY: as above.
             let (u_old, v_old) = unsafe { (_mm256_loadu_ps(u), _mm256_loadu_ps(v)) };
             let mut kept = _mm256_castsi256_ps(_mm256_srai_epi32::<31>(outside));

@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 
 use super::Kernel;
 use super::avx2_cells::{near, root};
-use super::cells::{Canvas, LANES, Map, Piece, UNCOVERED, column, line, reach};
+use super::cells::{LANES, Map, Piece, Raster, UNCOVERED, column, line, reach};
 use crate::level::Level;
 use crate::render::lattice::ONE;
 use crate::render::lattice::STEP;
@@ -13,27 +13,27 @@ use crate::render::lattice::STEP;
 pub(super) use super::avx2::{bends, classify, crossings, edges, sample, snap, soundness, spans, steepness, y_ranges};
 
 /// [`super::cells::fill`].
-pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
+pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     debug_assert!(kernel.0 >= Level::Avx512);
-    let (from, to) = reach(piece, canvas.width);
+    let (from, to) = reach(piece, raster.width);
     if rows == 0 || from >= to {
         return;
     }
     // A block may begin at the last pixel.
-    let end = (u32::BITS - rows.leading_zeros()) as usize * canvas.pitch;
-    assert!(canvas.width + LANES <= canvas.pitch && end <= canvas.u.len() && end <= canvas.v.len(), "a block may end behind the row");
+    let end = (u32::BITS - rows.leading_zeros()) as usize * raster.pitch;
+    assert!(raster.width + LANES <= raster.pitch && end <= raster.u.len() && end <= raster.v.len(), "a block may end behind the row");
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
-    unsafe { if canvas.over { blocks::<true>(piece, rows, canvas) } else { blocks::<false>(piece, rows, canvas) } }
+    unsafe { if raster.over { blocks::<true>(piece, rows, raster) } else { blocks::<false>(piece, rows, raster) } }
 }
 
 /// # Safety
 /// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block behind the width.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2")]
-unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
-    let (from, to) = reach(piece, canvas.width);
+unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
+    let (from, to) = reach(piece, raster.width);
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let top = rows.trailing_zeros();
-    let y0 = line(canvas.first + top).wrapping_sub(piece.y);
+    let y0 = line(raster.first + top).wrapping_sub(piece.y);
     // Loops, not `map`, whose closures are not compiled for this level.
     let mut down = [_mm256_setzero_si256(); 4];
     for (down, [_, gy, _]) in down.iter_mut().zip(piece.edges) {
@@ -56,12 +56,12 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, canvas: &mut Canvas
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
-            let wanted = left & 1 == 1 && (OVER || at < canvas.uncovered[row].end && at + LANES > canvas.uncovered[row].start);
+            let wanted = left & 1 == 1 && (OVER || at < raster.uncovered[row].end && at + LANES > raster.uncovered[row].start);
             if wanted {
                 let outside = _mm256_or_si256(_mm256_ternarylogic_epi32::<0xfe>(inside[0], inside[1], inside[2]), inside[3]);
-                let start = row * canvas.pitch + at;
+                let start = row * raster.pitch + at;
                 // SAFETY: `at < width`, and there is room for a block behind the width.
-                let (u, v) = unsafe { (canvas.u.as_mut_ptr().add(start), canvas.v.as_mut_ptr().add(start)) };
+                let (u, v) = unsafe { (raster.u.as_mut_ptr().add(start), raster.v.as_mut_ptr().add(start)) };
                 let mut painted = !_mm256_movepi32_mask(outside);
                 if !OVER {
                     // SAFETY: as above.

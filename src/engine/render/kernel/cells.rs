@@ -18,7 +18,7 @@ pub(in crate::render) const UNCOVERED: f32 = f32::NEG_INFINITY;
 
 /// Rows of pixels whose coordinates are drawn cell by cell.
 #[derive(Debug)]
-pub(in crate::render) struct Canvas<'a> {
+pub(in crate::render) struct Raster<'a> {
     /// The target row of the first row.
     pub(in crate::render) first: u32,
     /// Pixels of a row.
@@ -36,7 +36,7 @@ pub(in crate::render) struct Canvas<'a> {
     pub(in crate::render) open: u32,
 }
 
-impl Canvas<'_> {
+impl Raster<'_> {
     /// Updates `uncovered` and `open` after painting. O(1) per pixel over all calls together, and per row and call.
     #[inline]
     pub(in crate::render) fn shrink(&mut self) {
@@ -257,7 +257,7 @@ impl Near {
 /// The classification of a block of cells.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::render) struct CellBlock {
-    /// The open rows of the canvas that each cell meets, one bit each.
+    /// The open rows of the raster that each cell meets, one bit each.
     pub(in crate::render) rows: [u32; BLOCK],
     /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes, else 0.
     pub(in crate::render) convex: [i32; BLOCK],
@@ -270,7 +270,7 @@ pub(in crate::render) struct CellBlock {
 
 /// Classifies the cells of block `b` of row `j`.
 #[inline(always)]
-pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
+pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock) {
     let at = j * lattice.pitch + b * BLOCK;
     let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
         let places = &places[at..=at + BLOCK];
@@ -278,15 +278,15 @@ pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
-    // Of the centres of the canvas's first row and of the column behind its last.
-    let (first, right_end) = (canvas.first as i32 * ONE + HALF, canvas.width as i32 * ONE);
+    // Of the centres of the raster's first row and of the column behind its last.
+    let (first, right_end) = (raster.first as i32 * ONE + HALF, raster.width as i32 * ONE);
     for k in 0..BLOCK {
         let (left, right_side) = (ax[k].min(bx[k]).min(cx[k].min(dx[k])), ax[k].max(bx[k]).max(cx[k].max(dx[k])));
         let (top, bottom) = (ay[k].min(by[k]).min(cy[k].min(dy[k])), ay[k].max(by[k]).max(cy[k].max(dy[k])));
-        // The first row whose centre is not above y, relative to the canvas's first.
+        // The first row whose centre is not above y, relative to the raster's first.
         let row = |y: i32| ((y - first + (ONE - 1)) >> ONE.trailing_zeros()).clamp(0, 32) as u64;
         let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
-        let rows = below(row(top)) & !below(row(bottom)) & canvas.open;
+        let rows = below(row(top)) & !below(row(bottom)) & raster.open;
         seen.rows[k] = if (right_side > 0) & (left < right_end) { rows } else { 0 };
         let small = (right_side - left).max(bottom - top) <= lattice.longest_side;
         // Meaningless if the cell is not small.
@@ -328,21 +328,21 @@ pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, canvas: &Canvas<'_
     }
 }
 
-/// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest and its lowest corner.
+/// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest and its lowest corner.
 #[inline(always)]
-pub(super) fn fill(piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
-    let (from, to) = reach(piece, canvas.width);
+pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
+    let (from, to) = reach(piece, raster.width);
     let x0 = column(from).wrapping_sub(piece.x);
     let mut left = rows;
     while left != 0 {
         let row = left.trailing_zeros();
         left &= left - 1;
-        let y = line(canvas.first + row).wrapping_sub(piece.y);
+        let y = line(raster.first + row).wrapping_sub(piece.y);
         let mut inside = piece.edges.map(|[gx, gy, g]| gx.wrapping_mul(x0).wrapping_add(gy.wrapping_mul(y)).wrapping_add(g));
-        let pixels = row as usize * canvas.pitch + from..row as usize * canvas.pitch + to.max(from);
+        let pixels = row as usize * raster.pitch + from..row as usize * raster.pitch + to.max(from);
         let (mut x, y) = (x0 as f32 * STEP, y as f32 * STEP);
-        for (u, v) in canvas.u[pixels.clone()].iter_mut().zip(&mut canvas.v[pixels]) {
-            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (canvas.over || *u == UNCOVERED) {
+        for (u, v) in raster.u[pixels.clone()].iter_mut().zip(&mut raster.v[pixels]) {
+            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (raster.over || *u == UNCOVERED) {
                 (*u, *v) = piece.place(x, y);
             }
             for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {

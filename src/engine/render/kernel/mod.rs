@@ -24,7 +24,7 @@ use super::source::Packed;
 use crate::level::Level;
 use crate::pixmap::Channels;
 
-pub(super) use cells::{Canvas, CellBlock, LANES, Piece, UNCOVERED};
+pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
 pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed};
 
 /// The kernels of a level that this machine has.
@@ -98,14 +98,14 @@ impl Kernel {
         dispatch!(self, spans(spans, u, v));
     }
 
-    /// Classifies a block of cells: the rows of the canvas that they meet, and whether they are convex.
-    pub(super) fn classify(self, lattice: &Lattice, j: usize, block: usize, canvas: &Canvas<'_>, seen: &mut CellBlock) {
-        dispatch!(self, classify(lattice, j, block, canvas, seen));
+    /// Classifies a block of cells: the rows of the raster that they meet, and whether they are convex.
+    pub(super) fn classify(self, lattice: &Lattice, j: usize, block: usize, raster: &Raster<'_>, seen: &mut CellBlock) {
+        dispatch!(self, classify(lattice, j, block, raster, seen));
     }
 
-    /// Draws a piece in the rows of the canvas whose bits are set; all must lie between its highest and its lowest corner.
-    pub(super) fn fill(self, piece: &Piece, rows: u32, canvas: &mut Canvas<'_>) {
-        dispatch!(self, fill(piece, rows, canvas));
+    /// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest and its lowest corner.
+    pub(super) fn fill(self, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
+        dispatch!(self, fill(piece, rows, raster));
     }
 
     /// Bilinear samples of a run of pixels.

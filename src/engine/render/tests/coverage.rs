@@ -1,8 +1,9 @@
 //! The pixels that a mesh paints, and their source positions.
 
+use super::super::canvas::{Canvas, Placement, Window};
 use super::super::cell;
 use super::super::drawing::Drawing;
-use super::super::kernel::{Canvas, Kernel, LANES, UNCOVERED};
+use super::super::kernel::{Kernel, LANES, Raster, UNCOVERED};
 use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
 use super::*;
 
@@ -19,10 +20,10 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
             u.chunks_exact_mut(pitch).for_each(|row| row[width..].fill(0.0));
             let mut uncovered = vec![0..width; rows.len()];
             let open = (1 << rows.len()) - 1;
-            let mut canvas = Canvas { first, width, pitch, u: &mut u, v: &mut v, over: false, uncovered: &mut uncovered, open };
+            let mut raster = Raster { first, width, pitch, u: &mut u, v: &mut v, over: false, uncovered: &mut uncovered, open };
             let only = |b: usize| if b == i / 8 { 1 << (i % 8) } else { 0 };
-            cell::draw_row(kernel, lattice, j, only, |_| u32::MAX, &rows, &mut canvas);
-            canvas.shrink();
+            cell::draw_row(kernel, lattice, j, only, |_| u32::MAX, &rows, &mut raster);
+            raster.shrink();
             for (y, uncovered) in rows.clone().zip(uncovered) {
                 let row = (y - first) as usize * pitch;
                 let left: Vec<_> = (0..width).filter(|x| u[row + x] == UNCOVERED).collect();
@@ -41,7 +42,15 @@ fn cell_by_cell(lattice: &Lattice, target: Extent, level: Level, mut painted: im
 
 fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
     let grid = mesh.grid();
-    Lattice::new(mesh, extent(grid.width() as u32, grid.height() as u32), 0, options, Kernel::new(Level::detect()))
+    let source = extent(grid.width() as u32, grid.height() as u32);
+    let placement = Placement::new(Canvas::of(source), options.target);
+    Lattice::new(mesh, source, 0, options.filter, (placement.scale, [0.0; 2]), Kernel::new(Level::detect()))
+}
+
+/// A drawing of the whole target.
+fn drawing(lattice: Lattice, target: Extent) -> Drawing {
+    let window = Window { columns: 0..target.width() as usize, rows: 0..target.height(), first: (0, 0), origin: [0.0; 2] };
+    Drawing::new(lattice, window, target, options(target), 0, Kernel::new(Level::detect()))
 }
 
 fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
@@ -125,7 +134,7 @@ fn rows_cover_the_same_pixels_either_way() {
         let target = extent(160, 120);
         let lattice = lattice(&mesh, &options(target));
         let counts = paintings(&lattice, target);
-        let drawing = Drawing::new(lattice, options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice, target);
         for row in 0..target.height() {
             *if drawing.is_plain(row) { &mut fast } else { &mut general } += 1;
             let (_, _, runs) = drawing.row(row);
@@ -148,7 +157,7 @@ fn coordinates_are_those_of_the_bilinear_patch() {
         let mesh = if seed % 4 == 0 { swirl(grid, 0.3 + 0.05 * seed as f64) } else { waves(grid, seed, 0.9) };
         assert_eq!(mesh.folded_cells().count(), 0, "one place a pixel");
         let target = extent(240, 180);
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice(&mesh, &options(target)), target);
         let reference = reference::places(&mesh, target);
         for row in 0..target.height() {
             fast += usize::from(drawing.is_plain(row));
@@ -196,7 +205,7 @@ fn folded_rows_are_those_of_painting_in_order() {
         let mesh = if seed % 3 == 0 { swirl(grid, 2.0 + 0.2 * seed as f64) } else { waves(grid, seed, 1.5 + 0.2 * seed as f64) };
         folded += mesh.folded_cells().count();
         let target = extent(120, 90);
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice(&mesh, &options(target)), target);
         painted += as_painted_in_order(&drawing, target, &format!("seed {seed}"));
     }
     assert!(painted > 100_000 && folded > 1000, "{painted} {folded}");
@@ -229,7 +238,7 @@ fn divided_rows_are_those_of_painting_in_order() {
             })
         });
         let target = extent(160, 120);
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice(&mesh, &options(target)), target);
         divided += (0..target.height()).filter(|&row| drawing.is_mixed(row)).count();
         painted += as_painted_in_order(&drawing, target, &format!("seed {seed}"));
     }
@@ -302,7 +311,7 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
             let place = Vec2::new(100.0 + (p.x - 100.0) * (0.7 + 0.5 * steep.abs()) + along[j], down[j] + fall[i] + 100.0);
             Point::new(place.x - centre.x, place.y - centre.y)
         });
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice(&mesh, &options(target)), target);
         let mut exact = vec![None; 200 * 200];
         cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| exact[y * 200 + x] = Some(place));
         for row in (0..200).filter(|&row| drawing.crosses(row)) {
@@ -342,7 +351,7 @@ fn cells_with_long_sides_are_drawn_as_their_patches() {
         if mesh.folded_cells().count() > 0 {
             continue;
         }
-        let drawing = Drawing::new(lattice(&mesh, &options(target)), options(target), 0, Kernel::new(Level::detect()));
+        let drawing = drawing(lattice(&mesh, &options(target)), target);
         let reference = reference::places(&mesh, target);
         for row in 0..target.height() {
             let (u, v, runs) = drawing.row(row);

@@ -2,6 +2,7 @@
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "small numbers of the tests themselves")]
 
+mod canvases;
 mod coverage;
 mod extremes;
 mod photograph;
@@ -22,7 +23,7 @@ fn extent(width: u32, height: u32) -> Extent {
 
 /// Options for a target, bilinear on transparent.
 fn options(target: Extent) -> RenderOptions {
-    RenderOptions { target, filter: Filter::Bilinear, outside: Outside::Transparent }
+    RenderOptions { target, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent }
 }
 
 /// A generator of numbers in [0, 2^32), the same on every run.
