@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, Upload, build_aborted, image_key, resolve, revision_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, build_aborted, image_key, revision_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -51,7 +51,7 @@ impl App {
 
     /// Stores a session, counted for its client.
     async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<(Put, Arc<Setup>), Problem> {
-        let (record, file, setup) = prepared.into_session(id);
+        let (record, file, setup, _held) = prepared.into_session(id);
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.client_sessions.claim(client.tenant(), &record, file.len() as u64)?;
@@ -78,10 +78,9 @@ impl App {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
-            let (json, limits, extent) = (json.clone(), self.0.config.limits(), old.extent);
-            let resolve =
-                move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
-            let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
+            let (app, json, extent) = (self.clone(), json.clone(), old.extent);
+            let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, cancel);
+            let Resolved { object, setup, held: _held } = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
             // The ticket is not held while the store works.
             drop(ticket);

@@ -17,10 +17,9 @@ use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::Method;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Digest, Folds, GridSpec, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -54,6 +53,7 @@ fn base() -> WarpObject {
             method: Method::Rigid,
             alpha: None,
             point_mass: None,
+            smoothing: None,
             units: Units::Px,
             grid: GridSpec::Auto,
         },
@@ -94,7 +94,7 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, units, grid } = &record.rest;
+        let RestSpec { p, weights, method, alpha, point_mass, smoothing, units, grid } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -106,6 +106,9 @@ impl Serialize for Warp<'_> {
         }
         if let Some(mass) = point_mass {
             object.serialize_entry("point_mass", mass)?;
+        }
+        if let Some(smoothing) = smoothing {
+            object.serialize_entry("smoothing", smoothing)?;
         }
         defaults.field(&mut object, "units", *units, &base.rest.units)?;
         defaults.field(&mut object, "grid", *grid, &base.rest.grid)?;
@@ -342,7 +345,7 @@ mod tests {
             changed("\"version\":1", "\"version\":2"),
             changed("\"version\":1", "\"version\":1,\"layers\":{}"),
             with_warp(&record, r#"{"strength":0.5}"#),
-            with_warp(&record, r#"{"method":"tps"}"#),
+            with_warp(&record, r#"{"method":"arap"}"#),
             with_warp(&record, r#"{"output":{"canvas":"fit"}}"#),
             with_warp(&record, r#"{"q":[]}"#),
             sealed(b"{\"version\":3}"),

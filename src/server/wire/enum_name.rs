@@ -2,9 +2,8 @@
 //! document (tested).
 
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::Method;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Folds, Units};
+use mlswarp::warp::{Folds, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -75,8 +74,9 @@ pub(crate) enum Canvas {
 }
 
 enum_names!(
-    Method, unsupported ["auto", "tps", "global_affine", "beier_neely", "arap"],
-    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine"
+    Method, unsupported ["auto", "global_affine", "beier_neely", "arap"],
+    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
+    Method::ThinPlateSpline = "tps"
 );
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");

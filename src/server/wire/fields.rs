@@ -4,11 +4,12 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 11] = ["p", "q", "weights", "method", "alpha", "point_mass", "units", "grid", "folds", "metric", "output"];
+pub(crate) const WARP: [&str; 12] =
+    ["p", "q", "weights", "method", "alpha", "point_mass", "smoothing", "units", "grid", "folds", "metric", "output"];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 17] = {
-    let mut fields = [""; 17];
+pub(crate) const WARP_WITH_POINTS: [&str; 18] = {
+    let mut fields = [""; 18];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "points", "polygons", "boxes", "inverse", "refine"]);
@@ -33,9 +34,8 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 12] = [
+const UNSUPPORTED: [(&str, &str); 11] = [
     ("coincident", "p"),
-    ("smoothing", "p"),
     ("strength", "q"),
     ("layer", "q"),
     ("region", "q"),

@@ -1,7 +1,7 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
-use mlswarp::deform::{Handle, Method};
-use mlswarp::warp::{Folds, GridSpec, RestSpec, Units};
+use mlswarp::deform::Handle;
+use mlswarp::warp::{Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, enum_name, unknown_name};
 use super::handles::{handles, weights};
@@ -22,6 +22,7 @@ pub(crate) struct WarpPatch {
     pub(crate) method: Option<Method>,
     pub(crate) alpha: Option<f64>,
     pub(crate) point_mass: Option<f64>,
+    pub(crate) smoothing: Option<f64>,
     pub(crate) units: Option<Units>,
     pub(crate) grid: Option<GridSpec>,
     pub(crate) folds: Option<Folds>,
@@ -34,7 +35,7 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, weights_, method, alpha, point_mass, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 11],
+        [p, q, weights_, method, alpha, point_mass, smoothing, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 12],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
@@ -44,6 +45,7 @@ impl WarpPatch {
             method: optional(method, enum_name)?,
             alpha: optional(alpha, |n| number(n, "a number"))?,
             point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
+            smoothing: optional(smoothing, |n| number(n, "a number"))?,
             units: optional(units, enum_name)?,
             grid: optional(grid_, grid)?,
             folds: optional(folds, enum_name)?,
@@ -75,16 +77,20 @@ impl WarpPatch {
         }
     }
 
-    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none.
+    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. Parameters belong to their
+    /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
+        let method = self.method.unwrap_or(base.rest.method);
+        let kept = |parameter: Option<f64>| parameter.filter(|_| method.is_like(base.rest.method));
         WarpObject {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
                 weights,
-                method: self.method.unwrap_or(base.rest.method),
-                alpha: self.alpha.or(base.rest.alpha),
-                point_mass: self.point_mass.or(base.rest.point_mass),
+                method,
+                alpha: self.alpha.or(kept(base.rest.alpha)),
+                point_mass: self.point_mass.or(kept(base.rest.point_mass)),
+                smoothing: self.smoothing.or(kept(base.rest.smoothing)),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
             },

@@ -128,6 +128,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         method: AsJson(record.rest.method),
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
+        smoothing: setup.smoothing(),
         units: AsJson(record.rest.units),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
         folds: AsJson(record.folds),
