@@ -8,8 +8,11 @@ use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, GridSpec, Method, Posed, RestSpec, Setup, WarpError};
 use proptest::prelude::*;
+use serde_json::{Value, json};
 
 use crate::golden::limits;
+use crate::support::server::problem;
+use crate::support::{Server, photo};
 
 fn handles(points: &[Point]) -> Vec<Handle> {
     points.iter().copied().map(Handle::Point).collect()
@@ -69,9 +72,8 @@ fn eliminated(mut a: Vec<Vec<f64>>, mut b: Vec<Vec2>) -> Vec<Vec2> {
         b.swap(c, pivot);
         for row in c + 1..n {
             let share = a[row][c] / a[c][c];
-            for k in c..n {
-                a[row][k] -= share * a[c][k];
-            }
+            let (above, below) = a.split_at_mut(row);
+            below[0][c..].iter_mut().zip(&above[c][c..]).for_each(|(x, known)| *x -= share * known);
             let known = b[c] * share;
             b[row] = b[row] - known;
         }
@@ -101,8 +103,8 @@ fn bookstein(set: &Set, smoothing: f64, places: &[Point]) -> Vec<Point> {
     let mut b = vec![Vec2::ZERO; n + 3];
     for i in 0..n {
         let here = at(set.p[i]);
-        for j in 0..n {
-            a[i][j] = u(here, at(set.p[j]));
+        for (a, p) in a[i].iter_mut().zip(&set.p) {
+            *a = u(here, at(*p));
         }
         a[i][i] += smoothing / set.weights[i];
         for (k, value) in [1.0, here.x, here.y].into_iter().enumerate() {
@@ -172,7 +174,7 @@ proptest! {
         for ((p, q), w) in set.p.iter().zip(&set.q).zip(&set.weights) {
             for i in 0..3 {
                 (0..3).for_each(|j| a[i][j] += w * row(p)[i] * row(p)[j]);
-                b[i] = b[i] + (*q - *p) * (w * row(p)[i]);
+                b[i] += (*q - *p) * (w * row(p)[i]);
             }
         }
         let fit = eliminated(a, b);
@@ -381,4 +383,41 @@ fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
     // f is off its targets by pixels; what is drawn is not off f.
     assert!(drawn_smooth < 0.1 && off_smooth > 2.0, "{drawn_smooth} {off_smooth}");
     assert!(key != key_smooth && key == residual(Some(0.0)).2);
+}
+
+#[tokio::test]
+async fn spline_sessions_keep_their_smoothing_and_map_points_as_drawn() {
+    let server = Server::start(&[]).await;
+    let (p, q) = (json!([[4, 4], [60, 5], [8, 40], [50, 44], [30, 20]]), json!([[6, 4], [58, 9], [8, 44], [50, 40], [34, 26]]));
+    let id = server.session(&photo(64, 48), &json!({"p": p, "method": "tps", "smoothing": 0.1})).await;
+    let path = format!("/sessions/{id}");
+    let told = |response: reqwest::Response| async { response.json::<Value>().await.unwrap() };
+    let object = told(server.get(&path).send().await.unwrap()).await;
+    assert_eq!((&object["method"], &object["smoothing"]), (&json!("tps"), &json!(0.1)));
+    assert!(object.get("alpha").is_none() && object.get("point_mass").is_none(), "{object}");
+
+    let once = json!({"p": p, "q": q, "method": "tps", "smoothing": 0.1, "extent": [64, 48], "points": [[1, 2], [30, 20], [63, 47]]});
+    let once = told(server.post("/points").json(&once).send().await.unwrap()).await;
+    let mapped = server.post(&format!("{path}/points")).json(&json!({"q": q, "points": [[1, 2], [30, 20], [63, 47]]}));
+    assert_eq!(told(mapped.send().await.unwrap()).await, once);
+    assert!(once["points"][1][0].as_f64().unwrap() < 33.9, "smoothing holds the middle back: {once}");
+    let (drawn, again) = (server.drag(&id, &json!({"q": q})).await, server.drag(&id, &json!({"q": q})).await);
+    assert_eq!((drawn.status(), &drawn.headers()["etag"]), (reqwest::StatusCode::OK, &again.headers()["etag"]));
+    assert!(drawn.headers()["warp-residual"].to_str().unwrap().parse::<f64>().unwrap() < 0.5, "{:?}", drawn.headers());
+
+    let handles = |body: Value| {
+        let request = server.client.put(server.url(&format!("{path}/handles"))).json(&body);
+        async { request.send().await.unwrap() }
+    };
+    let other = told(handles(json!({"p": [[4, 4], [60, 5], [8, 41], [50, 44], [30, 20]]})).await).await;
+    assert_eq!((&other["method"], &other["smoothing"]), (&json!("tps"), &json!(0.1)));
+    let exact = told(handles(json!({"smoothing": 0})).await).await;
+    assert_eq!(exact["smoothing"], json!(0.0));
+    assert_ne!(server.drag(&id, &json!({"q": q})).await.headers()["etag"], drawn.headers()["etag"]);
+    problem(handles(json!({"alpha": 2})).await, 422, "bad_value").await;
+    problem(handles(json!({"p": [[1, 1], [[2, 2], [3, 3]]]})).await, 422, "bad_value").await;
+    let rigid = told(handles(json!({"method": "rigid"})).await).await;
+    assert_eq!((&rigid["method"], &rigid["alpha"], rigid.get("smoothing")), (&json!("rigid"), &json!(1.0), None));
+    problem(handles(json!({"smoothing": 0.1})).await, 422, "bad_value").await;
+    server.is_well().await;
 }

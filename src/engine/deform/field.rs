@@ -295,12 +295,12 @@ impl Deformation<'_> {
         }
         self.field.rows(v, exact, workspace);
         let (family, d, rows) = (self.field.family, self.pose.displacements(), &workspace.rows);
-        let (mut moved, mut least) = ([[0.0; N]; 2], f32::INFINITY);
-        for k in 0..N {
-            let Vec2 { x, y } = displacement(family, rows, k, d);
-            (moved[0][k], moved[1][k]) = (x, y);
+        let ([mut x, mut y], mut least) = ([[0.0; N]; 2], f32::INFINITY);
+        for (k, (x, y)) in x.iter_mut().zip(&mut y).enumerate() {
+            let moved = displacement(family, rows, k, d);
+            (*x, *y) = (moved.x, moved.y);
             least = least.min(rotation(family, rows, k, d));
         }
-        (moved, least)
+        ([x, y], least)
     }
 }

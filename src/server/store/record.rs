@@ -333,6 +333,21 @@ mod tests {
         assert_eq!(made(&full), digest(&full, warp));
     }
 
+    /// A field of a later version: older programs keep what they cannot read (rule 3), and read everything else.
+    #[test]
+    fn smoothing_is_written_and_digested_only_where_it_is_given() {
+        let text = |record: &Record| String::from_utf8(write(record)).unwrap();
+        assert!(!text(&nothing_at_its_default()).contains("smoothing"));
+        let spline = |smoothing| Record { rest: RestSpec { method: Method::ThinPlateSpline, smoothing, ..base().rest }, ..plain() };
+        let (exact, smooth) = (spline(None), spline(Some(0.1)));
+        assert!(text(&exact).ends_with(r#","warp":{"method":"tps"}}"#), "{}", text(&exact));
+        assert!(text(&smooth).ends_with(r#","warp":{"method":"tps","smoothing":0.1}}"#), "{}", text(&smooth));
+        for record in [&exact, &smooth] {
+            assert_eq!(*read(&write(record)).unwrap(), *record);
+        }
+        assert!(made(&exact) != made(&smooth) && !exact.is_made_like(&smooth));
+    }
+
     #[test]
     fn what_this_program_does_not_know_is_of_another_version_and_not_damaged() {
         let record = rich();
