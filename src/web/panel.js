@@ -165,7 +165,7 @@ export class Panel {
     text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
     press("move-to", arm === "move");
     press("select-more", state.more);
-    const pin = selection.length === 1 && canTwist(handles.find((h) => String(h.id) === selection[0]));
+    const pin = selection.length === 1 && !takesPinsOnly(state.document) && canTwist(handles.find((h) => String(h.id) === selection[0]));
     for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < 2;

@@ -22,6 +22,9 @@ def bent(opened):
 
 
 def test_each_method_bends_in_its_own_way(bent):
+    # Through three points, the spline is the affine map.
+    bent.click(360, 260)
+    bent.ready()
     pictures, notes = {"rigid": bent.saved("download")[1]}, {bent.text("method-note")}
     for method in ("similarity", "affine", "tps"):
         bent.page.click(f"label:has(#method-{method})")
@@ -48,12 +51,16 @@ def test_a_spline_takes_pins_only(bent):
     bent.page.click("#undo")
     bent.ready()
     assert usable("method-tps") and "Spline is for pins only" not in bent.text("method-note")
+    bent.page.keyboard.press("Escape")
+    bent.click(*BLUE)
+    assert bent.page.locator("#rotate-left").is_visible()
     bent.page.click("label:has(#tool-line)")
     bent.page.click("label:has(#method-tps)")
     bent.ready()
     assert not any(usable(name) for name in ("tool-line", "tool-path", "pin-border", "alpha", "alpha-auto"))
     assert bent.page.locator("#tool-point").is_checked() and "no focus" in bent.text("alpha-note")
     assert bent.warp()["method"] == "tps" and "alpha" not in bent.warp() and "smoothing" not in bent.warp()
+    assert bent.page.locator("#rotate-left").is_hidden(), "a selected pin has no twist"
     bent.page.keyboard.press("2")
     assert bent.page.locator("#tool-point").is_checked() and "pins without a twist only" in bent.text("toast")
     bent.page.click("label:has(#method-rigid)")

@@ -253,4 +253,29 @@ mod tests {
         let (other, _) = open().await.unwrap();
         assert_eq!(app.peek_session(other.record.id).await.unwrap().record, other.record);
     }
+
+    #[tokio::test]
+    async fn a_spline_is_computed_only_if_there_is_memory_for_its_system() {
+        let mut config = Config::default();
+        config.work.memory_bytes = 64 << 20;
+        let app = App::new(config).unwrap();
+        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let mut file = std::io::Cursor::new(Vec::new());
+        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        let file = Bytes::from(file.into_inner());
+        let open = |points: u32| {
+            let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
+            app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
+        };
+        let budget = app.budget();
+        let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
+        // 600 points have a system of 1.4 MB, 100 one of 40 kB.
+        while app.reserve(Purpose::Plan, 500_000).is_ok() {
+            taken.grow(100_000).unwrap();
+        }
+        open(100).await.unwrap();
+        assert_eq!(open(600).await.unwrap_err().code, Code::Overloaded);
+        drop(taken);
+        open(600).await.unwrap();
+    }
 }

@@ -58,12 +58,12 @@ pub struct PreparedWarp {
     image: Arc<CacheEntry<Image>>,
     setup: Arc<Setup>,
     /// The memory of the setup.
-    held: Reservation,
+    held: Option<Reservation>,
 }
 
 impl PreparedWarp {
     /// The record, file and setup of a session, and the memory of the setup.
-    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>, Reservation) {
+    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>, Option<Reservation>) {
         let Self { file, digest, object, image, setup, held, .. } = self;
         let record = Record {
             id,
@@ -98,7 +98,8 @@ impl App {
     /// Resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the pool.
     /// Errors: Wrong handles, or too little memory.
     pub(crate) fn resolve(&self, object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
-        let held = self.reserve(Purpose::Plan, object.rest.field_bytes())?;
+        let bytes = object.rest.field_bytes();
+        let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
         let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
         object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
         Ok(Resolved { object, setup: Arc::new(setup), held })
@@ -276,7 +277,7 @@ pub(crate) fn build_aborted() -> Problem {
 pub(crate) struct Resolved {
     pub(crate) object: WarpObject,
     pub(crate) setup: Arc<Setup>,
-    pub(crate) held: Reservation,
+    pub(crate) held: Option<Reservation>,
 }
 
 /// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.
