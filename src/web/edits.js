@@ -139,6 +139,13 @@ export function withTwist(document, index, degrees, free, size) {
 /** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted pin is a short segment. */
 export const wire = (document, which) => document.handles.map((h) => (h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which]));
 
+/** Handles of the groups of coincident points whose displacements differ by more than a hundredth of a pixel. */
+export function movedApart({ handles }, groups) {
+  const moved = ({ p: [[x, y]], q: [[a, b]] }) => [a - x, b - y];
+  const differ = ([first, ...others]) => others.some(([x, y]) => Math.hypot(x - first[0], y - first[1]) > 0.01);
+  return groups.flatMap((group) => (differ(group.handles.map((index) => moved(handles[index]))) ? group.handles : []));
+}
+
 /** The mass of a point, px, if the set has segments; the server's default is the mean length of the segments. */
 export function massOf({ handles, mass }) {
   if (mass !== undefined) return mass;

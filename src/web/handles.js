@@ -109,7 +109,7 @@ export class Handles {
   #update(nodes, handle, index, state) {
     const posed = handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const fault = marked(state.problem).includes(index) ? "" : null;
+    const fault = marked(state.problem).includes(index) ? "" : state.apart.includes(index) ? "warning" : null;
     const whole = state.selection.includes(String(handle.id));
     const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
     const single = handle.p.length === 1;

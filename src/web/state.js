@@ -31,6 +31,7 @@ const initialState = () => ({
   tag: "",
   tagged: 0,
   problem: null,
+  apart: [], // indices of handles that coincide at rest and are moved apart
   meshShown: false,
   compare: false,
   compareAt: 50,
@@ -51,7 +52,7 @@ function withDocument(state, document) {
   if (document === state.document) return state;
   const kept = state.selection.filter((key) => exists(document, key));
   const selection = kept.length === state.selection.length ? state.selection : kept;
-  return { ...state, document, selection, revision: state.revision + 1, problem: null };
+  return { ...state, document, selection, revision: state.revision + 1, problem: null, apart: [] };
 }
 
 const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [], later: [] });
@@ -124,6 +125,7 @@ const reducers = {
   more: (state, { more }) => ({ ...state, more }),
   cross: (state, { place }) => ({ ...state, cross: place }),
   problem: (state, { problem }) => ({ ...state, problem }),
+  apart: (state, { handles }) => ({ ...state, apart: handles }),
   show: (state, { what }) => ({ ...state, ...what }),
 };
 

@@ -2,7 +2,7 @@
 // rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
 
 import * as api from "./api.js";
-import { restOf, wire } from "./edits.js";
+import { movedApart, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
 
@@ -203,6 +203,8 @@ export class Sync {
     if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision };
     this.#settled = revision;
+    const apart = movedApart(document, object.coincident ?? []);
+    if (apart.length) this.store.do("apart", { handles: apart });
     this.#show(revision, "png", { folds: report.folds, report, warnings: report.warnings });
   }
 

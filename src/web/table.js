@@ -25,8 +25,8 @@ export class Table {
   #draw(state) {
     const shape = state.document.handles.map((h) => `${h.id}:${h.p.length}`).join();
     if (shape !== this.#shape) this.#build(state.document, shape);
-    else if (["document", "selection", "problem"].every((name) => state[name] === this.#filled[name])) return;
-    else if (state.selection === this.#filled.selection && state.problem === this.#filled.problem) return this.#fill(state, this.#filled.document.handles);
+    else if (["document", "selection", "problem", "apart"].every((name) => state[name] === this.#filled[name])) return;
+    else if (["selection", "problem", "apart"].every((name) => state[name] === this.#filled[name])) return this.#fill(state, this.#filled.document.handles);
     this.#fill(state);
   }
 
@@ -76,9 +76,9 @@ export class Table {
 
   /** Fills the rows, except those whose handle is among the `known` ones: during a drag most are. */
   #fill(state, known = []) {
-    const { document, selection, problem } = state;
-    this.#filled = { document, selection, problem };
-    const marks = marked(problem);
+    const { document, selection, problem, apart } = state;
+    this.#filled = { document, selection, problem, apart };
+    const marks = [...marked(problem), ...apart];
     for (const row of this.#body.rows) {
       const { index, vertex } = this.#where(row);
       const handle = document.handles[index];

@@ -126,6 +126,7 @@ export const WARNINGS = {
   translation_only: "One handle: the whole picture is moved.",
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",
+  coincident_handles: "Handles at the same position are moved apart: the picture follows their mean.",
   line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
   handles_outside_picture: "A handle is far outside the picture.",
   looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",

@@ -51,10 +51,14 @@ def folding(visit):
 def refused(visit):
     visit.expects("422")
     visit.sample("cat")
-    for axis, number in zip("xy", (138, 108)):
-        visit.page.fill(f"#p-1-0-{axis}", str(number))
-        visit.page.keyboard.press("Enter")
-    visit.body("[data-problem=contradictory_handles]")
+    visit.page.click("label:has(#tool-line)")
+    visit.drag((100, 150), (300, 150))
+    last = int(visit.ready()["handles"]) - 1
+    for vertex in (0, 1):
+        for axis, number in zip("xy", (100, 150)):
+            visit.page.fill(f"#p-{last}-{vertex}-{axis}", str(number))
+            visit.page.keyboard.press("Enter")
+    visit.body("[data-problem=degenerate_line]")
 
 
 def comparing(visit):

@@ -100,26 +100,39 @@ def type_number(visit, field, number):
     visit.page.keyboard.press("Enter")
 
 
-def test_two_handles_that_contradict_each_other(pinned):
-    pinned.expects("422")
-    before = pinned.look()
+def test_two_handles_that_are_moved_apart(pinned):
     for axis, number in zip("xy", RED):
-        # The first number alone is no mistake: its picture is the last good one.
-        pinned.ready()
         type_number(pinned, f"p-1-0-{axis}", number)
-    title, detail, advice = told(pinned, "contradictory_handles")
-    assert title == "Handles contradict each other"
-    assert "1 and 2" in detail and "1 and 2" in advice
-    assert pinned["state"] == "error"
-    marked = pinned.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
+        pinned.ready()
+    assert "moved apart" in pinned.text("status")
+    marked = pinned.page.locator("#handles [data-fault=warning]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
     assert marked == ["handle-0", "handle-1"] and pinned.page.locator("tr[data-fault]").count() == 2
+    pinned.keep("handles-apart")
+    # The position moves by the mean: put the second handle where the first one is, and nothing is wrong.
+    for axis, number in zip("xy", RED):
+        type_number(pinned, f"q-1-0-{axis}", number)
+        pinned.ready()
+    assert pinned.page.locator("[data-fault]").count() == 0 and "moved apart" not in pinned.text("status")
+
+
+def test_a_problem_of_a_handle_is_marked_and_undone(opened):
+    opened.expects("422")
+    opened.page.click("label:has(#tool-line)")
+    opened.drag((100, 150), (300, 150))
+    opened.body("[data-handles='1']").ready()
+    before = opened.look()
+    type_number(opened, "p-0-1-x", 100)
+    _, _, advice = told(opened, "degenerate_line")
+    assert advice.endswith("Marked: 1.") and opened["state"] == "error"
+    marked = opened.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
+    assert marked[0] == "handle-0" and opened.page.locator("tr[data-fault]").count() == 2
     # The last good picture is still shown, with an action.
-    assert pinned["source"] == "png" and pinned["shown"] != pinned["revision"] and before.image.size == pinned.look().image.size
-    pinned.keep("problem-contradictory")
-    assert pinned.page.locator("#problem-action").inner_text() == "Undo"
-    pinned.page.click("#problem-action")
-    pinned.ready()
-    assert not pinned.page.get_by_role("alert").is_visible() and pinned.page.locator("[data-fault]").count() == 0
+    assert opened["source"] == "png" and opened["shown"] != opened["revision"] and before.image.size == opened.look().image.size
+    opened.keep("problem-of-a-handle")
+    assert opened.page.locator("#problem-action").inner_text() == "Undo"
+    opened.page.click("#problem-action")
+    opened.ready()
+    assert not opened.page.get_by_role("alert").is_visible() and opened.page.locator("[data-fault]").count() == 0
 
 
 def test_a_line_without_a_length(opened):
@@ -134,14 +147,16 @@ def test_a_line_without_a_length(opened):
     opened.body("[data-handles='0'][data-problem='']")
 
 
-def test_a_problem_of_the_pose_ends_with_what_mends_it(pinned):
-    pinned.expects("422")
-    for axis, number in zip("xy", RED):
-        type_number(pinned, f"p-1-0-{axis}", number)
-    told(pinned, "contradictory_handles")
-    type_number(pinned, "p-1-0-x", 250)
-    pinned.ready()
-    assert not pinned.page.get_by_role("alert").is_visible()
+def test_a_problem_ends_with_what_mends_it(opened):
+    opened.expects("422")
+    opened.page.click("label:has(#tool-line)")
+    opened.drag((100, 150), (300, 150))
+    opened.body("[data-handles='1']").ready()
+    type_number(opened, "p-0-1-x", 100)
+    told(opened, "degenerate_line")
+    type_number(opened, "p-0-1-x", 250)
+    opened.ready()
+    assert not opened.page.get_by_role("alert").is_visible()
 
 
 def test_a_server_that_goes_away_and_comes_back(visits, picture):

@@ -69,7 +69,7 @@ async fn warp_objects() {
         (r#"{"p": [[1, 1]]}"#, 422, "bad_value", Some("/q")),
         (r#"{"p": [[1, 1]], "q": []}"#, 422, "shape_mismatch", Some("/q")),
         (r#"{"p": [[1, 1], [2, 2]], "q": [[1, 1], [[1, 2], [3, 4]]]}"#, 422, "shape_mismatch", Some("/q/1")),
-        (r#"{"p": [[1, 1], [1, 1]], "q": [[1, 1], [9, 9]]}"#, 422, "contradictory_handles", None),
+        (r#"{"p": [[1, 1], [1, 1]], "q": [[1, 1], [9, 9]], "coincident": {"policy": "reject"}}"#, 422, "contradictory_handles", None),
         (r#"{"p": [[[1, 1], [1, 1]]], "q": [[[1, 1], [9, 9]]]}"#, 422, "degenerate_line", Some("/p/0")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "alpha": 0}"#, 422, "alpha_out_of_range", Some("/alpha")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "alpha": 9}"#, 422, "alpha_out_of_range", Some("/alpha")),

@@ -6,6 +6,7 @@ mod account;
 mod bad_input;
 mod binary;
 mod clients;
+mod coincident;
 mod crash;
 mod decoders;
 mod decoding;

@@ -87,7 +87,15 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"output": {"canvas": {"x": 0}}}"#, "not_supported", "/output/canvas", &["supported: `same`"]),
         (r#"{"output": {"subsampling": "4:2:0"}}"#, "not_supported", "/output/subsampling", &["supported: `format`"]),
         (r#"{"grid": {"tolerance": 0.25}}"#, "not_supported", "/grid/tolerance", &["supported: `cell`, `columns`, `rows`"]),
-        (r#"{"coincident": {"policy": "mean"}}"#, "not_supported", "/coincident", &["not supported by this version: `coincident`"]),
+        (r#"{"strength": 0.5}"#, "not_supported", "/strength", &["not supported by this version: `strength`"]),
+        (r#"{"p": [], "coincident": "mean"}"#, "bad_value", "/coincident", &["expected an object", "found a string"]),
+        (r#"{"p": [], "coincident": {"policy": "average"}}"#, "bad_value", "/coincident/policy", &["`mean`, `reject`; found `average`"]),
+        (
+            r#"{"p": [], "coincident": {"within": -1}}"#,
+            "bad_value",
+            "/coincident/within",
+            &["a distance in pixels, 0 to 1000000; found -1"],
+        ),
         (r#"{"strength": 0.5}"#, "not_supported", "/strength", &["supported: `p`, `q`"]),
         (r#"{"p": [], "frobnicate": 1}"#, "unknown_field", "/frobnicate", &["unknown field: `frobnicate`; known fields: `p`, `q`"]),
     ];
@@ -459,7 +467,9 @@ async fn mistakes_in_authorization_name_the_scheme() {
 async fn mistakes_in_handles_that_meet_are_all_reported() {
     let server = Server::start(&[]).await;
     let image = photo(400, 300);
-    let warp = |p: Value, q: Value| server.post("/warp").multipart(form(&image, json!({"p": p, "q": q}).to_string()));
+    let warp = |p: Value, q: Value| {
+        server.post("/warp").multipart(form(&image, json!({"p": p, "q": q, "coincident": {"policy": "reject"}}).to_string()))
+    };
     // A polyline that visits a point twice.
     let (p, q) = (
         json!([[[235, 158], [300, 158], [300, 200], [235, 158], [200, 100]]]),

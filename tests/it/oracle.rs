@@ -1,7 +1,7 @@
 //! The independent reference cases of `tests/oracle.json` (generic weighted least squares and quadrature at 50 digits and more; no closed
 //! form of the paper): exact evaluation within `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
-use mlswarp::deform::{DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose, Warning};
+use mlswarp::deform::{Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose, Warning};
 use mlswarp::geometry::{Grid, Point};
 use serde_json::Value;
 
@@ -71,12 +71,14 @@ fn handles(case: &Value, end: &str) -> Vec<Handle> {
 
 fn field(case: &Value, method: Chosen) -> Result<(Field, Pose), DeformError> {
     let rest = Handles::new(handles(case, "p"), None)?;
+    let coincident = Coincident { policy: CoincidentPolicy::Reject, within: 0.0 };
     let field = match method {
         Some(method) => {
             let falloff = Falloff::new(case["alpha"].as_f64().unwrap(), rest.has_lines())?;
-            Field::new(rest, method, falloff, case["point_mass"].as_f64().unwrap_or(1.0))?
+            let mass = case["point_mass"].as_f64().unwrap_or(1.0);
+            Field::new_unless(rest, coincident, method, falloff, mass, &|| false)?
         }
-        None => Field::spline(rest, 0.0)?,
+        None => Field::spline_unless(rest, coincident, 0.0, &|| false)?,
     };
     let pose = field.pose(&handles(case, "q"))?;
     Ok((field, pose))

@@ -197,7 +197,7 @@ async fn the_page_shows_what_is_said() {
         ("unknown_field", json!({"grid": {"cells": 5}})),
         ("bad_value", json!({"p": with(&six, 3, json!([1]))})),
         ("shape_mismatch", json!({"p": with(&six, 1, line), "q": six})),
-        ("contradictory_handles", json!({"p": meeting, "q": apart})),
+        ("contradictory_handles", json!({"p": meeting, "q": apart, "coincident": {"policy": "reject"}})),
         ("degenerate_line", json!({"p": with(&six, 4, json!([[1, 2], [1, 2]])), "q": six})),
         ("alpha_out_of_range", json!({"p": six, "q": six, "alpha": 9})),
     ];

@@ -115,7 +115,7 @@ async fn handles_that_are_refused_leave_the_session_as_it_was() {
     for (body, code) in [
         (json!({"p": [[[3, 3], [3, 3]]]}), "degenerate_line"),
         (json!({"alpha": 9}), "alpha_out_of_range"),
-        (json!({"p": [[1, 1], [1, 1]], "q": [[2, 2], [3, 3]]}), "contradictory_handles"),
+        (json!({"p": [[1, 1], [1, 1]], "q": [[2, 2], [3, 3]], "coincident": {"policy": "reject"}}), "contradictory_handles"),
         (json!({"p": [[1, 1]], "q": [[2, 2], [3, 3]]}), "shape_mismatch"),
         (json!({"seq": 1}), "unknown_field"),
         (json!({"weights": [1, 2]}), "shape_mismatch"),

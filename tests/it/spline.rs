@@ -3,7 +3,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use mlswarp::deform::{DeformError, Field, Handle, Handles, Plan, Pose, Warning, pose_without_table};
+use mlswarp::deform::{Coincident, CoincidentPolicy, DeformError, Field, Handle, Handles, Plan, Pose, Warning, pose_without_table};
 use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, GridSpec, Method, Posed, RestSpec, Setup, WarpError};
@@ -313,6 +313,38 @@ fn spline_refuses_what_it_does_not_take() {
     assert_eq!(Field::spline(mixed, 0.0).unwrap_err(), DeformError::LineInSpline { handle: 1 });
 }
 
+/// A group of points is one handle, whatever the policy; the mean of a group may lie on another point.
+#[test]
+fn spline_moves_coincident_points_by_their_mean() {
+    let at = |x: f64, y: f64| Point::new(x, y);
+    let p = [at(10.0, 20.0), at(90.0, 15.0), at(20.0, 80.0), at(10.0, 20.0)];
+    let q = [at(14.0, 20.0), at(90.0, 25.0), at(20.0, 80.0), at(10.0, 26.0)];
+    let field = |policy, within, p: &[Point]| {
+        let rest = Handles::new(handles(p), None).unwrap();
+        Field::spline_unless(rest, Coincident { policy, within }, 0.0, &|| false).unwrap()
+    };
+    let mean = field(CoincidentPolicy::Mean, 0.0, &p);
+    let pose = mean.pose(&handles(&q)).unwrap();
+    assert_eq!((mean.groups(), mean.warnings(&pose)), (vec![vec![0, 3]], vec![Warning::CoincidentHandles]));
+    assert!(mean.map(&pose, p[0]).distance(at(12.0, 23.0)) < 1e-9, "{:?}", mean.map(&pose, p[0]));
+    assert!(mean.map(&pose, p[1]).distance(q[1]) < 1e-9);
+    let refused = field(CoincidentPolicy::Reject, 0.0, &p).pose(&handles(&q)).unwrap_err();
+    assert!(matches!(refused, DeformError::Contradictory { total: 1, .. }), "{refused:?}");
+
+    // A ring, whose mean is the point in its middle.
+    let mut p: Vec<Point> =
+        (0..8).map(|k| f64::from(k) * std::f64::consts::FRAC_PI_4).map(|a| at(50.0 + 8.0 * a.cos(), 50.0 + 8.0 * a.sin())).collect();
+    p.extend([at(50.0, 50.0), at(0.0, 0.0), at(200.0, 10.0), at(20.0, 170.0)]);
+    let mut q = p.clone();
+    q[8] = at(58.0, 50.0);
+    let ring = field(CoincidentPolicy::Mean, 7.0, &p);
+    assert_eq!(ring.groups(), [(0..8).collect::<Vec<_>>()]);
+    let pose = ring.pose(&handles(&q)).unwrap();
+    // The group of eight stays, and has eight times the weight of the one that moves by 8 px.
+    let middle = ring.map(&pose, at(50.0, 50.0));
+    assert!(middle.distance(at(50.0 + 8.0 / 9.0, 50.0)) < 1e-6, "{middle:?}");
+}
+
 fn scattered(count: u32) -> Vec<Point> {
     let mut state = 5u32;
     let mut next = || {
@@ -326,13 +358,15 @@ fn scattered(count: u32) -> Vec<Point> {
 fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     let rest = Handles::new(handles(&scattered(120)), None).unwrap();
     let asked = AtomicUsize::new(0);
-    assert!(Field::spline_unless(rest.clone(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) == usize::MAX).is_ok());
+    assert!(
+        Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) == usize::MAX).is_ok()
+    );
     let looks = asked.into_inner();
     // Each point, each row and each panel.
     assert!(looks >= 120 + 120 + 120 / 8, "{looks}");
     for after in [0, 1, looks / 2, looks - 1] {
         let asked = AtomicUsize::new(0);
-        let given_up = Field::spline_unless(rest.clone(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) >= after);
+        let given_up = Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) >= after);
         assert_eq!((given_up.unwrap_err(), asked.into_inner()), (DeformError::Cancelled, after + 1));
     }
 }

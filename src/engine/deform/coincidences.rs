@@ -8,10 +8,10 @@
 
 use std::collections::HashMap;
 
+use super::DeformError;
 use super::columns::{Element, ONE_PLACE, Segment};
 use super::contradictions::{Contradictions, Member};
-use super::handles::COINCIDENT_SHARE;
-use super::{DeformError, Pose};
+use super::groups::coincidence_distance;
 use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
@@ -94,13 +94,16 @@ impl Coincidences {
         }
     }
 
-    /// Compares the targets of every coincidence. `owners`: the handle of every element; `weights`: of every handle.
-    ///
-    /// # Errors
-    /// The contradictions by position: all are counted, the first 100 are listed.
-    pub(super) fn check(&self, elements: &[Element], owners: &[usize], weights: &[f64], pose: &Pose) -> Result<(), DeformError> {
-        let at = |(element, t): On| (place(&elements[element], t), displacement(&elements[element], t, pose));
-        let mut found = Contradictions::new(self.tolerance);
+    /// Adds the positions at which the targets of two elements differ. `members`: the handles of an element, with the displacement that is
+    /// given for a group.
+    pub(super) fn add_contradictions<M: IntoIterator<Item = Member>>(
+        &self,
+        found: &mut Contradictions,
+        elements: &[Element],
+        displacements: &[Vec2],
+        members: impl Fn(usize, Vec2) -> M,
+    ) {
+        let at = |(element, t): On| (place(&elements[element], t), displacement(&elements[element], t, displacements));
         for &(x, y) in &self.touching {
             let ((p, dp), (r, dr)) = (at(x), at(y));
             if ((p + dp) - (r + dr)).norm() > self.tolerance {
@@ -108,23 +111,25 @@ impl Coincidences {
             }
         }
         if found.is_empty() {
-            return Ok(());
+            return;
         }
         // Handles that agree with each other belong to the group too.
         for on in self.touching.iter().flat_map(|(x, y)| [*x, *y]) {
-            let ((position, displacement), element) = (at(on), on.0);
-            let handle = owners[element];
-            found.add_member(position, Member { element, handle, weight: weights[handle], displacement });
+            let (position, displacement) = at(on);
+            members(on.0, displacement).into_iter().for_each(|member| found.add_member(position, member));
         }
-        let (listed, total) = found.finish();
-        Err(DeformError::Contradictory { listed, total })
+    }
+
+    /// Targets further apart than this contradict each other, px.
+    pub(super) const fn tolerance(&self) -> f64 {
+        self.tolerance
     }
 
     /// Whether some points nearer than 1 px move more than ten times as far apart.
-    pub(super) fn tears(&self, elements: &[Element], pose: &Pose) -> bool {
-        self.near
-            .iter()
-            .any(|&(i, j, apart)| (target(&elements[i], 0.0, pose) - target(&elements[j], 0.0, pose)).norm() > NEAR_FACTOR * apart)
+    pub(super) fn tears(&self, elements: &[Element], displacements: &[Vec2]) -> bool {
+        self.near.iter().any(|&(i, j, apart)| {
+            (target(&elements[i], 0.0, displacements) - target(&elements[j], 0.0, displacements)).norm() > NEAR_FACTOR * apart
+        })
     }
 }
 
@@ -142,7 +147,7 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
-        let coincident = if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent };
+        let coincident = coincidence_distance(extent);
         let found = Coincidences { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Coincidences::default() };
         Self { elements, coincident, cancelled, found, compared: 0, work: 0 }
     }
@@ -371,16 +376,15 @@ fn place(element: &Element, t: f64) -> Point {
     }
 }
 
-fn displacement(element: &Element, t: f64, pose: &Pose) -> Vec2 {
-    let d = pose.displacements();
+fn displacement(element: &Element, t: f64, d: &[Vec2]) -> Vec2 {
     match element {
         Element::Point { column, .. } => d[*column],
         Element::Segment(s) => d[s.column] * (1.0 - t) + d[s.column + 1] * t,
     }
 }
 
-fn target(element: &Element, t: f64, pose: &Pose) -> Point {
-    place(element, t) + displacement(element, t, pose)
+fn target(element: &Element, t: f64, d: &[Vec2]) -> Point {
+    place(element, t) + displacement(element, t, d)
 }
 
 #[cfg(test)]

@@ -16,6 +16,15 @@ pub(super) enum Element {
     Segment(Segment),
 }
 
+impl Element {
+    /// The first column.
+    pub(super) const fn column(&self) -> usize {
+        match self {
+            Self::Point { column, .. } | Self::Segment(Segment { column, .. }) => *column,
+        }
+    }
+}
+
 /// A segment at rest.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {

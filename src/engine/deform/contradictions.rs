@@ -65,6 +65,55 @@ impl fmt::Display for Short {
     }
 }
 
+/// The contradictions of a pose.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Contradictory {
+    /// The first groups that were found, at most 100.
+    pub listed: Vec<Contradiction>,
+    /// The number of all groups.
+    pub total: usize,
+    positions: Positions,
+}
+
+impl Contradictory {
+    /// Whether handles contradict each other at this position at rest.
+    #[must_use]
+    pub fn contains(&self, position: Point) -> bool {
+        self.total > 0 && self.positions.find(position).is_some()
+    }
+}
+
+/// Positions with an index each.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Positions {
+    /// Positions nearer than this are one, px.
+    within: f64,
+    /// By cell.
+    cells: HashMap<[i64; 2], (usize, Point)>,
+}
+
+impl Positions {
+    /// Adds a position that is not there yet.
+    fn add(&mut self, position: Point) -> usize {
+        let index = self.cells.len();
+        self.cells.insert(self.cell(position), (index, position));
+        index
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a position is at most 1e6 px, and the tolerance at least a millionth")]
+    fn cell(&self, position: Point) -> [i64; 2] {
+        [position.x, position.y].map(|c| (c / self.within).floor() as i64)
+    }
+
+    /// The index of a position: one nearer than `within`, which may be in a neighbouring cell.
+    fn find(&self, position: Point) -> Option<usize> {
+        let [x, y] = self.cell(position);
+        let around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| [x, y]));
+        let mut known = around.filter_map(|cell| self.cells.get(&cell));
+        known.find(|(_, other)| position.distance(*other) < self.within).map(|(index, _)| *index)
+    }
+}
+
 /// An element at a position that it shares with others.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
@@ -79,57 +128,39 @@ pub(super) struct Member {
 /// Groups of elements by position.
 #[derive(Debug)]
 pub(super) struct Contradictions {
-    /// Positions nearer than this are one, px.
-    within: f64,
     /// The positions of the first 100 groups and what meets there.
     groups: Vec<(Point, Vec<Member>)>,
-    /// The groups by the cell of their position; an index beyond the end: counted only.
-    cells: HashMap<[i64; 2], (usize, Point)>,
+    /// The groups by their position; an index beyond the end: counted only.
+    positions: Positions,
 }
 
 impl Contradictions {
     pub(super) fn new(within: f64) -> Self {
-        Self { within, groups: Vec::new(), cells: HashMap::new() }
+        Self { groups: Vec::new(), positions: Positions { within, ..Positions::default() } }
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.cells.is_empty()
+        self.positions.cells.is_empty()
     }
 
     /// Counts a position at which two targets differ.
     pub(super) fn add_position(&mut self, position: Point) {
-        if self.group(position).is_none() {
-            let index = self.cells.len();
-            self.cells.insert(self.cell(position), (index, position));
-            if index < MOST_GROUPS {
-                self.groups.push((position, Vec::new()));
-            }
+        if self.positions.find(position).is_none() && self.positions.add(position) < MOST_GROUPS {
+            self.groups.push((position, Vec::new()));
         }
     }
 
     /// Adds an element at a position, if it is one of the groups that are listed.
     pub(super) fn add_member(&mut self, position: Point, member: Member) {
-        let Some((_, members)) = self.group(position).and_then(|index| self.groups.get_mut(index)) else { return };
+        let Some((_, members)) = self.positions.find(position).and_then(|index| self.groups.get_mut(index)) else { return };
         members.push(member);
     }
 
-    /// The groups in the order of their first position, at most 100, and the number of all.
-    pub(super) fn finish(self) -> (Vec<Contradiction>, usize) {
-        let total = self.cells.len();
-        (self.groups.into_iter().map(|(position, members)| contradiction(position, members, self.within)).collect(), total)
-    }
-
-    #[expect(clippy::cast_possible_truncation, reason = "a position is at most 1e6 px, and the tolerance at least a millionth")]
-    fn cell(&self, position: Point) -> [i64; 2] {
-        [position.x, position.y].map(|c| (c / self.within).floor() as i64)
-    }
-
-    /// The group of a position: one nearer than `within`, which may be in a neighbouring cell.
-    fn group(&self, position: Point) -> Option<usize> {
-        let [x, y] = self.cell(position);
-        let around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| [x, y]));
-        let mut known = around.filter_map(|cell| self.cells.get(&cell));
-        known.find(|(_, other)| position.distance(*other) < self.within).map(|(index, _)| *index)
+    /// The groups in the order of their first position.
+    pub(super) fn finish(self) -> Contradictory {
+        let Self { groups, positions } = self;
+        let listed = groups.into_iter().map(|(position, members)| contradiction(position, members, positions.within)).collect();
+        Contradictory { listed, total: positions.cells.len(), positions }
     }
 }
 
@@ -166,7 +197,8 @@ mod tests {
         let mut found = Contradictions::new(1e-3);
         wrong.iter().for_each(|position| found.add_position(*position));
         members.iter().for_each(|(position, member)| found.add_member(*position, *member));
-        found.finish()
+        let Contradictory { listed, total, .. } = found.finish();
+        (listed, total)
     }
 
     #[test]

@@ -64,6 +64,11 @@ pub enum DeformError {
         /// The mass, px.
         value: f64,
     },
+    /// The distance of coincidence is negative or beyond the range of coordinates.
+    BadWithin {
+        /// The distance, px.
+        value: f64,
+    },
     /// A segment at rest without length: it has no weight and no direction.
     DegenerateLine {
         /// Index of the handle.
@@ -134,6 +139,7 @@ impl fmt::Display for DeformError {
             Self::BadPointMass { value } => {
                 write!(f, "`point_mass` is {}; it must lie between 1e-9 and 1e9 px", Compact(*value))
             }
+            Self::BadWithin { value } => write!(f, "`within` is {}; it must lie between 0 and 1000000 px", Compact(*value)),
             Self::DegenerateLine { handle, segment } => {
                 write!(f, "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead")
             }
@@ -193,6 +199,8 @@ pub enum Warning {
     NearDuplicateHandles,
     /// Lines with alpha below 1: infinite slope across the line.
     LineAlphaBelowOne,
+    /// Handles that coincide at rest have different targets; their position moves by the mean.
+    CoincidentHandles,
 }
 
 impl Warning {
@@ -206,6 +214,7 @@ impl Warning {
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",
             Self::LineAlphaBelowOne => "line_alpha_below_one",
+            Self::CoincidentHandles => "coincident_handles",
         }
     }
 }

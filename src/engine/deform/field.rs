@@ -6,15 +6,17 @@ use std::sync::Arc;
 
 use super::coincidences::Coincidences;
 use super::columns::{Element, Rank, Sources, elements, rank};
+use super::contradictions::{Contradictions, Member};
 use super::falloff::Falloff;
 use super::family::{displacement, rotation};
-use super::handles::{COINCIDENT_SHARE, Handles};
+use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
+use super::handles::{Handles, MAX_COORDINATE};
 use super::kernel;
 use super::lanes::{Rows, Vertices};
 use super::row::RowInputs;
 use super::span::Scratch;
 use super::spline::{PosedSpline, Sites, Spline};
-use super::{DeformError, Handle, IsCancelled, Method, Pose, Warning};
+use super::{Contradictory, DeformError, Handle, IsCancelled, Method, Pose, Warning};
 use crate::geometry::{Point, Vec2};
 
 /// Masses outside of this range would overflow or underflow the ratios in f64, px.
@@ -25,13 +27,18 @@ const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 /// Handles at rest with the parameters of their method: everything that f depends on except the pose.
 #[derive(Clone, Debug)]
 pub struct Field {
+    /// Coincident points are one handle.
     handles: Handles,
+    /// The client's handles, if some of their points coincide.
+    grouped: Option<Box<(Handles, Groups)>>,
+    policy: CoincidentPolicy,
     model: Model,
     /// The family whose rows are used: affine on a line falls back to similarity; the rows of a spline are real, on a line complex.
     family: Method,
     rank: Rank,
     elements: Vec<Element>,
     sources: Sources,
+    /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
     coincidences: Coincidences,
     warnings: Vec<Warning>,
@@ -67,13 +74,42 @@ impl<const N: usize> Workspace<N> {
     }
 }
 
+/// Handles whose coincident points are one.
+struct Grouped {
+    handles: Handles,
+    grouped: Option<Box<(Handles, Groups)>>,
+    elements: Vec<Element>,
+    owners: Vec<usize>,
+    coincidences: Coincidences,
+}
+
+impl Grouped {
+    fn new(handles: Handles, coincident: Coincident, point_mass: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+        let within = coincident.within;
+        if !(0.0..=MAX_COORDINATE).contains(&within) {
+            return Err(DeformError::BadWithin { value: within });
+        }
+        let groups = Groups::find(&handles, within.max(coincidence_distance(handles.extent())), cancelled)?;
+        let (handles, grouped, handle_of) = match groups {
+            Some((groups, merged, handle_of)) => (merged, Some(Box::new((handles, groups))), Some(handle_of)),
+            None => (handles, None, None),
+        };
+        let (elements, mut owners) = elements(&handles, point_mass);
+        if let Some(handle_of) = handle_of {
+            owners.iter_mut().for_each(|owner| *owner = handle_of[*owner]);
+        }
+        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
+        Ok(Self { handles, grouped, elements, owners, coincidences })
+    }
+}
+
 impl Field {
     /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where points and lines are mixed.
     ///
     /// # Errors
-    /// A mass out of range, too many coincidences of handles, or too many lines close to each other.
+    /// A mass or a distance out of range, too many coincidences of handles, or too many lines close to each other.
     pub fn new(handles: Handles, method: Method, falloff: Falloff, point_mass: f64) -> Result<Self, DeformError> {
-        Self::new_unless(handles, method, falloff, point_mass, &|| false)
+        Self::new_unless(handles, Coincident::default(), method, falloff, point_mass, &|| false)
     }
 
     /// Like [`Field::new`]; stops when `cancelled` returns true.
@@ -82,6 +118,7 @@ impl Field {
     /// Those of [`Field::new`]; cancelled.
     pub fn new_unless(
         handles: Handles,
+        coincident: Coincident,
         method: Method,
         falloff: Falloff,
         point_mass: f64,
@@ -90,8 +127,8 @@ impl Field {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
-        let (elements, owners) = elements(&handles, point_mass);
-        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
+        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
+        let policy = coincident.policy;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {
@@ -108,7 +145,7 @@ impl Field {
             warnings.push(Warning::LineAlphaBelowOne);
         }
         let (model, sources) = (Model::MovingLeastSquares { falloff, point_mass }, Sources::of(&elements));
-        Ok(Self { handles, model, family, rank, sources, elements, owners, coincidences, warnings })
+        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
     }
 
     /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends less, towards the affine map that fits
@@ -117,24 +154,28 @@ impl Field {
     /// # Errors
     /// Lines, a smoothing out of range, too many coincidences of handles.
     pub fn spline(handles: Handles, smoothing: f64) -> Result<Self, DeformError> {
-        Self::spline_unless(handles, smoothing, &|| false)
+        Self::spline_unless(handles, Coincident::default(), smoothing, &|| false)
     }
 
     /// Like [`Field::spline`], which takes O(points^3); stops when `cancelled` returns true.
     ///
     /// # Errors
     /// Those of [`Field::spline`]; cancelled.
-    pub fn spline_unless(handles: Handles, smoothing: f64, cancelled: IsCancelled<'_>) -> Result<Self, DeformError> {
+    pub fn spline_unless(
+        handles: Handles,
+        coincident: Coincident,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
         if let Some(handle) = handles.handles().iter().position(|handle| matches!(handle, Handle::Polyline(_))) {
             return Err(DeformError::LineInSpline { handle });
         }
         if !SMOOTHING.contains(&smoothing) {
             return Err(DeformError::BadSmoothing { value: smoothing });
         }
-        let (elements, owners) = elements(&handles, 1.0);
-        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
-        let sources = Sources::of(&elements);
-        let sites = Sites::of(&sources.points, COINCIDENT_SHARE * handles.extent());
+        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, 1.0, cancelled)?;
+        let (policy, sources) = (coincident.policy, Sources::of(&elements));
+        let sites = Sites::of(&sources.points, coincidence_distance(handles.extent()));
         let rank = rank(&Handles::new(sites.positions.iter().copied().map(Handle::Point).collect(), None)?);
         let (family, warnings) = match rank {
             Rank::Empty | Rank::Full => (Method::Affine, vec![]),
@@ -149,7 +190,7 @@ impl Field {
             }
         };
         let model = Model::ThinPlateSpline { smoothing, spline };
-        Ok(Self { handles, model, family, rank, sources, elements, owners, coincidences, warnings })
+        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
     }
 
     /// Bytes that [`Field::spline`] of this number of points takes; known before anything is allocated.
@@ -158,7 +199,7 @@ impl Field {
         Spline::bytes(points)
     }
 
-    /// The handles at rest.
+    /// The handles at rest; coincident points are one handle.
     #[must_use]
     pub const fn handles(&self) -> &Handles {
         &self.handles
@@ -197,22 +238,66 @@ impl Field {
         self.family
     }
 
-    /// Pairs posed handles with the rest handles and checks that coincident handles have the same target.
+    /// The client's handles of each group of coincident points, ascending.
+    #[must_use]
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        self.grouped.iter().flat_map(|grouped| grouped.1.handles()).collect()
+    }
+
+    /// Pairs posed handles with the client's handles at rest. Coincident points move by the weighted mean of their displacements.
     ///
     /// # Errors
-    /// Shapes, numbers, contradictory targets.
+    /// Shapes, numbers; contradictory targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
-        let pose = Pose::new(&self.handles, posed)?;
-        self.coincidences.check(&self.elements, &self.owners, self.handles.weights(), &pose)?;
-        Ok(pose)
+        let given = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0);
+        let given = Pose::new(given, posed)?;
+        let (displacements, contradictions) = match self.grouped.as_deref() {
+            Some((_, groups)) => {
+                let mean = groups.displacements(given.displacements());
+                let contradictions = self.contradictions(&mean, Some((groups, given.displacements())));
+                (mean, contradictions)
+            }
+            None => {
+                let contradictions = self.contradictions(given.displacements(), None);
+                (given.into_displacements(), contradictions)
+            }
+        };
+        if self.policy == CoincidentPolicy::Reject && contradictions.total > 0 {
+            let Contradictory { listed, total, .. } = contradictions;
+            return Err(DeformError::Contradictory { listed, total });
+        }
+        Ok(Pose::of_columns(displacements, contradictions))
+    }
+
+    /// `given`: the groups and the displacements of the client's columns.
+    fn contradictions(&self, displacements: &[Vec2], given: Option<(&Groups, &[Vec2])>) -> Contradictory {
+        let tolerance = self.coincidences.tolerance();
+        let mut found = Contradictions::new(tolerance);
+        if let Some((groups, given)) = given {
+            groups.add_contradictions(&mut found, &self.handles, given, displacements, tolerance);
+        }
+        self.coincidences.add_contradictions(&mut found, &self.elements, displacements, |element, displacement| {
+            let column = self.elements[element].column();
+            let members: Option<Vec<Member>> = given.and_then(|(groups, given)| groups.members(column, given)).map(Iterator::collect);
+            members.unwrap_or_else(|| {
+                let handle = self.owners[element];
+                let weights = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0).weights();
+                // Columns of the client's set identify the points of groups; these must differ from them.
+                vec![Member { element: usize::MAX - element, handle, weight: weights[handle], displacement }]
+            })
+        });
+        found.finish()
     }
 
     /// Warnings for this set and pose, in the order of [`Warning`], except undefined rotations, which only the plan finds.
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
-        if self.coincidences.tears(&self.elements, pose) {
+        if self.coincidences.tears(&self.elements, pose.displacements()) {
             warnings.push(Warning::NearDuplicateHandles);
+        }
+        if pose.contradictions().total > 0 {
+            warnings.push(Warning::CoincidentHandles);
         }
         warnings.sort_unstable();
         warnings
@@ -252,9 +337,10 @@ impl Field {
             Rank::Empty => rows.clear(),
             Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => match &self.model {
-                Model::MovingLeastSquares { falloff, .. } => {
+                Model::MovingLeastSquares { falloff, point_mass } => {
                     let (sources, extent, method) = (&self.sources, self.handles.extent(), self.family);
-                    kernel::rows(&RowInputs { sources, extent, falloff: *falloff, method, exact }, v, scratch, rows);
+                    let (falloff, point_mass) = (*falloff, *point_mass);
+                    kernel::rows(&RowInputs { sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
                 }
                 Model::ThinPlateSpline { spline, .. } => spline.as_ref().expect("has an extent").rows(v, &mut scratch.sides, rows),
             },

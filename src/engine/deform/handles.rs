@@ -1,7 +1,7 @@
 //! Handles at rest and posed: points, segments, polylines, mixed. Shapes: a handle is one position (a point) or two and more (a polyline
 //! of segments).
 
-use super::DeformError;
+use super::{Contradictory, DeformError};
 use crate::geometry::{Point, Vec2};
 
 /// Largest coordinate either way, px.
@@ -82,6 +82,12 @@ impl Handles {
         Ok(Self { handles, weights, extent })
     }
 
+    /// Handles that are known to be valid, whatever the sum of their weights.
+    pub(super) fn of_valid(handles: Vec<Handle>, weights: Vec<f64>) -> Self {
+        let extent = extent(&handles);
+        Self { handles, weights, extent }
+    }
+
     /// The handles in the client's order.
     #[must_use]
     pub fn handles(&self) -> &[Handle] {
@@ -132,6 +138,7 @@ impl Handles {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pose {
     displacements: Vec<Vec2>,
+    contradictions: Contradictory,
 }
 
 impl Pose {
@@ -156,13 +163,29 @@ impl Pose {
                 _ => return Err(DeformError::ShapeMismatch { handle, rest: p.kind(), posed: q.kind() }),
             }
         }
-        Ok(Self { displacements })
+        Ok(Self { displacements, contradictions: Contradictory::default() })
     }
 
     /// The pose that leaves every handle at rest.
     #[must_use]
     pub fn identity(rest: &Handles) -> Self {
-        Self { displacements: vec![Vec2::ZERO; rest.columns()] }
+        Self { displacements: vec![Vec2::ZERO; rest.columns()], contradictions: Contradictory::default() }
+    }
+
+    /// The pose with these displacements and contradictions.
+    pub(super) const fn of_columns(displacements: Vec<Vec2>, contradictions: Contradictory) -> Self {
+        Self { displacements, contradictions }
+    }
+
+    /// The groups of handles that coincide at rest and move differently.
+    #[must_use]
+    pub const fn contradictions(&self) -> &Contradictory {
+        &self.contradictions
+    }
+
+    /// One displacement per column, px.
+    pub(super) fn into_displacements(self) -> Vec<Vec2> {
+        self.displacements
     }
 
     /// One displacement per column, px.

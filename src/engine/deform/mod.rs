@@ -18,6 +18,8 @@ mod field;
 #[forbid(unsafe_code)]
 mod fit;
 #[forbid(unsafe_code)]
+mod groups;
+#[forbid(unsafe_code)]
 mod handles;
 mod kernel;
 #[forbid(unsafe_code)]
@@ -39,10 +41,11 @@ mod span;
 #[forbid(unsafe_code)]
 mod spline;
 
-pub use contradictions::Contradiction;
+pub use contradictions::{Contradiction, Contradictory};
 pub use error::{DeformError, Warning};
 pub use falloff::Falloff;
 pub use field::{Deformation, Field};
+pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 

@@ -8,7 +8,7 @@
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
 use super::Method;
-use super::columns::{PointSource, Sources};
+use super::columns::{PointSource, Segment, Sources};
 use super::falloff::Falloff;
 use super::fit::fit;
 use super::lanes::{PointMass, Rows, Vertices};
@@ -27,6 +27,8 @@ pub(super) struct RowInputs<'a> {
     pub(super) sources: &'a Sources,
     pub(super) extent: f64,
     pub(super) falloff: Falloff,
+    /// The mass of a point of weight 1, px.
+    pub(super) point_mass: f64,
     pub(super) method: Method,
     /// Always use the quadrature nodes, at their full number.
     pub(super) exact: bool,
@@ -175,7 +177,7 @@ impl RowInputs<'_> {
         at_v
     }
 
-    /// The row of a vertex on a handle: that of the first such handle alone.
+    /// The row of a vertex on handles: the mean of theirs, weighted like the handles.
     #[cold]
     fn unit<const N: usize>(&self, k: usize, v: &Vertices<N>, rows: &mut Rows<N>) {
         let v = Point::new(v.x[k], v.y[k]);
@@ -184,17 +186,29 @@ impl RowInputs<'_> {
             (h[0][k], h[1][k], wn[k]) = (0.0, 0.0, 0.0);
         }
         (rows.e[0][k], rows.e[1][k]) = (0.0, 0.0);
+        let points = self.sources.points.iter().filter(|mark| (mark.p - v).norm2() <= snap * snap);
+        let mut hits: Vec<_> = points.map(|mark| (mark.mass / self.point_mass, mark.column, [1.0, 0.0])).collect();
+        let mut before: Option<&Segment> = None;
+        for s in &self.sources.segments {
+            let view = View::new(s, &Vertices::<1>::all(v));
+            if view.r2[0] <= snap * snap {
+                // The joint of two segments of a polyline counts once.
+                if !before.is_some_and(|before| before.column + 2 == s.column && before.b == s.a && view.share_a[0] == 1.0) {
+                    hits.push((s.weight, s.column, [view.share_a[0], view.share_b[0]]));
+                }
+                before = Some(s);
+            }
+        }
+        let total: f64 = hits.iter().map(|(weight, ..)| weight).sum();
         let mut put = |column: usize, share: f64| match self.method {
             Method::Affine | Method::Similarity => rows.h[column][0][k] = share,
             Method::Rigid => rows.wn[column][k] = share,
         };
-        if let Some(mark) = self.sources.points.iter().find(|mark| (mark.p - v).norm2() <= snap * snap) {
-            return put(mark.column, 1.0);
-        }
-        let views = self.sources.segments.iter().map(|s| (s, View::new(s, &Vertices::<1>::all(v))));
-        if let Some((s, view)) = views.into_iter().find(|(_, view)| view.r2[0] <= snap * snap) {
-            put(s.column, view.share_a[0]);
-            put(s.column + 1, view.share_b[0]);
+        for (weight, column, [a, b]) in hits {
+            put(column, weight / total * a);
+            if b != 0.0 {
+                put(column + 1, weight / total * b);
+            }
         }
     }
 }

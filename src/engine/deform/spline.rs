@@ -63,7 +63,7 @@ pub(super) struct PosedSpline<'a> {
 }
 
 impl Sites {
-    /// Points nearer than `within` are one site, at the weighted mean of their positions.
+    /// Points nearer than `within` are one site, at the weighted mean of their positions: the means of groups of handles may coincide.
     pub(super) fn of(points: &[PointSource], within: f64) -> Self {
         let mut first: Vec<Point> = Vec::new();
         let (mut moved, mut weights) = (Vec::new(), Vec::new());

@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
-use crate::deform::{self, Field, Handle, IsCancelled, Pose};
+use crate::deform::{self, Contradiction, Field, Handle, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -17,9 +17,12 @@ pub struct Report {
     pub warnings: Vec<Warning>,
     /// Drawn cells that fold.
     pub folds: u64,
-    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn. With
-    /// smoothing, f does not take the handles to their targets; then the distance from where it takes them.
+    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
+    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets; then the
+    /// distance from where it takes them.
     pub residual: f64,
+    /// The first groups of handles that coincide at rest and move differently, at most 100.
+    pub coincident: Vec<Contradiction>,
 }
 
 /// A posed mesh and its report.
@@ -51,7 +54,8 @@ impl Posed {
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
-        let report = Report { warnings, folds: cells, residual: residual(setup.field(), pose, &mesh) };
+        let residual = residual(setup.field(), pose, &mesh);
+        let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone() };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
     }
 
@@ -125,6 +129,9 @@ fn residual(field: &Field, pose: &Pose, mesh: &Mesh) -> f64 {
     let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
     let mut worst = 0.0f64;
     let mut look = |p, displacement| {
+        if pose.contradictions().contains(p) {
+            return;
+        }
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }

@@ -134,6 +134,12 @@ impl Setup {
         posed.map_err(WarpError::Posed)
     }
 
+    /// The handles of each group of coincident points, ascending.
+    #[must_use]
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        self.field.groups()
+    }
+
     /// Effective alpha; `None` of a spline.
     #[must_use]
     pub fn alpha(&self) -> Option<f64> {
@@ -239,12 +245,12 @@ fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
 
 fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, DeformError> {
     let Some(family) = rest.method.family() else {
-        return Field::spline_unless(handles, rest.smoothing.unwrap_or(0.0), cancelled);
+        return Field::spline_unless(handles, rest.coincident, rest.smoothing.unwrap_or(0.0), cancelled);
     };
     let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
     let falloff = Falloff::new(alpha, handles.has_lines())?;
     let point_mass = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-    Field::new_unless(handles, family, falloff, point_mass, cancelled)
+    Field::new_unless(handles, rest.coincident, family, falloff, point_mass, cancelled)
 }
 
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {

@@ -2,7 +2,7 @@
 
 use super::WarpError;
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
-use crate::deform::{self, Handle};
+use crate::deform::{self, Coincident, Handle};
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
@@ -114,6 +114,8 @@ pub struct RestSpec {
     pub point_mass: Option<f64>,
     /// Of a spline alone: 0, the default, goes through the posed handles.
     pub smoothing: Option<f64>,
+    /// The treatment of handles that coincide at rest.
+    pub coincident: Coincident,
     /// Unit of p and q.
     pub units: Units,
     /// The grid.

@@ -267,6 +267,9 @@ mod tests {
             let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
             app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
         };
+        let (session, _) = open(3).await.unwrap();
+        // The picture stays decoded.
+        let _used = app.0.images.peek(image_key(&session.record)).unwrap();
         let budget = app.budget();
         let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
         // 600 points have a system of 1.4 MB, 100 one of 40 kB.

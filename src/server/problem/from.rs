@@ -65,6 +65,7 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             new(Code::BadValue).pointer(format!("/weights/{handle}")).handle(handle).actual(number(value))
         }
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
+        DeformError::BadWithin { value } => new(Code::BadValue).pointer("/coincident/within").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
         DeformError::LineInSpline { handle } => at_handle(Code::BadValue, handle),
         DeformError::BadSmoothing { value } => new(Code::BadValue).pointer("/smoothing").actual(number(value)),

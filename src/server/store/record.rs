@@ -17,6 +17,7 @@ use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
 use mlswarp::codec::{Compression, Format};
+use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
@@ -54,6 +55,7 @@ fn base() -> WarpObject {
             alpha: None,
             point_mass: None,
             smoothing: None,
+            coincident: Coincident { policy: CoincidentPolicy::Mean, within: 0.0 },
             units: Units::Px,
             grid: GridSpec::Auto,
         },
@@ -94,7 +96,7 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, smoothing, units, grid } = &record.rest;
+        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -119,6 +121,8 @@ impl Serialize for Warp<'_> {
         if defaults == Defaults::Written || record.output != base.output {
             object.serialize_entry("output", &Output(&record.output, defaults))?;
         }
+        // Later fields (rule 2).
+        Defaults::LeftOut.field(&mut object, "coincident", *coincident, &base.rest.coincident)?;
         object.end()
     }
 }
@@ -261,6 +265,7 @@ mod tests {
         let rest = RestSpec {
             method: Method::Affine,
             point_mass: Some(7.5),
+            coincident: Coincident { policy: CoincidentPolicy::Reject, within: 1.5 },
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 9, rows: 7 },
             ..rich().rest
@@ -329,7 +334,7 @@ mod tests {
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
-        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"same"}}"#;
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"same"},"coincident":{"policy":"reject","within":1.5}}"#;
         assert_eq!(made(&full), digest(&full, warp));
     }
 

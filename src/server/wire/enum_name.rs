@@ -2,6 +2,7 @@
 //! document (tested).
 
 use mlswarp::codec::{Compression, Format};
+use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
 use mlswarp::warp::{Folds, Method, Units};
 use serde::{Serialize, Serializer};
@@ -78,6 +79,7 @@ enum_names!(
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
     Method::ThinPlateSpline = "tps"
 );
+enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");

@@ -34,7 +34,7 @@ use mlswarp::warp::{Folds, OutputSpec, RestSpec};
 use number::{count, whole};
 pub(crate) use output::OutputPatch;
 pub(crate) use rest::WarpPatch;
-pub(crate) use session::{SessionGrid, SessionImage, SessionObject};
+pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 

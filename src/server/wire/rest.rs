@@ -1,6 +1,7 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
+use mlswarp::geometry::Compact;
 use mlswarp::warp::{Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, enum_name, unknown_name};
@@ -11,6 +12,7 @@ use super::output::OutputPatch;
 use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
 
+const WITHIN: &str = "a distance in pixels, 0 to 1000000";
 const GRID: &str = "`auto`, `pixel`, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
 /// The fields that a warp object gives. They replace the defaults, or the values of a session.
@@ -23,6 +25,7 @@ pub(crate) struct WarpPatch {
     pub(crate) alpha: Option<f64>,
     pub(crate) point_mass: Option<f64>,
     pub(crate) smoothing: Option<f64>,
+    pub(crate) coincident: Option<Coincident>,
     pub(crate) units: Option<Units>,
     pub(crate) grid: Option<GridSpec>,
     pub(crate) folds: Option<Folds>,
@@ -35,7 +38,8 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, weights_, method, alpha, point_mass, smoothing, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 12],
+        [p, q, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
+            13],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
@@ -46,6 +50,7 @@ impl WarpPatch {
             alpha: optional(alpha, |n| number(n, "a number"))?,
             point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
             smoothing: optional(smoothing, |n| number(n, "a number"))?,
+            coincident: optional(coincident_, coincident)?,
             units: optional(units, enum_name)?,
             grid: optional(grid_, grid)?,
             folds: optional(folds, enum_name)?,
@@ -91,6 +96,7 @@ impl WarpPatch {
                 alpha: self.alpha.or(kept(base.rest.alpha)),
                 point_mass: self.point_mass.or(kept(base.rest.point_mass)),
                 smoothing: self.smoothing.or(kept(base.rest.smoothing)),
+                coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
             },
@@ -99,6 +105,15 @@ impl WarpPatch {
             output: self.output.merge_onto(&base.output),
         }
     }
+}
+
+fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
+    let [policy, within] = node.fields(&fields::COINCIDENT)?;
+    let distance = |node: &Node<'_, '_>| match number(node, WITHIN)? {
+        value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),
+        value => Err(node.unexpected(WITHIN, Compact(value)).actual(value)),
+    };
+    Ok(Coincident { policy: optional(policy, enum_name)?.unwrap_or_default(), within: optional(within, distance)?.unwrap_or_default() })
 }
 
 fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {

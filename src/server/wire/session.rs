@@ -25,6 +25,9 @@ pub(crate) struct SessionObject<'a> {
     /// `tps` only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) smoothing: Option<f64>,
+    /// The groups of points that are one handle.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) coincident: Vec<CoincidentGroup>,
     pub(crate) units: AsJson<Units>,
     pub(crate) grid: SessionGrid,
     pub(crate) folds: AsJson<Folds>,
@@ -34,6 +37,13 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) expires: &'a str,
     /// The highest sequence number seen; `null` before the first.
     pub(crate) seq: Option<u64>,
+}
+
+/// A group of coincident points.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct CoincidentGroup {
+    /// Indices into `p`, ascending.
+    pub(crate) handles: Vec<usize>,
 }
 
 /// Size and digest of the uploaded picture.

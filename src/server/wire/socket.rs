@@ -1,13 +1,13 @@
 //! The messages of the drag socket: `{"seq", "q"}` and `{"ack"}` from the client; the report that precedes a frame.
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Contradiction, Handle};
 use serde::Serialize;
 
-use super::HANDLES;
 use super::handles::handles;
 use super::json;
 use super::json::{At, Node, optional};
 use super::number::whole;
+use super::{AsJson, HANDLES};
 use crate::problem::{Code, Problem};
 
 const NUMBER: &str = "a whole number, at least 0";
@@ -80,6 +80,9 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) residual: f64,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'a str>,
+    /// The groups of handles that coincide at rest and move differently.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) coincident: Option<AsJson<&'a [Contradiction]>>,
     pub(crate) timing: FrameTiming,
 }
 

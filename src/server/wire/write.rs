@@ -1,7 +1,7 @@
 //! Values to JSON in the form in which they are read. f64 is written with the fewest digits that read back to the same bits. Defaults are
 //! written, so that a client sees them; an option without a default is left out.
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Coincident, Contradiction, Handle};
 use mlswarp::geometry::Point;
 use mlswarp::render::Outside;
 use mlswarp::warp::{GridSpec, OutputSpec};
@@ -38,6 +38,32 @@ impl Serialize for AsJson<GridSpec> {
             GridSpec::Cell(cell) => s.collect_map([("cell", cell)]),
             GridSpec::Counts { columns, rows } => s.collect_map([("columns", columns), ("rows", rows)]),
         }
+    }
+}
+
+impl Serialize for AsJson<Coincident> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut object = s.serialize_map(None)?;
+        object.serialize_entry("policy", &AsJson(self.0.policy))?;
+        object.serialize_entry("within", &self.0.within)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<&Contradiction> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let Contradiction { handles, position, spread, .. } = self.0;
+        let mut object = s.serialize_map(None)?;
+        object.serialize_entry("handles", handles)?;
+        object.serialize_entry("position", &[position.x, position.y])?;
+        object.serialize_entry("spread", spread)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<&[Contradiction]> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_seq(self.0.iter().map(AsJson))
     }
 }
 

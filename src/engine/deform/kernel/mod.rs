@@ -135,7 +135,7 @@ mod tests {
                     (Method::Rigid, true),
                 ] {
                     let falloff = Falloff::new(alpha, true).unwrap();
-                    let waist = RowInputs { sources: &sources, extent: 400.0, falloff, method, exact };
+                    let waist = RowInputs { sources: &sources, extent: 400.0, falloff, point_mass: 1.0, method, exact };
                     let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
                         let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
                         all.map(|lanes| lanes[k].to_bits()).collect()

@@ -21,7 +21,7 @@ use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 use crate::session::SessionId;
 use crate::store::Record;
-use crate::wire::{FrameReport, FrameTiming, MeshShape, UnreadHandles};
+use crate::wire::{AsJson, FrameReport, FrameTiming, MeshShape, UnreadHandles};
 
 /// The content of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,6 +146,8 @@ fn report_json(seq: u64, extent: Extent, full: bool, report: &Report, timing: Ti
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
     let (width, height) = (extent.width(), extent.height());
-    let report = FrameReport { seq, width, height, full, folds: report.folds, residual: report.residual, warnings, timing };
+    let Report { folds, residual, ref coincident, .. } = *report;
+    let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
+    let report = FrameReport { seq, width, height, full, folds, residual, warnings, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

@@ -19,7 +19,7 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
-use crate::wire::{AsJson, SessionGrid, SessionImage, SessionObject};
+use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionObject};
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 /// Maximum length of a number and its comma in JSON.
@@ -100,7 +100,8 @@ fn reserved_object(caller: &Caller, session: &Session, setup: &Setup) -> Result<
 fn reserve_object(caller: &Caller, upload: &Upload) -> Result<Reservation, Problem> {
     let Caller { app, client } = caller;
     let landmarks = upload.landmarks.as_ref().map_or(0, |landmarks| landmarks.text_length() as u64);
-    let length = landmarks + max_object_length(&upload.warp, app.config().limits().columns);
+    // Two coordinates, and an index in a group of coincident points.
+    let length = landmarks + landmarks / 2 + max_object_length(&upload.warp, app.config().limits().columns);
     app.reserve_for(Purpose::Frame, &app.response_quota(*client), length)
 }
 
@@ -111,10 +112,11 @@ fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
 }
 
 /// Maximum length of the session object for a warp object. Strings are returned unchanged or not at all, and a bracket or a comma precedes
-/// every number of a list. A column has at most 3 numbers: 2 coordinates and a weight.
+/// every number of a list. A column has at most 4 numbers: 2 coordinates, a
+/// weight, and an index in a group of coincident points.
 fn max_object_length(warp: &[u8], columns: usize) -> u64 {
     let numbers = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
-    (FIXED_PART + warp.len() + NUMBER * numbers.min(columns.saturating_mul(3))) as u64
+    (FIXED_PART + warp.len() + NUMBER * numbers.min(columns.saturating_mul(4))) as u64
 }
 
 fn text(session: &Session, setup: &Setup) -> Vec<u8> {
@@ -129,6 +131,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
         smoothing: setup.smoothing(),
+        coincident: setup.groups().into_iter().map(|handles| CoincidentGroup { handles }).collect(),
         units: AsJson(record.rest.units),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
         folds: AsJson(record.folds),

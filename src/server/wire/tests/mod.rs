@@ -3,6 +3,7 @@
 mod contract;
 
 use mlswarp::codec::{Compression, Format};
+use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::{Digest, GridSpec, Method, Units};
 use proptest::prelude::*;
@@ -37,6 +38,7 @@ fn warp_reads_the_example_of_the_contract() {
       "p": [[120, 80], [[40, 200], [300, 210]]],
       "q": [[130, 60], [[40, 220], [300, 190]]],
       "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "smoothing": 0.5, "units": "normalized",
+      "coincident": {"policy": "reject", "within": 0.5},
       "grid": {"columns": 100, "rows": 50}, "folds": "reject", "metric": "euclidean",
       "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40", "canvas": "same"}
     }"##;
@@ -48,6 +50,7 @@ fn warp_reads_the_example_of_the_contract() {
             alpha: Some(1.0),
             point_mass: Some(12.0),
             smoothing: Some(0.5),
+            coincident: Coincident { policy: CoincidentPolicy::Reject, within: 0.5 },
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 100, rows: 50 },
         },
@@ -447,6 +450,7 @@ fn session_object_is_written_in_wire_form() {
         alpha: Some(2.0),
         point_mass: Some(2.5),
         smoothing: None,
+        coincident: vec![CoincidentGroup { handles: vec![0, 4] }],
         units: AsJson(Units::Px),
         grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
         folds: AsJson(Folds::Report),
@@ -461,7 +465,7 @@ fn session_object_is_written_in_wire_form() {
             "id": "0f8fad5b-d9cb-469f-a165-70867728950e",
             "image": {"width": 640, "height": 480, "digest": format!("sha256:{}", "ab".repeat(32))},
             "p": [[1.0, 2.0], [[0.5, 1.0], [2.0, 3.0]]],
-            "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "units": "px",
+            "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "coincident": [{"handles": [0, 4]}], "units": "px",
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
             "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff"},
@@ -534,14 +538,16 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
     let outside = prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), any::<[u8; 4]>().prop_map(Outside::Colour)];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
     let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
-    let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, all(), grid).prop_map(
-        |(p, weights, method, (alpha, point_mass, smoothing), units, grid)| RestSpec {
+    let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
+    let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, coincident, (all(), grid)).prop_map(
+        |(p, weights, method, (alpha, point_mass, smoothing), coincident, (units, grid))| RestSpec {
             p,
             weights,
             method,
             alpha,
             point_mass,
             smoothing,
+            coincident,
             units,
             grid,
         },
@@ -562,10 +568,11 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output } = warp;
-    let RestSpec { p, weights, method, alpha, point_mass, smoothing, units, grid } = rest;
+    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha, "point_mass": point_mass,
-        "smoothing": smoothing, "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
+        "smoothing": smoothing, "coincident": AsJson(*coincident),
+        "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
     object.as_object_mut().unwrap().retain(|_, value| !value.is_null());
     object
