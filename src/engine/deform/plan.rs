@@ -178,8 +178,8 @@ fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would not fit or pay. O(vertices x elements) with
-/// weights. `None` when cancelled, which is checked for each block of vertices.
+/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would not fit or pay. O(vertices x elements)
+/// with weights. `None` when cancelled, which is checked for each block of vertices.
 #[must_use]
 pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;

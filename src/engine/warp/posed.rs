@@ -18,8 +18,8 @@ pub struct Report {
     /// Drawn cells that fold.
     pub folds: u64,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
-    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets; then the
-    /// distance from where it takes them.
+    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
+    /// the distance from where it takes them.
     pub residual: f64,
     /// The first groups of handles that coincide at rest and move differently, at most 100.
     pub coincident: Vec<Contradiction>,
