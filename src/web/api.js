@@ -33,11 +33,11 @@ export class Problem extends Error {
 const wasAborted = (error) => error?.name === "AbortError";
 export { wasAborted };
 
-async function ask(method, path, { json, accept, signal } = {}) {
+async function ask(method, path, { json, file, accept, signal } = {}) {
   const headers = { ...keyHeaders(), ...(json && { "Content-Type": "application/json" }), ...(accept && { Accept: accept }) };
   let response;
   try {
-    response = await fetch(path, { method, headers, body: json && JSON.stringify(json), signal, cache: "no-store" });
+    response = await fetch(path, { method, headers, body: json ? JSON.stringify(json) : file, signal, cache: "no-store" });
   } catch (error) {
     throw wasAborted(error) ? error : Problem.network();
   }
@@ -98,6 +98,9 @@ const session = (id) => `sessions/${encodeURIComponent(id)}`;
 export const readSession = async (id) => read(await ask("GET", session(id)), "json");
 
 export const putHandles = async (id, rest, signal) => read(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }), "json");
+
+/** The handles in a landmark file: { p, q (if the file has both sides), units }. */
+export const readLandmarks = async (file) => read(await ask("POST", "landmarks", { file }), "json");
 
 /** The posed grid: f32, x and y of each vertex, row by row. */
 export async function mesh(id, body, signal) {

@@ -1,7 +1,7 @@
-// Files with handles: the warp object as JSON. A file that this page cannot use is rejected with its name, the position and what is
-// expected.
+// Files with handles: the warp object as JSON, read here, and landmark files of other programs, which the server reads. A file that cannot be
+// used is rejected with its name, the position and what is expected.
 
-import { Problem } from "./api.js";
+import { Problem, readLandmarks } from "./api.js";
 import { massOf, near } from "./edits.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
 import { pinOf } from "./twist.js";
@@ -10,9 +10,13 @@ import { pinOf } from "./twist.js";
 const LARGEST = 2 << 20;
 const METHODS = ["rigid", "similarity", "affine", "tps"];
 
-export const isHandles = (file) => file.type === "application/json" || /\.json$/i.test(file.name);
+export const isHandles = (file) =>
+  ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
 
-/** The handles of a file, as a document. Throws a Problem. */
+/**
+ * The handles of a file: { name, document, warp }. The positions of a normalised file are shares of the picture's size; `warp` then makes
+ * the document for a picture (`scaled`), and is otherwise null. Throws a Problem.
+ */
 export async function readHandles(file) {
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
   const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
@@ -22,16 +26,42 @@ export async function readHandles(file) {
     const { line, column } = lineAndColumn(text, at);
     return `In ${file.name}, line ${line}, column ${column}`;
   };
-  let parsed;
+  const ready = (warp) => {
+    const isNormalized = warp?.units === "normalized";
+    const document = documentFrom(isNormalized ? { ...warp, units: "px" } : warp);
+    return { name: file.name, document, warp: isNormalized ? warp : null };
+  };
+  let parsed = null;
   try {
-    parsed = parse(text);
-    return documentFrom(parsed.value);
+    if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
+    if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length)) return ready(await landmarks(file));
+    return ready(parsed.value);
   } catch (error) {
     if (error instanceof Broken) throw problem(`${where(error.at)}: ${error.expected} is expected.`);
     if (!(error instanceof Unsupported)) throw error;
     const member = error.pointer && ` for ${named(error.pointer)}`;
     throw problem(`${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`);
   }
+}
+
+const isTable = (file) => file.type === "text/csv" || /\.(csv|pts|tem|points|txt)$/i.test(file.name);
+
+/** A landmark file as a warp object. */
+async function landmarks(file) {
+  try {
+    const { p, q, units } = await readLandmarks(file);
+    return { p, ...(q && { q }), units };
+  } catch (error) {
+    if (error instanceof Problem) error.detail = error.detail.replace(/^landmarks, /, `In ${file.name}, `);
+    throw error;
+  }
+}
+
+/** The document of a normalised warp object for a picture. */
+export function scaled({ p, q, ...others }, { width, height }) {
+  const place = ([x, y]) => [x * width, y * height];
+  const px = (handles) => handles.map((handle) => (isPlace(handle) ? place(handle) : handle.map(place)));
+  return documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" });
 }
 
 /** A pointer as in the API's messages: `p[3]`. */
@@ -77,7 +107,7 @@ function documentFrom(warp) {
   const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, grid = "auto" } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
-  demand(units === "px", "/units", '"px"');
+  demand(units === "px", "/units", '"px" or "normalized"');
   const areWeights = (list) => Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
   demand(weights === undefined || areWeights(weights), "/weights", "a list of one positive number for each handle");
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");

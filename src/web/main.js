@@ -11,7 +11,7 @@ import { Opener } from "./open.js";
 import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
-import { warpedPicture, copy, curlLine, handlesName, handlesText, linkTo, pictureName, readLink, save } from "./share.js";
+import { warpedPicture, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, readLink, save } from "./share.js";
 import { Store, steps } from "./state.js";
 import { strengthOf } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
@@ -205,6 +205,7 @@ const copying = (words, what) =>
   });
 find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
 find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
+find("save-landmarks").addEventListener("click", taking((state) => save(new Blob([landmarksText(state.document)], { type: "text/csv" }), landmarksName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
 find("copy-link").addEventListener("click", copying(linkTo, "Link"));
 

@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { alphaOf, restOf, sameRest } from "./edits.js";
-import { documentOf, isHandles, readHandles } from "./handlesfile.js";
+import { documentOf, isHandles, readHandles, scaled } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
 import { SAMPLES } from "./samples.js";
@@ -51,22 +51,22 @@ export class Opener {
 
   /** Uses handles of a file: now if a picture is open, otherwise (or if one comes with them) on the next picture. */
   async #takeHandles(file, waits) {
-    let document;
+    let handles;
     try {
-      document = await readHandles(file);
+      handles = await readHandles(file);
     } catch (problem) {
       this.#refuse(problem);
       return false;
     }
-    const handles = { name: file.name, document };
     if (this.store.state.phase === "open" && !waits) this.#useHandles(handles);
     else this.store.do("waiting", { handles });
     return true;
   }
 
-  #useHandles({ name, document }) {
-    this.actions.edit(document, { select: [] });
-    this.toast(`${count(document.handles.length, "handle")} from ${name}`);
+  #useHandles({ name, document, warp }) {
+    const fitted = warp ? scaled(warp, this.store.state.picture) : document;
+    this.actions.edit(fitted, { select: [] });
+    this.toast(`${count(fitted.handles.length, "handle")} from ${name}`);
   }
 
   file(file, name) {

@@ -8,6 +8,15 @@ const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
 export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
 export const handlesName = (name) => `${stem(name)}-handles.json`;
 
+export const landmarksName = (name) => `${stem(name)}-landmarks.csv`;
+
+/** The points as CSV, which `POST /landmarks` reads. Lines have no row. */
+export function landmarksText({ handles }) {
+  const points = handles.filter((handle) => handle.p.length === 1);
+  const rows = points.map(({ p: [rest], q: [posed] }) => [...rest, ...posed].join(","));
+  return ["px,py,qx,qy", ...rows, ""].join("\n");
+}
+
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);

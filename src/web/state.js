@@ -27,7 +27,7 @@ const initialState = () => ({
   future: [],
   earlier: [], // pictures that undo brings back, oldest first (pictures.js)
   later: [], // pictures that redo brings back, next one first
-  waiting: null, // handles of a file that wait for their picture: { name, document }
+  waiting: null, // handles of a file that wait for their picture: { name, document, warp } (handlesfile.js)
   tag: "",
   tagged: 0,
   problem: null,

@@ -34,7 +34,7 @@ const PROBLEMS = {
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
   unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file, or a JSON file with handles."],
+  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file, or a file with handles or landmarks."],
   bad_handles_file: ["The handles cannot be opened", "Correct the file, or save the handles again."],
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };

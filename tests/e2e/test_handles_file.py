@@ -77,14 +77,14 @@ BROKEN = [
     (b'{"p": []} x', 1, 11, "the end of the file"),
     (b"", 1, 1, "a value"),
     (b"[" * 100_000, 1, 22, "fewer brackets"),
-    (b"[1, 2]", 1, 1, "an object with the handles at rest"),
+    (b"[]", 1, 1, "an object with the handles at rest"),
     (b'{"p": 5}', 1, 7, "a list of handles is expected for p."),
     (b'{\n "p": [[1, 2]],\n "q": []\n}', 3, 7, "a list of 1 handles, as many as in p, is expected for q."),
     (b'{"p": [[1, 2],\n [3, "4"]]}', 2, 2, "a position [x, y] or a list of positions is expected for p[1]."),
     (b'{"p": [[[1, 2], [3]]]}', 1, 17, "a position [x, y] of two numbers is expected for p[0][1]."),
     (b'{"p": [[1, 2]], "method": "arap"}', 1, 27, '"rigid", "similarity", "affine" or "tps" is expected for method.'),
     (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" takes points only, is expected for p[1].'),
-    (b'{"p": [[1, 2]], "units": "normalized"}', 1, 26, '"px" is expected for units.'),
+    (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]
 
@@ -122,3 +122,58 @@ def test_a_problem_covers_no_sample(visits, options):
     for id in ("pick", "sample-portrait", "sample-cat", "sample-horse", "sample-rocket"):
         box = visit.page.locator(f"#{id}").bounding_box()
         assert box["y"] >= alert["y"] + alert["height"], id
+
+
+PTS = b"version: 1\nn_points: 2\n{\n100.5 100.5\n200.5 140.5\n}\n"
+# As MediaPipe and ARKit list them: shares of the picture's size.
+SHARES = b'[{"x": 0.25, "y": 0.5, "z": 0}, {"x": 0.5, "y": 0.1, "z": 0}]'
+
+
+def landmarks(name, content, kind=""):
+    return {"name": name, "mimeType": kind, "buffer": content}
+
+
+def test_landmark_files_of_other_programs_are_opened(opened):
+    opened.page.set_input_files("#file", [landmarks("face.pts", PTS)])
+    opened.body("[data-handles='2']").ready()
+    # ibug counts the pixels from 1, and this service their corners from 0.
+    assert opened.warp()["p"] == [[100, 100], [200, 140]] and opened.text("toast") == "2 handles from face.pts"
+    opened.page.set_input_files("#file", [landmarks("moved.csv", b"px,py,qx,qy\n100,100,140,130\n", "text/csv")])
+    opened.body("[data-handles='1']").ready()
+    assert (opened.warp()["p"], opened.warp()["q"]) == ([[100, 100]], [[140, 130]])
+    opened.page.click("#undo")
+    opened.body("[data-handles='2']").ready()
+    opened.page.set_input_files("#file", [landmarks("mesh.json", SHARES, "application/json")])
+    opened.page.locator("#toast", has_text="from mesh.json").wait_for()
+    opened.ready()
+    assert opened.warp()["p"] == [[100, 150], [200, 30]], "of 400 x 300 px"
+
+
+def test_normalised_landmarks_wait_for_the_size_of_their_picture(visit, picture):
+    visit.page.set_input_files("#file", [landmarks("mesh.json", SHARES, "application/json")])
+    visit.page.wait_for_selector("#waiting")
+    assert "2 handles" in visit.text("waiting-text")
+    visit.page.set_input_files("#file", picture)
+    visit.body("[data-handles='2']").ready()
+    assert visit.warp()["p"] == [[100, 150], [200, 30]]
+
+
+def test_a_broken_landmark_file_is_named_with_its_position(opened):
+    opened.expects("422")
+    opened.page.set_input_files("#file", [landmarks("face.csv", b"x,y\n100,1O0\n", "text/csv")])
+    opened.body("[data-problem=bad_landmarks]")
+    assert opened.text("problem-detail").startswith("In face.csv, line 2, column 5: expected a number")
+    assert (opened["handles"], opened["state"]) == ("0", "ready")
+
+
+def test_points_are_saved_as_a_landmark_file(opened):
+    opened.drag(RED, (140, 130))
+    opened.click(*RED)
+    opened.ready()
+    name, content = opened.saved("save-landmarks")
+    assert name == "discs-landmarks.csv" and content.startswith(b"px,py,qx,qy\n") and content.count(b"\n") == int(opened["handles"]) + 1
+    warp = opened.warp()
+    opened.page.set_input_files("#file", [landmarks(name, content, "text/csv")])
+    opened.page.locator("#toast", has_text=f"from {name}").wait_for()
+    opened.ready()
+    assert (opened.warp()["p"], opened.warp()["q"]) == (warp["p"], warp["q"])

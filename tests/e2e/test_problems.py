@@ -35,8 +35,8 @@ def test_a_text_that_is_called_a_picture(visit, tmp_path):
 def test_a_file_of_another_kind_is_not_even_sent(visit, tmp_path):
     asked = []
     visit.page.on("request", lambda request: asked.append(request.url))
-    (tmp_path / "notes.txt").write_text("Not a picture.")
-    visit.page.set_input_files("#file", tmp_path / "notes.txt")
+    (tmp_path / "notes.pdf").write_text("Not a picture.")
+    visit.page.set_input_files("#file", tmp_path / "notes.pdf")
     told(visit, "not_a_picture")
     assert not [url for url in asked if "sessions" in url]
 
