@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
-use crate::deform::{self, Contradiction, Handle, Handles, IsCancelled, Pose};
+use crate::deform::{self, Contradiction, Field, Handle, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -18,7 +18,8 @@ pub struct Report {
     /// Drawn cells that fold.
     pub folds: u64,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
-    /// positions at which handles contradict each other are left out.
+    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
+    /// the distance from where it takes them.
     pub residual: f64,
     /// The first groups of handles that coincide at rest and move differently, at most 100.
     pub coincident: Vec<Contradiction>,
@@ -53,7 +54,7 @@ impl Posed {
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
-        let residual = residual(setup.field().handles(), pose, &mesh);
+        let residual = residual(setup.field(), pose, &mesh);
         let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone() };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit() })
     }
@@ -122,9 +123,10 @@ impl Posed {
     }
 }
 
-/// Largest distance between a posed handle and its position in the mesh.
-fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
-    let mut d = pose.displacements().iter().copied();
+/// Largest distance between a handle under f and its position in the mesh.
+fn residual(field: &Field, pose: &Pose, mesh: &Mesh) -> f64 {
+    let approximated = field.approximated(pose);
+    let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
     let mut worst = 0.0f64;
     let mut look = |p, displacement| {
         if pose.contradictions().contains(p) {
@@ -134,7 +136,7 @@ fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
             worst = worst.max(drawn.distance(p + displacement));
         }
     };
-    for handle in handles.handles() {
+    for handle in field.handles().handles() {
         match handle {
             Handle::Point(p) => look(*p, d.next().expect("one column a point")),
             Handle::Polyline(places) => {
