@@ -3,7 +3,7 @@
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
 import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
-import { count, places } from "./words.js";
+import { PINS_ONLY, count, places } from "./words.js";
 
 export class Actions {
   /** `step`: undo (true) or redo of what is more than an edit: opening or closing a picture. */
@@ -33,6 +33,7 @@ export class Actions {
   add(posed) {
     const made = edits.added(this.state.document, posed.map((place) => this.restOf(place)), posed);
     this.store.do("draft", { places: [] });
+    if (posed.length > 1 && edits.takesPinsOnly(this.state.document)) return this.say(PINS_ONLY);
     if (!made) return this.say("A line needs two different points");
     const document = this.#keepFocus(made.document);
     this.edit(document, { select: [made.key] });
@@ -90,16 +91,20 @@ export class Actions {
 
   /** The document with a pin turned by degrees, to a multiple of `step`; undefined, with a message, if the focus does not permit it. */
   twistedBy(document, index, by, free, step = 0) {
-    if (!edits.mayTwist(document)) return this.say("To twist a pin, set the focus to 0.5 or more");
+    if (!edits.mayTwist(document)) return this.#sayNoTwist();
     const from = document.handles[index].twist?.angle ?? free.angle;
     const angle = step ? Math.round((from + by) / step) * step : from + by;
     return edits.withTwist(document, index, angle, free, this.view.size);
   }
 
+  #sayNoTwist() {
+    this.say(edits.takesPinsOnly(this.state.document) ? PINS_ONLY : "To twist a pin, set the focus to 0.5 or more");
+  }
+
   /** Twists a pin to an angle, in degrees; null removes the twist. */
   twistTo(index, angle) {
     const { document } = this.state;
-    if (angle !== null && !edits.mayTwist(document)) return this.say("To twist a pin, set the focus to 0.5 or more");
+    if (angle !== null && !edits.mayTwist(document)) return this.#sayNoTwist();
     this.edit(edits.withTwist(document, index, angle, this.freeOf(document.handles[index]), this.view.size));
     this.sayTwist(index);
   }

@@ -156,7 +156,10 @@ export function massOf({ handles, mass }) {
 
 export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
 const isTwisted = ({ handles }) => handles.some((h) => h.twist);
-export const mayTwist = (document) => alphaOf(document) >= LEAST_ALPHA;
+export const takesPinsOnly = ({ method }) => method === "tps";
+/** Whether all handles are pins without a twist. */
+export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 1 && !h.twist);
+export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(document) >= LEAST_ALPHA;
 
 /** Alpha; the server's default is 2 with any line, otherwise 1. */
 export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
@@ -171,32 +174,33 @@ export function keepingFocus(before, after) {
 /** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
-/** The session's part of a warp object. Alpha and outside are always included: an absent field keeps the session's value. */
+/** The session's part of a warp object. The parameters of the method and outside are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
   const weight = (h) => (h.twist ? segmentWeight(h, mass) : (h.weight ?? 1));
   const weights = handles.some((h) => h.weight !== undefined || h.twist) ? { weights: handles.map(weight) } : {};
   const point_mass = mass === undefined ? {} : { point_mass: mass };
+  const parameters = takesPinsOnly(document) ? { smoothing: document.smoothing ?? 0 } : { alpha: alphaOf(document), ...point_mass };
   const output = { outside: outsideOf(document) };
-  return { p: wire(document, "p"), ...weights, method, alpha: alphaOf(document), ...point_mass, grid: grid === "auto" ? grid : { cell: grid }, output };
+  return { p: wire(document, "p"), ...weights, method, ...parameters, grid: grid === "auto" ? grid : { cell: grid }, output };
 }
 
 /** The complete warp object, for export. */
 export function warpOf(document) {
-  const { alpha, output, point_mass, ...rest } = restOf(document);
+  const { alpha, output, point_mass, smoothing, ...rest } = restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
-  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(output.outside !== "transparent" && { output }) };
+  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(output.outside !== "transparent" && { output }) };
   return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
 /** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
-  const { p, weights, method, alpha, grid, output, point_mass: mass } = restOf(document);
+  const { p, weights, method, alpha, smoothing, grid, output, point_mass: mass } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.grid.requested, grid], [object.output.outside, output.outside]];
+  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.grid.requested, grid], [object.output.outside, output.outside]];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
   return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));

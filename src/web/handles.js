@@ -1,7 +1,7 @@
 // The handles as SVG over the picture: one focusable element per point; for a line, one for the whole and one per vertex. Positions are in
 // picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom.
 
-import { circleOf, kindName, kindOf, posedPlaces } from "./edits.js";
+import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
 import { withRoom } from "./numbers.js";
 import { canTwist } from "./twist.js";
 import { marked, places as placesWords } from "./words.js";
@@ -192,10 +192,10 @@ export class Handles {
     nodes.forEach((node, k) => set(node, { class: marks[k][3] && !room.has(k) ? "crowded" : null }));
   }
 
-  /** The pin of a selection that is a single point, or null. */
+  /** The pin of a selection that is a single point and may be twisted, or null. */
   #pin({ document, selection }) {
     const handle = selection.length === 1 && document.handles.find((h) => String(h.id) === selection[0]);
-    return handle && canTwist(handle) ? handle : null;
+    return handle && canTwist(handle) && !takesPinsOnly(document) ? handle : null;
   }
 
   #drawDraft({ draft, cross }) {

@@ -8,7 +8,7 @@ import { pinOf } from "./twist.js";
 
 /** Largest file, bytes: many times what this page writes. */
 const LARGEST = 2 << 20;
-const METHODS = ["rigid", "similarity", "affine"];
+const METHODS = ["rigid", "similarity", "affine", "tps"];
 
 export const isHandles = (file) =>
   ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
@@ -104,7 +104,7 @@ function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
   demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
   const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
-  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, grid = "auto" } = given;
+  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, grid = "auto" } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
   demand(units === "px", "/units", '"px" or "normalized"');
@@ -119,13 +119,16 @@ function documentFrom(warp) {
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
-  demand(METHODS.includes(method), "/method", '"rigid", "similarity" or "affine"');
+  demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine" or "tps"');
+  const line = method === "tps" ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
+  demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" takes points only,');
+  demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
   const cell = grid === "auto" ? grid : grid?.cell;
   demand(cell === "auto" || cell > 0, "/grid", '"auto" or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
   demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
-  const read = { handles, method, alpha, grid: cell, outside };
+  const read = { handles, method, alpha, ...(smoothing && { smoothing }), grid: cell, outside };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

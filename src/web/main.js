@@ -2,7 +2,7 @@
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
-import { outsideOf } from "./edits.js";
+import { outsideOf, takesPinsOnly } from "./edits.js";
 import { ExportDialog } from "./export.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
@@ -18,7 +18,7 @@ import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
-import { limitWords } from "./words.js";
+import { PINS_ONLY, limitWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
@@ -67,7 +67,7 @@ const does = {
   export: () => exporting.show(),
   help: () => find("help").showModal(),
   key: () => showKey(),
-  tool: (tool) => store.do("tool", { tool }),
+  tool: (tool) => (tool !== "point" && takesPinsOnly(store.state.document) ? toast(PINS_ONLY) : store.do("tool", { tool })),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),

@@ -1,9 +1,9 @@
 // The controls around the picture: they show the state and change it.
 
-import { alphaOf, kindName, outsideOf } from "./edits.js";
+import { alphaOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { HINTS, METHODS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, problemWords, waitingWords } from "./words.js";
+import { HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, methodWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -61,7 +61,7 @@ export class Panel {
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
     for (const input of document.querySelectorAll("input[name=tool]")) input.addEventListener("change", () => does.tool(input.value));
-    for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#set({ method: input.value }));
+    for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#setMethod(input.value));
     find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : Number(target.value) }));
     find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
     find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
@@ -74,6 +74,11 @@ export class Panel {
 
   #set(what, tag = "") {
     this.actions.edit({ ...this.store.state.document, ...what }, { tag });
+  }
+
+  #setMethod(method) {
+    this.#set({ method });
+    if (takesPinsOnly({ method })) this.does.tool("point");
   }
 
   /** Shows the original while the button is held by pointer or keyboard. */
@@ -122,14 +127,19 @@ export class Panel {
 
   #drawBend(document) {
     find(`method-${document.method}`).checked = true;
-    text("method-note", METHODS[document.method]);
+    const canSpline = hasPinsOnly(document);
+    find("method-tps").disabled = !canSpline;
+    text("method-note", methodWords(document, canSpline));
+    const pinsOnly = takesPinsOnly(document);
+    for (const id of ["alpha", "alpha-auto", "tool-line", "tool-path", "pin-border"]) find(id).disabled = pinsOnly;
     const alpha = alphaOf(document);
     find("alpha").value = alpha;
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
     text("alpha-value", `${alpha}`);
     find("alpha-auto").checked = document.alpha === null;
     const automatic = alphaOf({ ...document, alpha: null });
-    text("alpha-note", `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`);
+    const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
+    text("alpha-note", pinsOnly ? "Spline has no focus: each handle affects the whole picture." : focus);
     const select = find("grid-size");
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
@@ -155,7 +165,7 @@ export class Panel {
     text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
     press("move-to", arm === "move");
     press("select-more", state.more);
-    const pin = selection.length === 1 && canTwist(handles.find((h) => String(h.id) === selection[0]));
+    const pin = selection.length === 1 && !takesPinsOnly(state.document) && canTwist(handles.find((h) => String(h.id) === selection[0]));
     for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < 2;

@@ -66,11 +66,21 @@ export function problemWords({ code, title, detail: told, handle, coincident, st
   return { title: said, detail: `${sentence}${more}`, advice: `${advice}${where}` };
 }
 
-export const METHODS = {
+const METHODS = {
   rigid: "Rotation and translation only, without scaling, like cardboard.",
   similarity: "Allows scaling and keeps angles: use it to make something larger or smaller.",
   affine: "Also allows stretching and shear: follows the handles most freely.",
+  tps: "Bends the whole picture as little as it can, like a thin plate of metal. For pins only.",
 };
+
+/** Why no line, path, border or twist is made. */
+export const PINS_ONLY = "Spline takes pins without a twist only: choose another method first";
+
+/** The note about the method of a document. `canSpline`: whether its handles may have that method. */
+export function methodWords({ method, smoothing }, canSpline) {
+  const near = method === "tps" && smoothing ? ` Smoothing ${smoothing}: it passes near the handles, not through them.` : "";
+  return `${METHODS[method]}${near}${canSpline ? "" : " Spline is for pins only: not with lines, paths and twists."}`;
+}
 
 export const OUTSIDE = {
   transparent: "Transparent outside the warped picture.",
@@ -112,6 +122,7 @@ export const EXPORT = {
 
 export const WARNINGS = {
   affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
+  tps_degenerate_used_similarity: "The handles lie on a line: the picture turns and scales with it.",
   translation_only: "One handle: the whole picture is moved.",
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",

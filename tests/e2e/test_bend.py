@@ -22,8 +22,11 @@ def bent(opened):
 
 
 def test_each_method_bends_in_its_own_way(bent):
+    # Through three points, the spline is the affine map.
+    bent.click(360, 260)
+    bent.ready()
     pictures, notes = {"rigid": bent.saved("download")[1]}, {bent.text("method-note")}
-    for method in ("similarity", "affine"):
+    for method in ("similarity", "affine", "tps"):
         bent.page.click(f"label:has(#method-{method})")
         bent.ready()
         assert bent.warp()["method"] == method
@@ -33,11 +36,50 @@ def test_each_method_bends_in_its_own_way(bent):
         seen = bent.look()
         for name, place in (("red", (140, 130)), ("green", (280, 110)), ("blue", BLUE)):
             assert near(seen.centre(name), place, 3), (method, name)
-    assert len(set(pictures.values())) == len(notes) == 3
-    bent.page.click("#undo")
-    bent.page.click("#undo")
+    assert len(set(pictures.values())) == len(notes) == 4
+    for _ in range(3):
+        bent.page.click("#undo")
     bent.ready()
     assert bent.saved("download")[1] == pictures["rigid"]
+
+
+def test_a_spline_takes_pins_only(bent):
+    before, usable = bent.saved("download")[1], lambda name: bent.page.locator(f"#{name}").is_enabled()
+    bent.page.click("#pin-border")
+    bent.ready()
+    assert not usable("method-tps") and "Spline is for pins only" in bent.text("method-note")
+    bent.page.click("#undo")
+    bent.ready()
+    assert usable("method-tps") and "Spline is for pins only" not in bent.text("method-note")
+    bent.page.keyboard.press("Escape")
+    bent.click(*BLUE)
+    assert bent.page.locator("#rotate-left").is_visible()
+    bent.page.click("label:has(#tool-line)")
+    bent.page.click("label:has(#method-tps)")
+    bent.ready()
+    assert not any(usable(name) for name in ("tool-line", "tool-path", "pin-border", "alpha", "alpha-auto"))
+    assert bent.page.locator("#tool-point").is_checked() and "no focus" in bent.text("alpha-note")
+    assert bent.warp()["method"] == "tps" and "alpha" not in bent.warp() and "smoothing" not in bent.warp()
+    assert bent.page.locator("#rotate-left").is_hidden(), "a selected pin has no twist"
+    bent.page.keyboard.press("2")
+    assert bent.page.locator("#tool-point").is_checked() and "pins without a twist only" in bent.text("toast")
+    bent.page.click("label:has(#method-rigid)")
+    bent.ready()
+    assert usable("tool-line") and bent.saved("download")[1] == before
+
+
+def test_the_smoothing_of_a_file_is_kept(opened):
+    warp = {"p": [[40, 40], [300, 50], [50, 220], [320, 240], [180, 140]], "q": [[40, 40], [300, 50], [50, 220], [320, 240], [210, 150]]}
+    file = {"name": "handles.json", "mimeType": "application/json", "buffer": json.dumps(warp | {"method": "tps", "smoothing": 0.1}).encode()}
+    opened.page.set_input_files("#file", [file])
+    opened.ready()
+    assert opened.page.locator("#method-tps").is_checked() and "Smoothing 0.1" in opened.text("method-note")
+    assert (opened.warp()["method"], opened.warp()["smoothing"]) == ("tps", 0.1)
+    smooth = opened.saved("download")[1]
+    assert smooth == opened.of_server().body
+    opened.page.set_input_files("#file", [file | {"buffer": json.dumps(warp | {"method": "tps"}).encode()}])
+    opened.ready()
+    assert "smoothing" not in opened.warp() and opened.saved("download")[1] != smooth
 
 
 def test_reach_is_a_number_with_words(bent):

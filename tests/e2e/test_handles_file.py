@@ -82,7 +82,8 @@ BROKEN = [
     (b'{\n "p": [[1, 2]],\n "q": []\n}', 3, 7, "a list of 1 handles, as many as in p, is expected for q."),
     (b'{"p": [[1, 2],\n [3, "4"]]}', 2, 2, "a position [x, y] or a list of positions is expected for p[1]."),
     (b'{"p": [[[1, 2], [3]]]}', 1, 17, "a position [x, y] of two numbers is expected for p[0][1]."),
-    (b'{"p": [[1, 2]], "method": "tps"}', 1, 27, '"rigid", "similarity" or "affine" is expected for method.'),
+    (b'{"p": [[1, 2]], "method": "arap"}', 1, 27, '"rigid", "similarity", "affine" or "tps" is expected for method.'),
+    (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" takes points only, is expected for p[1].'),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]

@@ -48,13 +48,17 @@ async fn parts() {
 async fn warp_objects() {
     let server = Server::start(&[]).await;
     let many: Vec<[u32; 2]> = (0..10_001).map(|n| [n, n / 7]).collect();
+    let many_in_a_spline = json!({"p": many[..2001], "q": many[..2001], "method": "tps"}).to_string();
     let many = json!({"p": many, "q": many}).to_string();
     let cases: &[(&str, u16, &str, Option<&str>)] = &[
         (r#"{"p": "here", "q": []}"#, 422, "bad_value", Some("/p")),
         (r#"{"p": [[1, 1]], "q": [[1, "2"]]}"#, 422, "bad_value", Some("/q/0/1")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "alpha": "one"}"#, 422, "bad_value", Some("/alpha")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "rubber"}"#, 422, "bad_value", Some("/method")),
-        (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps"}"#, 422, "not_supported", Some("/method")),
+        (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "arap"}"#, 422, "not_supported", Some("/method")),
+        (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps", "smoothing": -1}"#, 422, "bad_value", Some("/smoothing")),
+        (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps", "smoothing": 1e300}"#, 422, "bad_value", Some("/smoothing")),
+        (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "tps", "smoothing": 1e999}"#, 422, "not_finite", Some("/smoothing")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "output": {"canvas": "fit"}}"#, 422, "not_supported", Some("/output/canvas")),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "colour": 1}"#, 422, "unknown_field", Some("/colour")),
         (r#"{"p": [[1, 1]], "q": [[1, NaN]]}"#, 400, "malformed_request", None),
@@ -78,6 +82,7 @@ async fn warp_objects() {
             Some("/folds"),
         ),
         (&many, 413, "too_large", Some("/p")),
+        (&many_in_a_spline, 413, "too_large", Some("/p")),
     ];
     let image = photo(16, 12);
     for (warp, status, code, pointer) in cases {

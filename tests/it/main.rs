@@ -46,6 +46,7 @@ mod slow_store;
 mod soak;
 mod socket;
 mod socket_abuse;
+mod spline;
 mod stopping;
 mod stores;
 mod support;

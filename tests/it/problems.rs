@@ -193,7 +193,7 @@ async fn the_page_shows_what_is_said() {
     let apart = with(&with(&six, 2, json!([130, 60])), 5, json!([144, 60]));
     let cases = [
         ("too_large", json!({"output": {"width": 20_000}})),
-        ("not_supported", json!({"method": "tps"})),
+        ("not_supported", json!({"method": "arap"})),
         ("unknown_field", json!({"grid": {"cells": 5}})),
         ("bad_value", json!({"p": with(&six, 3, json!([1]))})),
         ("shape_mismatch", json!({"p": with(&six, 1, line), "q": six})),

@@ -95,6 +95,16 @@ pub enum DeformError {
     },
     /// Cancelled.
     Cancelled,
+    /// A thin-plate spline has points only.
+    LineInSpline {
+        /// Index of the handle.
+        handle: usize,
+    },
+    /// The smoothing of a spline is not a number from 0 to 1e9.
+    BadSmoothing {
+        /// The smoothing.
+        value: f64,
+    },
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
     AlphaOutOfRange {
         /// The exponent.
@@ -149,6 +159,13 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
+            Self::LineInSpline { handle } => {
+                write!(
+                    f,
+                    "handle {handle} is a line, but the method `tps` takes points only; send points along the line, or another method"
+                )
+            }
+            Self::BadSmoothing { value } => write!(f, "`smoothing` is {}; it must lie between 0 and 1e9", Compact(*value)),
             Self::AlphaOutOfRange { alpha, lines } => {
                 let range = if *lines { "between 0.5 and 8 if a handle is a line" } else { "above 0 and at most 8" };
                 write!(f, "`alpha` is {}; it must be {range}", Compact(*alpha))
@@ -172,6 +189,8 @@ const MOST_DESCRIBED: usize = 3;
 pub enum Warning {
     /// Affine with all handles on one line: the similarity rows are used.
     AffineDegenerateUsedSimilarity,
+    /// A thin-plate spline with all handles on one line: across the line, the result follows similarities.
+    TpsDegenerateUsedSimilarity,
     /// One handle, or all at one place: the result is a translation.
     TranslationOnly,
     /// Rigid: at some vertices every rotation fits equally well; none was applied there.
@@ -190,6 +209,7 @@ impl Warning {
     pub const fn code(self) -> &'static str {
         match self {
             Self::AffineDegenerateUsedSimilarity => "affine_degenerate_used_similarity",
+            Self::TpsDegenerateUsedSimilarity => "tps_degenerate_used_similarity",
             Self::TranslationOnly => "translation_only",
             Self::RotationUndefined => "rotation_undefined",
             Self::NearDuplicateHandles => "near_duplicate_handles",

@@ -10,10 +10,10 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use rayon::prelude::*;
 
-use super::field::{Field, Workspace};
+use super::field::{Deformation, Field, Workspace};
 use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
-use super::plan::{IsCancelled, gather, store};
-use crate::geometry::{Grid, Point};
+use super::plan::{IsCancelled, gather, store, to_f32};
+use crate::geometry::{Grid, Point, Vec2};
 
 /// Memory to find a group, bytes.
 const ENTRY: usize = 64;
@@ -33,6 +33,8 @@ pub struct ExactRows {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Posing<'a> {
     pub(super) field: &'a Field,
+    /// Gives displacements without rows, where rows take longer than they save.
+    pub(super) f: Option<&'a Deformation<'a>>,
     pub(super) grid: &'a Grid,
     pub(super) d: &'a [[f32; 2]],
     /// Whether rows are computed on this thread alone.
@@ -130,6 +132,14 @@ impl ExactRows {
     fn unit(&self, posing: &Posing<'_>, level: u8, cells: &[u32], workspace: &mut Workspace<LANES>) -> (Vec<Pairs>, Option<Unit>) {
         let Posing { field, grid, d, .. } = *posing;
         let places: Vec<Point> = cells.iter().flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at))).collect();
+        let block_at = |places: &[Point]| gather(|lane| places[lane.min(places.len() - 1)]);
+        if let Some(f) = posing.f {
+            let displaced = |places: &[Point]| {
+                let ([x, y], _) = f.displacements(&block_at(places), false, workspace);
+                std::array::from_fn(|lane| to_f32(Vec2::new(x[lane], y[lane])))
+            };
+            return (places.chunks(LANES).map(displaced).collect(), None);
+        }
         let per_block = lanes_per_block(field.family(), field.handles().columns());
         let blocks = places.len().div_ceil(LANES);
         let bytes = (blocks * per_block * size_of::<Lanes>() + cells.len() * ENTRY) as u64;
@@ -137,7 +147,7 @@ impl ExactRows {
         let mut table = vec![Lanes::default(); if is_kept { blocks * per_block } else { per_block }];
         let mut pairs = Vec::with_capacity(blocks);
         for (k, places) in places.chunks(LANES).enumerate() {
-            field.rows(&gather(|lane| places[lane.min(places.len() - 1)]), false, workspace);
+            field.rows(&block_at(places), false, workspace);
             let block = if is_kept { &mut table[k * per_block..][..per_block] } else { &mut table[..] };
             store(field.family(), &workspace.rows, block);
             kernel::displace(field.family(), block, d, &mut pairs);

@@ -2,25 +2,31 @@
 //! decided once here: degenerate sets, coincidences, the effective family.
 
 use std::cell::RefCell;
+use std::sync::Arc;
 
 use super::coincidences::Coincidences;
 use super::columns::{Element, Rank, Sources, elements, rank};
 use super::contradictions::{Contradictions, Member};
 use super::falloff::Falloff;
-use super::family::displacement;
+use super::family::{displacement, rotation};
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::kernel;
 use super::lanes::{Rows, Vertices};
 use super::row::RowInputs;
 use super::span::Scratch;
-use super::{Contradictory, DeformError, Handle, Method, Pose, Warning};
+use super::spline::{PosedSpline, Sites, Spline};
+use super::{Contradictory, DeformError, Handle, IsCancelled, Method, Pose, Warning};
 use crate::geometry::{Point, Vec2};
 
 /// Masses outside of this range would overflow or underflow the ratios in f64, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
+/// Positions along a segment at which f is compared with the drawn map.
+const SEGMENT_SAMPLES: u32 = 5;
+/// Smoothing of a spline.
+const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 
-/// Handles at rest with method, fall-off and point mass: everything that f depends on except the pose.
+/// Handles at rest with the parameters of their method: everything that f depends on except the pose.
 #[derive(Clone, Debug)]
 pub struct Field {
     /// Coincident points are one handle.
@@ -28,9 +34,8 @@ pub struct Field {
     /// The client's handles, if some of their points coincide.
     grouped: Option<Box<(Handles, Groups)>>,
     policy: CoincidentPolicy,
-    falloff: Falloff,
-    point_mass: f64,
-    /// The family whose rows are used: affine on a line falls back to similarity.
+    model: Model,
+    /// The family whose rows are used: affine on a line falls back to similarity; the rows of a spline are real, on a line complex.
     family: Method,
     rank: Rank,
     elements: Vec<Element>,
@@ -39,6 +44,23 @@ pub struct Field {
     owners: Vec<usize>,
     coincidences: Coincidences,
     warnings: Vec<Warning>,
+}
+
+/// How f is computed.
+#[derive(Clone, Debug)]
+enum Model {
+    /// A map is fitted at every position.
+    MovingLeastSquares { falloff: Falloff, point_mass: f64 },
+    /// One map; no spline is needed for handles at one position.
+    ThinPlateSpline { smoothing: f64, spline: Option<Arc<Spline>> },
+}
+
+/// f of one pose: what does not depend on the position is computed once.
+#[derive(Debug)]
+pub struct Deformation<'a> {
+    field: &'a Field,
+    pose: &'a Pose,
+    spline: Option<PosedSpline<'a>>,
 }
 
 /// Rows and scratch, reused while many positions are mapped, N at once.
@@ -51,6 +73,35 @@ pub(super) struct Workspace<const N: usize> {
 impl<const N: usize> Workspace<N> {
     pub(super) fn new(columns: usize) -> Self {
         Self { rows: Rows::zeroed(columns), scratch: Scratch::default() }
+    }
+}
+
+/// Handles whose coincident points are one.
+struct Grouped {
+    handles: Handles,
+    grouped: Option<Box<(Handles, Groups)>>,
+    elements: Vec<Element>,
+    owners: Vec<usize>,
+    coincidences: Coincidences,
+}
+
+impl Grouped {
+    fn new(handles: Handles, coincident: Coincident, point_mass: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+        let within = coincident.within;
+        if !(0.0..=MAX_COORDINATE).contains(&within) {
+            return Err(DeformError::BadWithin { value: within });
+        }
+        let groups = Groups::find(&handles, within.max(coincidence_distance(handles.extent())), cancelled)?;
+        let (handles, grouped, handle_of) = match groups {
+            Some((groups, merged, handle_of)) => (merged, Some(Box::new((handles, groups))), Some(handle_of)),
+            None => (handles, None, None),
+        };
+        let (elements, mut owners) = elements(&handles, point_mass);
+        if let Some(handle_of) = handle_of {
+            owners.iter_mut().for_each(|owner| *owner = handle_of[*owner]);
+        }
+        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
+        Ok(Self { handles, grouped, elements, owners, coincidences })
     }
 }
 
@@ -78,20 +129,8 @@ impl Field {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
-        let Coincident { policy, within } = coincident;
-        if !(0.0..=MAX_COORDINATE).contains(&within) {
-            return Err(DeformError::BadWithin { value: within });
-        }
-        let groups = Groups::find(&handles, within.max(coincidence_distance(handles.extent())), cancelled)?;
-        let (handles, grouped, handle_of) = match groups {
-            Some((groups, merged, handle_of)) => (merged, Some(Box::new((handles, groups))), Some(handle_of)),
-            None => (handles, None, None),
-        };
-        let (elements, mut owners) = elements(&handles, point_mass);
-        if let Some(handle_of) = handle_of {
-            owners.iter_mut().for_each(|owner| *owner = handle_of[*owner]);
-        }
-        let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
+        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
+        let policy = coincident.policy;
         let rank = rank(&handles);
         let mut warnings = Vec::new();
         let family = match (method, rank) {
@@ -107,8 +146,59 @@ impl Field {
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        let sources = Sources::of(&elements);
-        Ok(Self { handles, grouped, policy, falloff, point_mass, family, rank, sources, elements, owners, coincidences, warnings })
+        let (model, sources) = (Model::MovingLeastSquares { falloff, point_mass }, Sources::of(&elements));
+        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+    }
+
+    /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends less, towards the affine map that fits
+    /// them best. A weight divides the smoothing of its handle.
+    ///
+    /// # Errors
+    /// Lines, a smoothing out of range, too many coincidences of handles.
+    pub fn spline(handles: Handles, smoothing: f64) -> Result<Self, DeformError> {
+        Self::spline_unless(handles, Coincident::default(), smoothing, &|| false)
+    }
+
+    /// Like [`Field::spline`], which takes O(points^3); stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// Those of [`Field::spline`]; cancelled.
+    pub fn spline_unless(
+        handles: Handles,
+        coincident: Coincident,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        if let Some(handle) = handles.handles().iter().position(|handle| matches!(handle, Handle::Polyline(_))) {
+            return Err(DeformError::LineInSpline { handle });
+        }
+        if !SMOOTHING.contains(&smoothing) {
+            return Err(DeformError::BadSmoothing { value: smoothing });
+        }
+        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, 1.0, cancelled)?;
+        let (policy, sources) = (coincident.policy, Sources::of(&elements));
+        let sites = Sites::of(&sources.points, coincidence_distance(handles.extent()));
+        let rank = rank(&Handles::new(sites.positions.iter().copied().map(Handle::Point).collect(), None)?);
+        let (family, warnings) = match rank {
+            Rank::Empty | Rank::Full => (Method::Affine, vec![]),
+            Rank::OnePlace => (Method::Affine, vec![Warning::TranslationOnly]),
+            Rank::Collinear => (Method::Similarity, vec![Warning::TpsDegenerateUsedSimilarity]),
+        };
+        let spline = match rank {
+            Rank::Empty | Rank::OnePlace => None,
+            Rank::Collinear | Rank::Full => {
+                let spline = Spline::new(sites, rank == Rank::Collinear, smoothing, cancelled);
+                Some(Arc::new(spline.ok_or(DeformError::Cancelled)?))
+            }
+        };
+        let model = Model::ThinPlateSpline { smoothing, spline };
+        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+    }
+
+    /// Bytes that [`Field::spline`] of this number of points takes; known before anything is allocated.
+    #[must_use]
+    pub const fn spline_bytes(points: u64) -> u64 {
+        Spline::bytes(points)
     }
 
     /// The handles at rest; coincident points are one handle.
@@ -117,16 +207,31 @@ impl Field {
         &self.handles
     }
 
-    /// The fall-off.
+    /// The fall-off; none of a spline.
     #[must_use]
-    pub const fn falloff(&self) -> Falloff {
-        self.falloff
+    pub const fn falloff(&self) -> Option<Falloff> {
+        match self.model {
+            Model::MovingLeastSquares { falloff, .. } => Some(falloff),
+            Model::ThinPlateSpline { .. } => None,
+        }
     }
 
-    /// The mass of a point, px.
+    /// The mass of a point, px; none of a spline.
     #[must_use]
-    pub const fn point_mass(&self) -> f64 {
-        self.point_mass
+    pub const fn point_mass(&self) -> Option<f64> {
+        match self.model {
+            Model::MovingLeastSquares { point_mass, .. } => Some(point_mass),
+            Model::ThinPlateSpline { .. } => None,
+        }
+    }
+
+    /// The smoothing of a spline.
+    #[must_use]
+    pub const fn smoothing(&self) -> Option<f64> {
+        match self.model {
+            Model::MovingLeastSquares { .. } => None,
+            Model::ThinPlateSpline { smoothing, .. } => Some(smoothing),
+        }
     }
 
     /// The family whose rows are used.
@@ -200,17 +305,58 @@ impl Field {
         warnings
     }
 
-    /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
+    /// f of a pose, for many positions.
+    #[must_use]
+    pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
+        Deformation { field: self, pose, spline: self.solved().map(|spline| spline.posed(pose.displacements())) }
+    }
+
+    /// f at a position; [`Field::deformation`] is for many.
     #[must_use]
     pub fn map(&self, pose: &Pose, place: Point) -> Point {
-        thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
-        WORKSPACE.with_borrow_mut(|workspace| {
-            let columns = self.handles.columns();
-            workspace.rows.h.resize(columns, [[0.0]; 2]);
-            workspace.rows.wn.resize(columns, [0.0]);
-            self.rows(&Vertices::all(place), true, workspace);
-            place + displacement(self.family, &workspace.rows, 0, pose.displacements())
-        })
+        self.deformation(pose).map(place)
+    }
+
+    /// Calls `look` with positions at which f is known, and their displacements, px: those of points, and a few of each segment. Positions
+    /// at which handles contradict each other are left out.
+    pub fn look_at_handles(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
+        let approximated = self.approximated(pose);
+        let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
+        let mut next = || d.next().expect("one column a point, two a segment");
+        let mut look = |p: Point, displacement: Vec2| {
+            if !pose.contradictions().contains(p) {
+                look(p, displacement);
+            }
+        };
+        for handle in self.handles.handles() {
+            match handle {
+                Handle::Point(p) => look(*p, next()),
+                Handle::Polyline(places) => {
+                    for ab in places.windows(2) {
+                        let (da, db) = (next(), next());
+                        for k in 0..SEGMENT_SAMPLES {
+                            let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
+                            look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
+    #[must_use]
+    pub fn approximated(&self, pose: &Pose) -> Option<Vec<Vec2>> {
+        self.solved().filter(|spline| !spline.interpolates())?;
+        let f = self.deformation(pose);
+        Some(self.sources.points.iter().map(|source| f.map(source.p) - source.p).collect())
+    }
+
+    pub(super) fn solved(&self) -> Option<&Spline> {
+        match &self.model {
+            Model::ThinPlateSpline { spline, .. } => spline.as_deref(),
+            Model::MovingLeastSquares { .. } => None,
+        }
     }
 
     /// The rows of N vertices into the workspace. `exact`: quadrature nodes throughout.
@@ -219,11 +365,14 @@ impl Field {
         match self.rank {
             Rank::Empty => rows.clear(),
             Rank::OnePlace => self.translation(rows),
-            Rank::Collinear | Rank::Full => {
-                let (extent, falloff, method) = (self.handles.extent(), self.falloff, self.family);
-                let point_mass = self.point_mass;
-                kernel::rows(&RowInputs { sources: &self.sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
-            }
+            Rank::Collinear | Rank::Full => match &self.model {
+                Model::MovingLeastSquares { falloff, point_mass } => {
+                    let (sources, extent, method) = (&self.sources, self.handles.extent(), self.family);
+                    let (falloff, point_mass) = (*falloff, *point_mass);
+                    kernel::rows(&RowInputs { sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
+                }
+                Model::ThinPlateSpline { spline, .. } => spline.as_ref().expect("has an extent").rows(v, &mut scratch.sides, rows),
+            },
         }
     }
 
@@ -237,5 +386,36 @@ impl Field {
                 Method::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }
+    }
+}
+
+impl Deformation<'_> {
+    /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
+    #[must_use]
+    pub fn map(&self, place: Point) -> Point {
+        thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
+        WORKSPACE.with_borrow_mut(|workspace| {
+            let columns = self.field.handles.columns();
+            workspace.rows.h.resize(columns, [[0.0]; 2]);
+            workspace.rows.wn.resize(columns, [0.0]);
+            let [[x], [y]] = self.displacements(&Vertices::all(place), true, workspace).0;
+            place + Vec2::new(x, y)
+        })
+    }
+
+    /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes throughout.
+    pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) -> ([[f64; N]; 2], f32) {
+        if let Some(spline) = &self.spline {
+            return (spline.displacements(v), 1.0);
+        }
+        self.field.rows(v, exact, workspace);
+        let (family, d, rows) = (self.field.family, self.pose.displacements(), &workspace.rows);
+        let ([mut x, mut y], mut least) = ([[0.0; N]; 2], f32::INFINITY);
+        for (k, (x, y)) in x.iter_mut().zip(&mut y).enumerate() {
+            let moved = displacement(family, rows, k, d);
+            (*x, *y) = (moved.x, moved.y);
+            least = least.min(rotation(family, rows, k, d));
+        }
+        ([x, y], least)
     }
 }

@@ -26,6 +26,13 @@ pub(super) fn pow(x: f64, y: f64) -> f64 {
     if x < f64::MIN_POSITIVE || product < -1021.0 { 0.0 } else { power }
 }
 
+/// The natural logarithm to 2^-53 relative to the larger of it and 1, for positive normal numbers; finite for 0 and subnormal ones.
+#[inline(always)]
+pub(super) fn ln(x: f64) -> f64 {
+    let (log, tail) = log2(x);
+    (log + tail) * std::f64::consts::LN_2
+}
+
 /// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger of the result and 1.
 #[inline(always)]
 fn log2(x: f64) -> (f64, f64) {
@@ -173,6 +180,16 @@ mod tests {
         }
         assert_eq!(pow(1e-200, 8.0), 0.0);
         assert_eq!(pow(0.25, 0.5), 0.5);
+    }
+
+    #[test]
+    fn ln_is_that_of_the_library() {
+        for k in -3000..3000 {
+            let x = 1.1f64.powi(k) * (1.0 + 1e-3 * f64::from(k % 7));
+            assert!((ln(x) - x.ln()).abs() <= 3e-16 * x.ln().abs().max(1.0), "{x:e}: {:e}, {:e}", ln(x), x.ln());
+        }
+        assert_eq!(ln(1.0), 0.0);
+        assert!(ln(0.0).is_finite() && ln(5e-324).is_finite());
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in an anchored form that computes ratios first
-//! and keeps full precision next to handles and on the extension of segments.
+//! and keeps full precision next to handles and on the extension of segments; and the thin-plate spline, which has no such local fit.
 
 #[forbid(unsafe_code)]
 mod coincidences;
@@ -39,15 +39,19 @@ mod refine;
 #[forbid(unsafe_code)]
 mod row;
 #[forbid(unsafe_code)]
+mod saddle;
+#[forbid(unsafe_code)]
 mod segments;
 #[forbid(unsafe_code)]
 mod span;
+#[forbid(unsafe_code)]
+mod spline;
 
 pub use contradictions::{Contradiction, Contradictory};
 pub use error::{DeformError, Warning};
 pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
-pub use field::Field;
+pub use field::{Deformation, Field};
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};

@@ -10,13 +10,14 @@ use super::field::{Field, Workspace};
 use super::kernel::{self, LANES, Lanes, lanes_per_block};
 use super::lanes::{Rows, Vertices};
 use super::{Method, Pose};
-use crate::deform::family;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
 /// Blocks that one task computes: about a hundred rows, which makes the cost of a task negligible.
 const BLOCKS_PER_TASK: usize = 8;
 /// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
+/// A spline of more sites has no table: a drag of this many frames takes about as long as its table alone.
+const SPLINE_SITES: usize = 64;
 /// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds; cancellation is checked between them.
 const PIECE_BYTES: usize = 16 << 20;
 
@@ -45,6 +46,12 @@ impl Plan {
     pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
         let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
+    }
+
+    /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves of each pose is O(sites).
+    #[must_use]
+    pub fn pays(field: &Field) -> bool {
+        field.solved().is_none_or(|spline| spline.len() <= SPLINE_SITES)
     }
 
     /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
@@ -171,14 +178,15 @@ fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: computes every row for each pose, for grids whose table would not fit. O(vertices x elements) with
-/// weights. `None` when cancelled, which is checked for each block of vertices.
+/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would not fit or pay. O(vertices x elements)
+/// with weights. `None` when cancelled, which is checked for each block of vertices.
 #[must_use]
 pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
     let mut displacement = vec![[0.0f32; 2]; grid.len()];
     let mut least_rotation = 1.0;
     if !pose.is_identity() {
+        let f = field.deformation(pose);
         least_rotation = displacement
             .par_chunks_mut(LANES * BLOCKS_PER_TASK)
             .enumerate()
@@ -191,11 +199,12 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: Is
                             return None;
                         }
                         let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
-                        field.rows(&gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1))), false, workspace);
-                        for (lane, out) in out.iter_mut().enumerate() {
-                            *out = to_f32(family::displacement(field.family(), &workspace.rows, lane, pose.displacements()));
-                            least = least.min(family::rotation(field.family(), &workspace.rows, lane, pose.displacements()));
+                        let v = gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1)));
+                        let ([x, y], rotation) = f.displacements(&v, false, workspace);
+                        for (out, (x, y)) in out.iter_mut().zip(x.into_iter().zip(y)) {
+                            *out = to_f32(Vec2::new(x, y));
                         }
+                        least = least.min(rotation);
                     }
                     Some(least)
                 },

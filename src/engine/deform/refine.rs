@@ -9,10 +9,9 @@ use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group, group_len};
-use super::handles::Handle;
 use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
-use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
+use crate::geometry::{Grid, Mesh, RefinedCell, Refinement, Vec2};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
 const SUSPECT: f64 = 0.6;
@@ -28,8 +27,6 @@ const SMOOTH_LINES: f64 = 1.5;
 const SMALLEST_CELL: f64 = 0.5;
 /// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
 const LEVELS: usize = 4;
-/// Positions along a segment at which f is compared with the drawn map.
-const SEGMENT_SAMPLES: u32 = 5;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
 const BESIDE: f64 = 0.5;
 /// An error between the vertices where it is measured is at most this much larger.
@@ -100,7 +97,8 @@ impl Refiner<'_> {
         let grid = mesh.grid();
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let bytes = Plan::bytes_for(self.field, grid.len());
-        let posing = Posing { field: self.field, grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
+        let f = (!Plan::pays(self.field)).then(|| self.field.deformation(pose));
+        let posing = Posing { field: self.field, f: f.as_ref(), grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
         let samples = samples(self.field, grid, pose);
         let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };
         let mut work = Work {
@@ -111,7 +109,7 @@ impl Refiner<'_> {
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
-            is_smooth: self.field.falloff().alpha() >= smooth,
+            is_smooth: self.field.falloff().is_none_or(|falloff| falloff.alpha() >= smooth),
         };
         work.run(&posing, cancelled)?;
         Some(work.finish())
@@ -129,32 +127,14 @@ fn deepest(grid: &Grid) -> u8 {
     level
 }
 
-/// The handles inside the grid, by cell; not where handles contradict each other.
+/// The handles inside the grid, by cell.
 fn samples(field: &Field, grid: &Grid, pose: &Pose) -> BTreeMap<u32, Vec<Sample>> {
     let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
-    let mut add = |p: Point, displacement: Vec2| {
-        if pose.contradictions().contains(p) {
-            return;
-        }
+    field.look_at_handles(pose, |p, displacement| {
         if let Some((i, j, s, t)) = grid.locate(p) {
             samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
         }
-    };
-    let mut d = pose.displacements().iter().copied();
-    for handle in field.handles().handles() {
-        match handle {
-            Handle::Point(p) => add(*p, d.next().expect("one column a point")),
-            Handle::Polyline(places) => {
-                for ab in places.windows(2) {
-                    let (da, db) = (d.next().expect("two columns a segment"), d.next().expect("two columns a segment"));
-                    for k in 0..SEGMENT_SAMPLES {
-                        let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
-                        add(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
-                    }
-                }
-            }
-        }
-    }
+    });
     samples
 }
 

@@ -41,9 +41,10 @@ impl<const N: usize> Span<N> {
     }
 }
 
-/// Buffers reused from row to row: one mass per point, one span per segment.
+/// Buffers reused from row to row: one mass per point, one span per segment; of a spline the right sides of its system.
 #[derive(Debug, Default)]
 pub(super) struct Scratch<const N: usize> {
     pub(super) places: Vec<PointMass<N>>,
     pub(super) spans: Vec<Span<N>>,
+    pub(super) sides: Vec<[f64; N]>,
 }

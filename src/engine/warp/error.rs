@@ -34,12 +34,18 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `handle_columns`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
+        /// Which limit: `handle_columns`, `spline_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
         what: &'static str,
         /// The limit.
         limit: u64,
         /// The requested value.
         actual: u64,
+    },
+    /// A parameter of another method.
+    #[error("{}", foreign(parameter))]
+    ForeignParameter {
+        /// The field: `alpha`, `point_mass`, `smoothing`.
+        parameter: &'static str,
     },
     /// An invalid grid.
     #[error("{0}")]
@@ -94,10 +100,20 @@ impl From<CodecError> for WarpError {
     }
 }
 
+/// Says which methods a parameter belongs to.
+fn foreign(parameter: &str) -> String {
+    let reason = match parameter {
+        "smoothing" => "it belongs to the method `tps`",
+        _ => "the method `tps` has no such parameter; it belongs to `rigid`, `similarity` and `affine`",
+    };
+    format!("`{parameter}` does not apply: {reason}")
+}
+
 /// Describes the requested value; `what` as in [`WarpError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {
         "handle_columns" => format!("the handles need {actual} columns (1 for each point, 2 for each segment)"),
+        "spline_handles" => format!("the method `tps` would have {actual} handles"),
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),

@@ -22,6 +22,6 @@ pub use self::error::{Warning, WarpError};
 pub use self::image::Image;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
-pub use self::spec::{Folds, GridSpec, Limits, OutputSpec, RestSpec, Units};
+pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use crate::codec::Limits as ImageLimits;

@@ -2,13 +2,11 @@
 
 use super::digest::Collector;
 use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
-use crate::deform::{self, Contradiction, Handle, Handles, IsCancelled, Pose};
+use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::Mesh;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
-/// Positions along a segment at which the residual is measured.
-const RESIDUAL_SAMPLES: u32 = 5;
 
 /// The report of a warp, known before its first pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -18,7 +16,8 @@ pub struct Report {
     /// Drawn cells that fold.
     pub folds: u64,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
-    /// positions at which handles contradict each other are left out.
+    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
+    /// the distance from where it takes them.
     pub residual: f64,
     /// Cells of the grid that are farther than the tolerance from the exact map.
     pub exceeded: u64,
@@ -46,7 +45,7 @@ impl Posed {
         let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
         if let Some(refined) = setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)? {
             posed.mesh = posed.mesh.refined(refined.refinement);
-            posed.report.residual = residual(setup.field().handles(), pose, &posed.mesh);
+            posed.report.residual = residual(setup.field(), pose, &posed.mesh);
             posed.report.exceeded = refined.exceeded.len() as u64;
             posed.exceeded = refined.exceeded;
             if !posed.exceeded.is_empty() {
@@ -77,7 +76,7 @@ impl Posed {
         if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
             warnings.push(Warning::NothingVisible);
         }
-        let residual = residual(setup.field().handles(), pose, &mesh);
+        let residual = residual(setup.field(), pose, &mesh);
         let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
     }
@@ -152,32 +151,14 @@ impl Posed {
     }
 }
 
-/// Largest distance between a posed handle and its position in the mesh.
-fn residual(handles: &Handles, pose: &Pose, mesh: &Mesh) -> f64 {
-    let mut d = pose.displacements().iter().copied();
+/// Largest distance between a handle under f and its position in the mesh.
+fn residual(field: &Field, pose: &Pose, mesh: &Mesh) -> f64 {
     let mut worst = 0.0f64;
-    let mut look = |p, displacement| {
-        if pose.contradictions().contains(p) {
-            return;
-        }
+    field.look_at_handles(pose, |p, displacement| {
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }
-    };
-    for handle in handles.handles() {
-        match handle {
-            Handle::Point(p) => look(*p, d.next().expect("one column a point")),
-            Handle::Polyline(places) => {
-                for ab in places.windows(2) {
-                    let (da, db) = (d.next().expect("two columns a segment"), d.next().expect("two columns a segment"));
-                    for k in 0..RESIDUAL_SAMPLES {
-                        let t = f64::from(k) / f64::from(RESIDUAL_SAMPLES - 1);
-                        look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
-                    }
-                }
-            }
-        }
-    }
+    });
     worst
 }
 

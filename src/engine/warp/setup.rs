@@ -6,11 +6,11 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::digest::Collector;
-use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, RestSpec, Units, Warning, WarpError, plausibility};
+use super::spec::{MOST_SPLINE_HANDLES, at_most};
+use super::{Digest, GridSpec, Limits, Method, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
-    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Method, Pose, PoseQuality, Refined,
-    Refiner, pose_without_table,
+    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, MAX_COORDINATE, Pose, PoseQuality, Refined, Refiner,
+    pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -71,7 +71,7 @@ impl Plan {
 }
 
 impl Setup {
-    /// Resolves and validates. Cheap relative to a plan: O(handles log handles).
+    /// Resolves and validates. Cheap relative to a plan: O(handles log handles). A spline is computed here: O(handles^3).
     ///
     /// # Errors
     /// Invalid handles, parameters or grid, or too many of them.
@@ -86,14 +86,12 @@ impl Setup {
     pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
+        check_parameters(rest)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
         let grid = resolve_grid(rest.grid, width, height, limits)?;
         let handles = Handles::new(to_px(&rest.p, unit(rest.units, &grid)), rest.weights.clone()).map_err(WarpError::Rest)?;
-        let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
-        let falloff = Falloff::new(alpha, handles.has_lines()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
-        let given = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-        let field = Field::new_unless(handles, rest.coincident, rest.method, falloff, given, cancelled).map_err(|error| match error {
+        let field = field(handles, rest, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
@@ -101,13 +99,13 @@ impl Setup {
         let tolerance = rest.grid.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
-        let table_bytes = (bytes <= limits.plan_bytes).then_some(bytes);
+        let table_bytes = (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
         let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
         let exact_bytes = table_bytes.filter(|_| tolerance.is_some()).map_or(0, left);
         Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes })
     }
 
-    /// Digest of everything that the coefficients depend on: rest handles and weights in px, effective alpha and point mass, family,
+    /// Digest of everything that the coefficients depend on: rest handles and weights in px, the method and its effective parameters,
     /// resolved grid, and whether it is refined. Two pictures of one size share one plan.
     #[must_use]
     pub const fn plan_key(&self) -> Digest {
@@ -180,16 +178,22 @@ impl Setup {
         self.field.groups()
     }
 
-    /// Effective alpha.
+    /// Effective alpha; `None` of a spline.
     #[must_use]
-    pub fn alpha(&self) -> f64 {
-        self.field.falloff().alpha()
+    pub fn alpha(&self) -> Option<f64> {
+        self.field.falloff().map(Falloff::alpha)
     }
 
     /// Effective point mass, px; `None` unless points and lines are mixed.
     #[must_use]
     pub fn point_mass(&self) -> Option<f64> {
-        self.mixed.then(|| self.field.point_mass())
+        self.field.point_mass().filter(|_| self.mixed)
+    }
+
+    /// Effective smoothing of a spline.
+    #[must_use]
+    pub fn smoothing(&self) -> Option<f64> {
+        self.field.smoothing()
     }
 
     /// Columns and rows of vertices of the resolved grid.
@@ -210,11 +214,12 @@ impl Setup {
                 return Err(WarpError::BadPlace { index, value, limit: MAX_COORDINATE });
             }
         }
+        let f = self.field.deformation(pose);
         let map = |p: &Point| {
             if cancelled() {
                 return Err(WarpError::Cancelled);
             }
-            let mapped = self.field.map(pose, Point::new(p.x * ux, p.y * uy));
+            let mapped = f.map(Point::new(p.x * ux, p.y * uy));
             Ok(Point::new(mapped.x / ux, mapped.y / uy))
         };
         places.par_iter().with_min_len(PLACES_PER_TASK).map(map).collect()
@@ -281,6 +286,30 @@ impl Setup {
     }
 }
 
+/// Errors: A parameter of another method, too many handles.
+fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
+    let is_spline = rest.method == Method::ThinPlateSpline;
+    let given = [
+        ("alpha", rest.alpha.is_some() && is_spline),
+        ("point_mass", rest.point_mass.is_some() && is_spline),
+        ("smoothing", rest.smoothing.is_some() && !is_spline),
+    ];
+    if let Some((parameter, _)) = given.into_iter().find(|(_, is_foreign)| *is_foreign) {
+        return Err(WarpError::ForeignParameter { parameter });
+    }
+    if is_spline { at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64) } else { Ok(()) }
+}
+
+fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, DeformError> {
+    let Some(family) = rest.method.family() else {
+        return Field::spline_unless(handles, rest.coincident, rest.smoothing.unwrap_or(0.0), cancelled);
+    };
+    let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
+    let falloff = Falloff::new(alpha, handles.has_lines())?;
+    let point_mass = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
+    Field::new_unless(handles, rest.coincident, family, falloff, point_mass, cancelled)
+}
+
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
     // Per axis too, because the working memory of a row, one per thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
@@ -337,16 +366,21 @@ fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
 }
 
 fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
+    /// Beside the families of moving least squares.
+    const SPLINE: u64 = 3;
     let family = match field.family() {
-        Method::Affine => 0,
-        Method::Similarity => 1,
-        Method::Rigid => 2,
+        deform::Method::Affine => 0,
+        deform::Method::Similarity => 1,
+        deform::Method::Rigid => 2,
     };
-    let mut key = Collector::new("mlswarp plan 2")
-        .integer(family)
-        .float(field.falloff().alpha())
+    let key = Collector::new("mlswarp plan 2");
+    let key = match (field.falloff(), field.smoothing()) {
+        (Some(falloff), _) => key.integer(family).float(falloff.alpha()),
+        (None, smoothing) => key.integer(SPLINE).float(smoothing.unwrap_or_default()),
+    };
+    let mut key = key
         // A mass that all points share cancels without lines.
-        .float(if mixed { field.point_mass() } else { 1.0 })
+        .float(field.point_mass().filter(|_| mixed).unwrap_or(1.0))
         .float(grid.width())
         .float(grid.height())
         .float(grid.cell().0)

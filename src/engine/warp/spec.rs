@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::WarpError;
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
-use crate::deform::{Coincident, Handle, Method};
+use crate::deform::{self, Coincident, Handle};
 use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
@@ -25,6 +25,42 @@ impl Default for Limits {
         Self { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
     }
 }
+
+/// How the image follows the handles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// Moving least squares: rotations.
+    #[default]
+    Rigid,
+    /// Moving least squares: rotations with a uniform scale.
+    Similarity,
+    /// Moving least squares: affine maps.
+    Affine,
+    /// The thin-plate spline; points only.
+    ThinPlateSpline,
+}
+
+impl Method {
+    /// The class of maps that moving least squares fits; none of a spline.
+    #[must_use]
+    pub const fn family(self) -> Option<deform::Method> {
+        match self {
+            Self::Rigid => Some(deform::Method::Rigid),
+            Self::Similarity => Some(deform::Method::Similarity),
+            Self::Affine => Some(deform::Method::Affine),
+            Self::ThinPlateSpline => None,
+        }
+    }
+
+    /// Whether both have the same parameters.
+    #[must_use]
+    pub const fn is_like(self, other: Self) -> bool {
+        self.family().is_some() == other.family().is_some()
+    }
+}
+
+/// Handles of a spline: its system takes about a second, and 16 MB.
+pub(super) const MOST_SPLINE_HANDLES: u64 = 2000;
 
 /// The unit of p and q.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -91,18 +127,32 @@ pub struct RestSpec {
     pub p: Vec<Handle>,
     /// One weight per handle.
     pub weights: Option<Vec<f64>>,
-    /// The class of maps.
+    /// The method.
     pub method: Method,
-    /// Fall-off; default 1 for points alone, 2 with any line.
+    /// Fall-off; default 1 for points alone, 2 with any line. Not of a spline.
     pub alpha: Option<f64>,
-    /// Mass of a point in a mixed set, px; default the mean length of the segments.
+    /// Mass of a point in a mixed set, px; default the mean length of the segments. Not of a spline.
     pub point_mass: Option<f64>,
+    /// Of a spline alone: 0, the default, goes through the posed handles.
+    pub smoothing: Option<f64>,
     /// The treatment of handles that coincide at rest.
     pub coincident: Coincident,
     /// Unit of p and q.
     pub units: Units,
     /// The grid.
     pub grid: GridSpec,
+}
+
+impl RestSpec {
+    /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
+    /// is allocated.
+    #[must_use]
+    pub fn field_bytes(&self) -> u64 {
+        match self.method {
+            Method::ThinPlateSpline => deform::Field::spline_bytes((self.p.len() as u64).min(MOST_SPLINE_HANDLES)),
+            Method::Rigid | Method::Similarity | Method::Affine => 0,
+        }
+    }
 }
 
 /// The parameters of the output.

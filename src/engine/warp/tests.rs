@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::{Folds, GridSpec, Limits, Posed, RestSpec, Setup, Warning};
-use crate::deform::{Handle, Method};
+use super::{Folds, GridSpec, Limits, Method, Posed, RestSpec, Setup, Warning};
+use crate::deform::Handle;
 use crate::geometry::{Point, Vec2};
 use crate::pixmap::{Channels, Extent, Pixmap, Samples};
 use crate::render::{Filter, Outside, RenderOptions, Renderer, Source};

@@ -10,14 +10,15 @@ use serde::Serialize;
 
 use super::App;
 use super::json_text::json_unless;
+use super::warp::Resolved;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
-use crate::pool::{QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{AsJson, PointsObject};
+use crate::wire::{AsJson, PointsObject, WarpObject};
 
 /// Number of points up to which one thread is faster than several.
 const MAX_SEQUENTIAL: usize = 256;
@@ -46,9 +47,10 @@ impl App {
         let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // The exact deformation needs no grid; this one is within all limits.
         rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
-        let limits = self.0.config.limits();
-        let setup = self.0.pool.run(&ticket, move |cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled())).await??;
-        self.map(&ticket, self.response_quota(client), Arc::new(setup), object).await
+        let app = self.clone();
+        let resolve = move |cancel: &Cancel| app.resolve(WarpObject { rest, ..WarpObject::default() }, extent, cancel);
+        let Resolved { setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
+        self.map(&ticket, self.response_quota(client), setup, object).await
     }
 
     /// Maps points by the deformation of a session.

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Setup;
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, Upload, build_aborted, image_key, resolve, revision_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, build_aborted, image_key, revision_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
 use crate::client::Client;
 use crate::limits::memory::Purpose;
@@ -51,7 +51,7 @@ impl App {
 
     /// Stores a session, counted for its client.
     async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<(Put, Arc<Setup>), Problem> {
-        let (record, file, setup) = prepared.into_session(id);
+        let (record, file, setup, _held) = prepared.into_session(id);
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.client_sessions.claim(client.tenant(), &record, file.len() as u64)?;
@@ -78,10 +78,9 @@ impl App {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output };
-            let (json, limits, extent) = (json.clone(), self.0.config.limits(), old.extent);
-            let resolve =
-                move |cancel: &Cancel| Ok::<_, Problem>(resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, &limits, cancel)?);
-            let (object, setup) = self.0.pool.run(&ticket, resolve).await??;
+            let (app, json, extent) = (self.clone(), json.clone(), old.extent);
+            let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, cancel);
+            let Resolved { object, setup, held: _held } = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
             // The ticket is not held while the store works.
             drop(ticket);
@@ -253,5 +252,33 @@ mod tests {
         }
         let (other, _) = open().await.unwrap();
         assert_eq!(app.peek_session(other.record.id).await.unwrap().record, other.record);
+    }
+
+    #[tokio::test]
+    async fn a_spline_is_computed_only_if_there_is_memory_for_its_system() {
+        let mut config = Config::default();
+        config.work.memory_bytes = 64 << 20;
+        let app = App::new(config).unwrap();
+        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let mut file = std::io::Cursor::new(Vec::new());
+        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        let file = Bytes::from(file.into_inner());
+        let open = |points: u32| {
+            let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
+            app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
+        };
+        let (session, _) = open(3).await.unwrap();
+        // The picture stays decoded.
+        let _used = app.0.images.peek(image_key(&session.record)).unwrap();
+        let budget = app.budget();
+        let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
+        // 600 points have a system of 1.4 MB, 100 one of 40 kB.
+        while app.reserve(Purpose::Plan, 500_000).is_ok() {
+            taken.grow(100_000).unwrap();
+        }
+        open(100).await.unwrap();
+        assert_eq!(open(600).await.unwrap_err().code, Code::Overloaded);
+        drop(taken);
+        open(600).await.unwrap();
     }
 }

@@ -7,14 +7,14 @@ use std::time::{Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, Limits, OutputSpec, Setup, WarpError};
+use mlswarp::warp::{Digest, Image, OutputSpec, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
 use super::landmarks::HeldLandmarks;
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
@@ -57,12 +57,14 @@ pub struct PreparedWarp {
     format: Format,
     image: Arc<CacheEntry<Image>>,
     setup: Arc<Setup>,
+    /// The memory of the setup.
+    held: Option<Reservation>,
 }
 
 impl PreparedWarp {
-    /// The record, file and setup of a session.
-    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>) {
-        let Self { file, digest, object, image, setup, .. } = self;
+    /// The record, file and setup of a session, and the memory of the setup.
+    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>, Option<Reservation>) {
+        let Self { file, digest, object, image, setup, held, .. } = self;
         let record = Record {
             id,
             revision: Revision::random(),
@@ -73,7 +75,7 @@ impl PreparedWarp {
             output: object.output,
             created: SystemTime::now(),
         };
-        (Arc::new(record), file, setup)
+        (Arc::new(record), file, setup, held)
     }
 }
 
@@ -93,6 +95,16 @@ impl AsRef<[u8]> for File {
 }
 
 impl App {
+    /// Resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the pool.
+    /// Errors: Wrong handles, or too little memory.
+    pub(crate) fn resolve(&self, object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
+        let bytes = object.rest.field_bytes();
+        let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
+        let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
+        object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
+        Ok(Resolved { object, setup: Arc::new(setup), held })
+    }
+
     /// Draws an image from a file and a warp object with `q`.
     /// Errors: A wrong file or object, or too little capacity.
     pub async fn warp_once(&self, client: Client, upload: Upload, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
@@ -167,17 +179,17 @@ impl App {
         }
         timing.decode = began.elapsed();
         stage("decode", began);
-        let (limits, extent) = (self.0.config.limits(), image.extent());
+        let (app, extent) = (self.clone(), image.extent());
         let resolve = move |cancel: &Cancel| {
             let mut object = object;
             if let Some(held) = landmarks {
                 held.place_in(&mut object, extent)?;
             }
-            Ok::<_, Problem>(resolve(object, extent, &limits, cancel)?)
+            app.resolve(object, extent, cancel)
         };
-        let (object, setup) = self.0.pool.run(ticket, resolve).await??;
+        let Resolved { object, setup, held } = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(owner, ticket, &setup, timing).await?;
-        Ok((PreparedWarp { file, digest, object, format, image, setup }, planned))
+        Ok((PreparedWarp { file, digest, object, format, image, setup, held }, planned))
     }
 
     async fn image(
@@ -268,11 +280,12 @@ pub(crate) fn build_aborted() -> Problem {
     PoolError::Panicked.into()
 }
 
-/// Resolves the handles on an image of this extent, and checks `q` if it was sent.
-pub(crate) fn resolve(object: WarpObject, extent: Extent, limits: &Limits, cancel: &Cancel) -> Result<(WarpObject, Arc<Setup>), WarpError> {
-    let setup = Setup::new_unless(&object.rest, extent, limits, &|| cancel.is_cancelled())?;
-    object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
-    Ok((object, Arc::new(setup)))
+/// A resolved warp object, and the memory of its setup until that is cached or no longer needed.
+#[derive(Debug)]
+pub(crate) struct Resolved {
+    pub(crate) object: WarpObject,
+    pub(crate) setup: Arc<Setup>,
+    pub(crate) held: Option<Reservation>,
 }
 
 /// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.
@@ -290,7 +303,7 @@ pub fn columns(record: &Record) -> u64 {
     record.rest.p.iter().map(|h| h.columns() as u64).sum()
 }
 
-/// The approximate size of a setup: a few copies of each column's position and weight.
+/// The approximate size of a setup: a few copies of each column's position and weight, and the system of a spline.
 pub(crate) fn setup_weight(record: &Record) -> u64 {
-    1024 + 256 * columns(record)
+    1024 + 256 * columns(record) + record.rest.field_bytes()
 }

@@ -24,12 +24,13 @@ impl From<WarpError> for Problem {
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
-                    "handle_columns" => problem.pointer("/p"),
+                    "handle_columns" | "spline_handles" => problem.pointer("/p"),
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     output if output.starts_with("output_") => problem.pointer("/output/width"),
                     _ => problem,
                 }
             }
+            WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
         }
@@ -66,6 +67,8 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
         DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
         DeformError::BadWithin { value } => new(Code::BadValue).pointer("/coincident/within").actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
+        DeformError::LineInSpline { handle } => at_handle(Code::BadValue, handle),
+        DeformError::BadSmoothing { value } => new(Code::BadValue).pointer("/smoothing").actual(number(value)),
         DeformError::Contradictory { ref listed, .. } => {
             let first = listed.first().and_then(|group| group.handles.first());
             let problem = first.map_or_else(|| new(Code::ContradictoryHandles), |handle| at_handle(Code::ContradictoryHandles, *handle));
@@ -112,6 +115,8 @@ mod tests {
         expect(q(D::CountMismatch { rest: 3, posed: 2 }), Code::ShapeMismatch, Some("/q"), None);
         let shape = D::ShapeMismatch { handle: 2, rest: "a point".to_owned(), posed: "a line of 2 places".to_owned() };
         expect(q(shape), Code::ShapeMismatch, Some("/q/2"), Some(2));
+        expect(p(D::LineInSpline { handle: 3 }), Code::BadValue, Some("/p/3"), Some(3));
+        expect(p(D::BadSmoothing { value: -1.0 }), Code::BadValue, Some("/smoothing"), None);
         expect(p(D::DegenerateLine { handle: 7, segment: 1 }), Code::DegenerateLine, Some("/p/7"), Some(7));
         let out = expect(q(D::OutOfRange { handle: 0, value: -2e6, limit: 1e6 }), Code::BadValue, Some("/q/0"), Some(0));
         assert_eq!((out.limit, out.actual), (Some(1e6.into()), Some((-2e6).into())));
@@ -146,6 +151,7 @@ mod tests {
         assert_eq!(expect(side, Code::TooLarge, None, None).what, Some("image_side"));
         for (what, pointer) in [
             ("handle_columns", Some("/p")),
+            ("spline_handles", Some("/p")),
             ("grid_vertices", Some("/grid")),
             ("output_side", Some("/output/width")),
             ("output_pixels", Some("/output/width")),
@@ -154,6 +160,7 @@ mod tests {
             let problem = expect(WarpError::TooLarge { what, limit: 1, actual: 2 }, Code::TooLarge, pointer, None);
             assert_eq!((problem.limit, problem.actual), (Some(1.into()), Some(2.into())));
         }
+        expect(WarpError::ForeignParameter { parameter: "alpha" }, Code::BadValue, Some("/alpha"), None);
         expect(WarpError::BadGrid("cell is 0".to_owned()), Code::BadValue, Some("/grid"), None);
         let folded = expect(WarpError::Folded { cells: 3 }, Code::Folded, Some("/folds"), None);
         assert_eq!(folded.actual, Some(3.into()));

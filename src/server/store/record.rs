@@ -17,10 +17,10 @@ use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::{Coincident, CoincidentPolicy, Method};
+use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Digest, Folds, GridSpec, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -54,6 +54,7 @@ fn base() -> WarpObject {
             method: Method::Rigid,
             alpha: None,
             point_mass: None,
+            smoothing: None,
             coincident: Coincident { policy: CoincidentPolicy::Mean, within: 0.0 },
             units: Units::Px,
             grid: GridSpec::Auto,
@@ -95,7 +96,7 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, coincident, units, grid } = &record.rest;
+        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -107,6 +108,9 @@ impl Serialize for Warp<'_> {
         }
         if let Some(mass) = point_mass {
             object.serialize_entry("point_mass", mass)?;
+        }
+        if let Some(smoothing) = smoothing {
+            object.serialize_entry("smoothing", smoothing)?;
         }
         defaults.field(&mut object, "units", *units, &base.rest.units)?;
         defaults.field(&mut object, "grid", *grid, &base.rest.grid)?;
@@ -334,6 +338,21 @@ mod tests {
         assert_eq!(made(&full), digest(&full, warp));
     }
 
+    /// A field of a later version: older programs keep what they cannot read (rule 3), and read everything else.
+    #[test]
+    fn smoothing_is_written_and_digested_only_where_it_is_given() {
+        let text = |record: &Record| String::from_utf8(write(record)).unwrap();
+        assert!(!text(&nothing_at_its_default()).contains("smoothing"));
+        let spline = |smoothing| Record { rest: RestSpec { method: Method::ThinPlateSpline, smoothing, ..base().rest }, ..plain() };
+        let (exact, smooth) = (spline(None), spline(Some(0.1)));
+        assert!(text(&exact).ends_with(r#","warp":{"method":"tps"}}"#), "{}", text(&exact));
+        assert!(text(&smooth).ends_with(r#","warp":{"method":"tps","smoothing":0.1}}"#), "{}", text(&smooth));
+        for record in [&exact, &smooth] {
+            assert_eq!(*read(&write(record)).unwrap(), *record);
+        }
+        assert!(made(&exact) != made(&smooth) && !exact.is_made_like(&smooth));
+    }
+
     #[test]
     fn what_this_program_does_not_know_is_of_another_version_and_not_damaged() {
         let record = rich();
@@ -346,7 +365,7 @@ mod tests {
             changed("\"version\":1", "\"version\":2"),
             changed("\"version\":1", "\"version\":1,\"layers\":{}"),
             with_warp(&record, r#"{"strength":0.5}"#),
-            with_warp(&record, r#"{"method":"tps"}"#),
+            with_warp(&record, r#"{"method":"arap"}"#),
             with_warp(&record, r#"{"output":{"canvas":"fit"}}"#),
             with_warp(&record, r#"{"q":[]}"#),
             sealed(b"{\"version\":3}"),

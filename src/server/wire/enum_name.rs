@@ -2,9 +2,9 @@
 //! document (tested).
 
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::{CoincidentPolicy, Method};
+use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Folds, Units};
+use mlswarp::warp::{Folds, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -75,8 +75,9 @@ pub(crate) enum Canvas {
 }
 
 enum_names!(
-    Method, unsupported ["auto", "tps", "global_affine", "beier_neely", "arap"],
-    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine"
+    Method, unsupported ["auto", "global_affine", "beier_neely", "arap"],
+    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
+    Method::ThinPlateSpline = "tps"
 );
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");

@@ -4,12 +4,12 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 12] =
-    ["p", "q", "weights", "method", "alpha", "point_mass", "coincident", "units", "grid", "folds", "metric", "output"];
+pub(crate) const WARP: [&str; 13] =
+    ["p", "q", "weights", "method", "alpha", "point_mass", "smoothing", "coincident", "units", "grid", "folds", "metric", "output"];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 18] = {
-    let mut fields = [""; 18];
+pub(crate) const WARP_WITH_POINTS: [&str; 19] = {
+    let mut fields = [""; 19];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "points", "polygons", "boxes", "inverse", "refine"]);
@@ -37,8 +37,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 10] = [
-    ("smoothing", "p"),
+const UNSUPPORTED: [(&str, &str); 9] = [
     ("strength", "q"),
     ("layer", "q"),
     ("region", "q"),

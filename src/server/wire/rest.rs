@@ -1,8 +1,8 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
-use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE, Method};
+use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
 use mlswarp::geometry::Compact;
-use mlswarp::warp::{Folds, GridSpec, RestSpec, Units};
+use mlswarp::warp::{Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, enum_name, unknown_name};
 use super::handles::{handles, weights};
@@ -24,6 +24,7 @@ pub(crate) struct WarpPatch {
     pub(crate) method: Option<Method>,
     pub(crate) alpha: Option<f64>,
     pub(crate) point_mass: Option<f64>,
+    pub(crate) smoothing: Option<f64>,
     pub(crate) coincident: Option<Coincident>,
     pub(crate) units: Option<Units>,
     pub(crate) grid: Option<GridSpec>,
@@ -37,7 +38,8 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, weights_, method, alpha, point_mass, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>; 12],
+        [p, q, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
+            13],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
@@ -47,6 +49,7 @@ impl WarpPatch {
             method: optional(method, enum_name)?,
             alpha: optional(alpha, |n| number(n, "a number"))?,
             point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
+            smoothing: optional(smoothing, |n| number(n, "a number"))?,
             coincident: optional(coincident_, coincident)?,
             units: optional(units, enum_name)?,
             grid: optional(grid_, grid)?,
@@ -79,16 +82,20 @@ impl WarpPatch {
         }
     }
 
-    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none.
+    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. Parameters belong to their
+    /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
+        let method = self.method.unwrap_or(base.rest.method);
+        let kept = |parameter: Option<f64>| parameter.filter(|_| method.is_like(base.rest.method));
         WarpObject {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
                 weights,
-                method: self.method.unwrap_or(base.rest.method),
-                alpha: self.alpha.or(base.rest.alpha),
-                point_mass: self.point_mass.or(base.rest.point_mass),
+                method,
+                alpha: self.alpha.or(kept(base.rest.alpha)),
+                point_mass: self.point_mass.or(kept(base.rest.point_mass)),
+                smoothing: self.smoothing.or(kept(base.rest.smoothing)),
                 coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),

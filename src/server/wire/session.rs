@@ -1,7 +1,7 @@
 //! The session object: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
 
-use mlswarp::deform::{Handle, Method};
-use mlswarp::warp::{Digest, Folds, GridSpec, OutputSpec, Units};
+use mlswarp::deform::Handle;
+use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -16,10 +16,15 @@ pub(crate) struct SessionObject<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) weights: Option<&'a [f64]>,
     pub(crate) method: AsJson<Method>,
-    pub(crate) alpha: f64,
+    /// Not of `tps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) alpha: Option<f64>,
     /// Mass of a point, px; mixed sets only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) point_mass: Option<f64>,
+    /// `tps` only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) smoothing: Option<f64>,
     /// The groups of points that are one handle.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(crate) coincident: Vec<CoincidentGroup>,

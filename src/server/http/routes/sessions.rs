@@ -130,6 +130,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         method: AsJson(record.rest.method),
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
+        smoothing: setup.smoothing(),
         coincident: setup.groups().into_iter().map(|handles| CoincidentGroup { handles }).collect(),
         units: AsJson(record.rest.units),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },

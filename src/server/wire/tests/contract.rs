@@ -3,9 +3,8 @@
 
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::Method;
 use mlswarp::render::Filter;
-use mlswarp::warp::Units;
+use mlswarp::warp::{Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -230,9 +229,12 @@ fn schemas_and_parsers_agree_on_a_table() {
         "weights: [null]",
         "method: \"affine\"",
         "method: \"tps\"",
+        "method: \"arap\"",
         "alpha: 2",
         "alpha: \"2\"",
         "point_mass: 3",
+        "smoothing: 0",
+        "smoothing: [0]",
         "units: \"normalized\"",
         "units: \"cm\"",
         "grid: \"auto\"",

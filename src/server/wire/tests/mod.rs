@@ -3,9 +3,9 @@
 mod contract;
 
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::{Coincident, CoincidentPolicy, Method};
+use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Digest, GridSpec, Units};
+use mlswarp::warp::{Digest, GridSpec, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -37,7 +37,8 @@ fn warp_reads_the_example_of_the_contract() {
     let text = br##"{
       "p": [[120, 80], [[40, 200], [300, 210]]],
       "q": [[130, 60], [[40, 220], [300, 190]]],
-      "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "coincident": {"policy": "reject", "within": 0.5}, "units": "normalized",
+      "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "smoothing": 0.5, "units": "normalized",
+      "coincident": {"policy": "reject", "within": 0.5},
       "grid": {"columns": 100, "rows": 50}, "folds": "reject", "metric": "euclidean",
       "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40", "canvas": "same"}
     }"##;
@@ -48,6 +49,7 @@ fn warp_reads_the_example_of_the_contract() {
             method: Method::Similarity,
             alpha: Some(1.0),
             point_mass: Some(12.0),
+            smoothing: Some(0.5),
             coincident: Coincident { policy: CoincidentPolicy::Reject, within: 0.5 },
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 100, rows: 50 },
@@ -214,7 +216,7 @@ fn unknown_field_of_any_length_gives_a_short_answer() {
 fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     use Code::NotSupported as S;
     let table: &[Expected] = &[
-        ("{\"method\": \"tps\"}", S, Some("/method"), None),
+        ("{\"method\": \"global_affine\"}", S, Some("/method"), None),
         ("{\"method\": \"beier_neely\"}", S, Some("/method"), None),
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
@@ -225,7 +227,10 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     ];
     check(WarpObject::parse, table);
     check(DragObject::parse, &[("{\"q\": [], \"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None)]);
-    assert_eq!(detail("{\"method\": \"tps\"}"), "not supported by this version: `tps`; supported: `rigid`, `similarity`, `affine`");
+    assert_eq!(
+        detail("{\"method\": \"arap\"}"),
+        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`"
+    );
 }
 
 #[test]
@@ -263,6 +268,7 @@ fn numbers_of_the_wrong_kind_are_bad_values() {
         ("{\"alpha\": [1]}", B, Some("/alpha"), None),
         ("{\"alpha\": 1e999}", N, Some("/alpha"), None),
         ("{\"point_mass\": {}}", B, Some("/point_mass"), None),
+        ("{\"smoothing\": \"1\"}", B, Some("/smoothing"), None),
         ("{\"point_mass\": -1e999}", N, Some("/point_mass"), None),
         ("{\"grid\": 5}", B, Some("/grid"), None),
         ("{\"grid\": \"fine\"}", B, Some("/grid"), None),
@@ -346,6 +352,25 @@ fn output_patch_replaces_only_what_it_gives() {
 }
 
 #[test]
+fn parameters_stay_with_their_method() {
+    let session = |warp: &str| WarpObject::parse(warp.as_bytes()).unwrap();
+    let local = session(r#"{"alpha": 1.5, "point_mass": 3}"#);
+    let spline = session(r#"{"method": "tps", "smoothing": 0.1}"#);
+    let merged = |patch: &str, base: &WarpObject| {
+        let RestSpec { method, alpha, point_mass, smoothing, .. } =
+            WarpPatch::parse(patch.as_bytes()).unwrap().merge_onto(base.clone()).rest;
+        (method, alpha, point_mass, smoothing)
+    };
+    assert_eq!(merged("{}", &local), (Method::Rigid, Some(1.5), Some(3.0), None));
+    assert_eq!(merged(r#"{"method": "affine"}"#, &local), (Method::Affine, Some(1.5), Some(3.0), None));
+    assert_eq!(merged(r#"{"method": "tps"}"#, &local), (Method::ThinPlateSpline, None, None, None));
+    assert_eq!(merged(r#"{"method": "tps", "alpha": 2}"#, &local), (Method::ThinPlateSpline, Some(2.0), None, None));
+    assert_eq!(merged(r#"{"p": []}"#, &spline), (Method::ThinPlateSpline, None, None, Some(0.1)));
+    assert_eq!(merged(r#"{"method": "tps"}"#, &spline), (Method::ThinPlateSpline, None, None, Some(0.1)));
+    assert_eq!(merged(r#"{"method": "rigid"}"#, &spline), (Method::Rigid, None, None, None));
+}
+
+#[test]
 fn points_begin_with_the_fields_of_the_warp() {
     assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
 }
@@ -423,8 +448,9 @@ fn session_object_is_written_in_wire_form() {
         p: AsJson(&p),
         weights: None,
         method: AsJson(Method::Rigid),
-        alpha: 2.0,
+        alpha: Some(2.0),
         point_mass: Some(2.5),
+        smoothing: None,
         coincident: vec![CoincidentGroup { handles: vec![0, 4] }],
         units: AsJson(Units::Px),
         grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
@@ -513,15 +539,16 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
     ];
     let outside = prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), any::<[u8; 4]>().prop_map(Outside::Colour)];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
-    let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9));
+    let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
     let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, coincident, (all(), grid)).prop_map(
-        |(p, weights, method, (alpha, point_mass), coincident, (units, grid))| RestSpec {
+        |(p, weights, method, (alpha, point_mass, smoothing), coincident, (units, grid))| RestSpec {
             p,
             weights,
             method,
             alpha,
             point_mass,
+            smoothing,
             coincident,
             units,
             grid,
@@ -543,10 +570,11 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output } = warp;
-    let RestSpec { p, weights, method, alpha, point_mass, coincident, units, grid } = rest;
+    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha, "point_mass": point_mass,
-        "coincident": AsJson(*coincident), "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
+        "smoothing": smoothing, "coincident": AsJson(*coincident),
+        "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
     object.as_object_mut().unwrap().retain(|_, value| !value.is_null());
     object

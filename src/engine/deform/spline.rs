@@ -1,0 +1,244 @@
+//! The thin-plate spline of a set of points (Bookstein 1989; mathematics 10.1): of all maps through the posed handles the one that bends
+//! least; with smoothing, a compromise. Points that coincide are one site. `U(r) = r^2 ln r^2` in coordinates whose origin is the mean of
+//! the sites, and whose unit is their root mean square distance from it.
+//!
+//! Two forms of the same map: coefficients of every position, `f = v + sum C_j d_j`, O(n^2) for a position, which a plan keeps; and
+//! weights of every pose, `f = v + A(v) + sum w_j U(|v - p_j|)`, O(n) for a position.
+
+#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+
+use super::IsCancelled;
+use super::columns::PointSource;
+use super::lane_math::ln;
+use super::lanes::{Rows, Vertices};
+use super::saddle::{MOST, Saddle};
+use crate::geometry::{Point, Vec2};
+
+/// Within this share of the sites' unit v lies on a handle.
+const SNAP: f64 = 1e-12;
+
+/// A spline without its pose.
+#[derive(Debug)]
+pub(super) struct Spline {
+    frame: Frame,
+    sites: Sites,
+    /// Sites in the frame.
+    x: Vec<f64>,
+    y: Vec<f64>,
+    saddle: Saddle,
+    /// Sites on a line bend in x only; the polynomials are complex-linear, so that similarities are reproduced.
+    is_complex: bool,
+    /// Whether f takes the handles to their targets: no smoothing.
+    interpolates: bool,
+}
+
+/// The distinct positions of points, px.
+#[derive(Debug)]
+pub(super) struct Sites {
+    pub(super) positions: Vec<Point>,
+    /// The sum of the weights of its points.
+    weights: Vec<f64>,
+    /// Of every point: its site, its share of the site's weight, its column.
+    members: Vec<(usize, f64, usize)>,
+}
+
+/// `((v - origin) conj(tau)) / unit`.
+#[derive(Clone, Copy, Debug)]
+struct Frame {
+    origin: Point,
+    tau: Vec2,
+    unit: f64,
+}
+
+/// A spline with its pose, px.
+#[derive(Debug)]
+pub(super) struct PosedSpline<'a> {
+    spline: &'a Spline,
+    /// The mean displacement of every site.
+    displacements: Vec<[f64; 2]>,
+    /// w.
+    weights: Vec<[f64; 2]>,
+    /// A: of 1, x, y.
+    polynomials: [[f64; 2]; MOST],
+}
+
+impl Sites {
+    /// Points nearer than `within` are one site, at the weighted mean of their positions: the means of groups of handles may coincide.
+    pub(super) fn of(points: &[PointSource], within: f64) -> Self {
+        let mut first: Vec<Point> = Vec::new();
+        let (mut moved, mut weights) = (Vec::new(), Vec::new());
+        let mut members = Vec::with_capacity(points.len());
+        for PointSource { p, mass, column } in points {
+            let site = first.iter().position(|other| (*p - *other).norm2() <= within * within).unwrap_or_else(|| {
+                first.push(*p);
+                moved.push(Vec2::ZERO);
+                weights.push(0.0);
+                first.len() - 1
+            });
+            moved[site] += (*p - first[site]) * *mass;
+            weights[site] += mass;
+            members.push((site, *mass, *column));
+        }
+        members.iter_mut().for_each(|(site, share, _)| *share /= weights[*site]);
+        let positions = first.iter().zip(&moved).zip(&weights).map(|((p, moved), weight)| *p + *moved * (1.0 / weight)).collect();
+        Self { positions, weights, members }
+    }
+}
+
+impl Frame {
+    /// `line`: the sites lie on one, which becomes the x axis.
+    #[expect(clippy::cast_precision_loss, reason = "a count of sites is far below 2^53")]
+    fn of(sites: &[Point], line: bool) -> Self {
+        let (first, count) = (sites[0], sites.len() as f64);
+        let origin = first + sites.iter().fold(Vec2::ZERO, |sum, p| sum + (*p - first)) * (1.0 / count);
+        let unit = (sites.iter().map(|p| (*p - origin).norm2()).sum::<f64>() / count).sqrt();
+        let farthest = sites.iter().map(|p| *p - origin).fold(Vec2::ZERO, |far, d| if d.norm2() > far.norm2() { d } else { far });
+        let tau = if line { farthest * (1.0 / farthest.norm()) } else { Vec2::new(1.0, 0.0) };
+        Self { origin, tau, unit }
+    }
+
+    fn take<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
+        let Self { origin, tau, unit } = *self;
+        let mut at = [[0.0; N]; 2];
+        for k in 0..N {
+            let (x, y) = (v.x[k] - origin.x, v.y[k] - origin.y);
+            (at[0][k], at[1][k]) = ((x * tau.x + y * tau.y) / unit, (y * tau.x - x * tau.y) / unit);
+        }
+        at
+    }
+}
+
+impl Spline {
+    /// Bytes of a spline of n sites, and what is needed to compute it.
+    pub(super) const fn bytes(n: u64) -> u64 {
+        Saddle::bytes(n)
+    }
+
+    /// At least two sites. `line`: they lie on one. O(n^3); `None` when cancelled.
+    pub(super) fn new(sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
+        let frame = Frame::of(&sites.positions, line);
+        let (x, y): (Vec<f64>, Vec<f64>) = sites
+            .positions
+            .iter()
+            .map(|p| {
+                let [[x], [y]] = frame.take(&Vertices::<1>::all(*p));
+                (x, if line { 0.0 } else { y })
+            })
+            .unzip();
+        let mut polynomials = vec![vec![1.0; x.len()], x.clone()];
+        if !line {
+            polynomials.push(y.clone());
+        }
+        let kernel = |i: usize, j: usize| bending((x[i] - x[j]) * (x[i] - x[j]) + (y[i] - y[j]) * (y[i] - y[j]));
+        let noise: Vec<f64> = sites.weights.iter().map(|weight| smoothing / weight).collect();
+        let saddle = Saddle::new(kernel, &noise, polynomials, cancelled)?;
+        Some(Self { frame, sites, x, y, saddle, is_complex: line, interpolates: smoothing == 0.0 })
+    }
+
+    /// The number of distinct positions.
+    pub(super) fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    pub(super) const fn interpolates(&self) -> bool {
+        self.interpolates
+    }
+
+    /// The squared distances of N vertices from a site.
+    #[inline(always)]
+    fn r2<const N: usize>(&self, site: usize, at: &[[f64; N]; 2]) -> [f64; N] {
+        let mut r2 = [0.0; N];
+        for k in 0..N {
+            let (x, y) = (at[0][k] - self.x[site], at[1][k] - self.y[site]);
+            r2[k] = x * x + y * y;
+        }
+        r2
+    }
+
+    /// The site on which each vertex lies. Only a spline without smoothing has values of its own there: rounding must not move a handle.
+    fn hits<const N: usize>(&self, at: &[[f64; N]; 2]) -> [Option<usize>; N] {
+        let mut hits = [None; N];
+        for site in 0..if self.interpolates { self.len() } else { 0 } {
+            let r2 = self.r2(site, at);
+            for k in 0..N {
+                if r2[k] <= SNAP * SNAP {
+                    hits[k] = Some(site);
+                }
+            }
+        }
+        hits
+    }
+
+    /// The coefficients of N vertices. `scratch` is for two right sides.
+    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Vec<[f64; N]>, rows: &mut Rows<N>) {
+        let (n, at) = (self.len(), self.frame.take(v));
+        scratch.clear();
+        scratch.resize(2 * n, [0.0; N]);
+        let (re, im) = scratch.split_at_mut(n);
+        for (site, u) in re.iter_mut().enumerate() {
+            *u = self.r2(site, &at).map(bending);
+        }
+        self.saddle.coefficients(re, &[[1.0; N], at[0], at[1]]);
+        if self.is_complex {
+            self.saddle.coefficients(im, &[[0.0; N], at[1], [0.0; N]]);
+        }
+        for (k, site) in self.hits(&at).into_iter().enumerate() {
+            if let Some(site) = site {
+                re.iter_mut().zip(im.iter_mut()).for_each(|(re, im)| (re[k], im[k]) = (0.0, 0.0));
+                re[site][k] = 1.0;
+            }
+        }
+        for (site, share, column) in &self.sites.members {
+            rows.h[*column] = [re[*site].map(|c| c * share), im[*site].map(|c| c * share)];
+        }
+    }
+
+    /// The spline of a pose: one solution for all positions. `d`: displacements of the columns, px.
+    pub(super) fn posed(&self, d: &[Vec2]) -> PosedSpline<'_> {
+        let mut displacements = vec![[0.0; 2]; self.len()];
+        for (site, share, column) in &self.sites.members {
+            let (Vec2 { x, y }, sum) = (d[*column], &mut displacements[*site]);
+            (sum[0], sum[1]) = (sum[0] + share * x, sum[1] + share * y);
+        }
+        let mut weights = displacements.clone();
+        let mut polynomials = self.saddle.weights(&mut weights);
+        if self.is_complex {
+            let [re, im] = polynomials[1];
+            polynomials[2] = [-im, re];
+        }
+        PosedSpline { spline: self, displacements, weights, polynomials }
+    }
+}
+
+impl PosedSpline<'_> {
+    /// `f(v) - v` of N vertices, px.
+    pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
+        let at = self.spline.frame.take(v);
+        let [a, ax, ay] = self.polynomials;
+        let mut moved = [[0.0; N]; 2];
+        for k in 0..N {
+            for axis in 0..2 {
+                moved[axis][k] = a[axis] + ax[axis] * at[0][k] + ay[axis] * at[1][k];
+            }
+        }
+        for (site, w) in self.weights.iter().enumerate() {
+            let u = self.spline.r2(site, &at).map(bending);
+            for k in 0..N {
+                moved[0][k] += w[0] * u[k];
+                moved[1][k] += w[1] * u[k];
+            }
+        }
+        for (k, site) in self.spline.hits(&at).into_iter().enumerate() {
+            if let Some(site) = site {
+                [moved[0][k], moved[1][k]] = self.displacements[site];
+            }
+        }
+        moved
+    }
+}
+
+/// U of a squared distance.
+#[inline(always)]
+fn bending(r2: f64) -> f64 {
+    r2 * ln(r2)
+}
