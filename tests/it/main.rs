@@ -5,6 +5,7 @@
 mod account;
 mod bad_input;
 mod binary;
+mod canvas;
 mod clients;
 mod coincident;
 mod crash;

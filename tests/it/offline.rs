@@ -39,6 +39,18 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     child.stdin.take().unwrap().write_all(&image).unwrap();
     assert_eq!(child.wait_with_output().unwrap().stdout, answer);
 
+    let boxed = json!({"p": warp["p"], "q": warp["q"], "method": "similarity", "output": {"canvas": {"x": -20, "y": 10, "width": 450, "height": 300}}});
+    let answer = png(server.upload("/warp", &image, &boxed).await).await;
+    let output =
+        mlswarp(&["warp", &path("in.png"), &path("warp.json"), "--canvas", "-20,10,450,300", "-o", &path("box.png")]).output().unwrap();
+    assert!(String::from_utf8_lossy(&output.stderr).starts_with("450 x 300 px, canvas -20,10,450,300, 0 folded cells"), "{output:?}");
+    assert_eq!(std::fs::read(path("box.png")).unwrap(), answer, "--canvas takes precedence over the warp object");
+    for text in ["grow", "1,2,3", "0,0,0,5", "1000001,0,5,5", "0.5,0,5,5", ""] {
+        let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "--canvas", text, "-o", &path("box.png")]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && said.starts_with("error: --canvas: "), "{text}: {said}");
+    }
+
     let written = |name: &str| {
         let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path(name)]).output().unwrap();
         assert!(output.status.success(), "{output:?}");

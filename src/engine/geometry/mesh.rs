@@ -129,15 +129,32 @@ impl Mesh {
         Some(folded)
     }
 
-    /// Whether a posed cell overlaps the picture's rectangle `[0, W] x [0, H]`; touching its border is not enough. A cell counts as the
+    /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px.
+    #[must_use]
+    pub fn bounds(&self) -> [f64; 4] {
+        let base = (0..self.grid.rows()).flat_map(|row| (0..self.grid.columns()).map(move |column| self.posed(column, row)));
+        let refined = self.refinement.cells().iter().flat_map(|cell| self.refinement.posed(&self.grid, cell));
+        base.chain(refined).fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[l, t, r, b], p| {
+            [l.min(p.x), t.min(p.y), r.max(p.x), b.max(p.y)]
+        })
+    }
+
+    /// The number of vertices, those of refined cells included.
+    #[must_use]
+    pub fn vertices(&self) -> u64 {
+        let refined: usize = self.refinement.cells().iter().map(|cell| cell.side() * cell.side()).sum();
+        (self.grid.len() + refined) as u64
+    }
+
+    /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom); touching its border is not enough. A cell counts as the
     /// convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell; `None` when
     /// cancelled, which is checked for each row.
     #[must_use]
-    pub fn intersects_picture(&self, cancelled: &dyn Fn() -> bool) -> Option<bool> {
+    pub fn intersects(&self, rectangle: [f64; 4], cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
-        let picture = Point::new(self.grid.width(), self.grid.height());
+        let [left, top, right, bottom] = rectangle;
         let middle = self.posed(columns / 2, rows / 2);
-        if middle.x > 0.0 && middle.x < picture.x && middle.y > 0.0 && middle.y < picture.y {
+        if middle.x > left && middle.x < right && middle.y > top && middle.y < bottom {
             return Some(true);
         }
         let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
@@ -145,7 +162,7 @@ impl Mesh {
             if cancelled() {
                 return None;
             }
-            if (0..columns - 1).any(|i| overlaps(corners(i, j), picture)) {
+            if (0..columns - 1).any(|i| overlaps(corners(i, j), rectangle)) {
                 return Some(true);
             }
         }
@@ -160,15 +177,15 @@ impl Mesh {
     }
 }
 
-/// Whether the convex hull of four points and the rectangle from the origin to `far` share more than a border: no line along an edge of
-/// either separates them.
-fn overlaps(corners: [Point; 4], far: Point) -> bool {
+/// Whether the convex hull of four points and the rectangle with these edges (left, top, right, bottom) share more than a border: no line
+/// along an edge of either separates them.
+fn overlaps(corners: [Point; 4], [left, top, right, bottom]: [f64; 4]) -> bool {
     let range = |values: [f64; 4]| values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     let apart = |(a, b): (f64, f64), (c, d): (f64, f64)| b <= c || d <= a;
-    if apart(range(corners.map(|p| p.x)), (0.0, far.x)) || apart(range(corners.map(|p| p.y)), (0.0, far.y)) {
+    if apart(range(corners.map(|p| p.x)), (left, right)) || apart(range(corners.map(|p| p.y)), (top, bottom)) {
         return false;
     }
-    let rectangle = [Point::new(0.0, 0.0), Point::new(far.x, 0.0), Point::new(0.0, far.y), far];
+    let rectangle = [(left, top), (right, top), (left, bottom), (right, bottom)].map(|(x, y)| Point::new(x, y));
     // The edges of the hull are among the lines through two corners.
     let lines = (0..4).flat_map(|i| (0..i).map(move |k| (corners[i], corners[k])));
     let separates = |(a, b): (Point, Point)| {
@@ -189,7 +206,8 @@ mod tests {
             let vertices = (0..rows).flat_map(|j| (0..columns).map(move |i| grid.vertex(i, j)));
             #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
             let displacement = vertices.map(|p| map(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
-            Mesh::new(grid, displacement).intersects_picture(&|| false).unwrap()
+            let picture = [0.0, 0.0, grid.width(), grid.height()];
+            Mesh::new(grid, displacement).intersects(picture, &|| false).unwrap()
         };
         for (columns, rows) in [(2, 2), (5, 4), (40, 30)] {
             let moved = |map: &dyn Fn(Point) -> Point| moved(columns, rows, map);

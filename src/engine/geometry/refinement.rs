@@ -1,6 +1,6 @@
 //! The cells of a posed grid that are drawn as smaller cells, because their bilinear patch would be too far from the map.
 
-use super::{Grid, Vec2};
+use super::{Grid, Point, Vec2};
 
 /// A cell of the grid that is drawn as `2^level x 2^level` cells of equal size at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,6 +123,19 @@ impl Refinement {
     #[must_use]
     pub fn displacement(&self, cell: &RefinedCell) -> &[[f32; 2]] {
         &self.displacement[cell.start..][..cell.side() * cell.side()]
+    }
+
+    /// The posed vertices of a cell.
+    pub(super) fn posed<'a>(&'a self, grid: &'a Grid, cell: &RefinedCell) -> impl Iterator<Item = Point> + 'a {
+        let (from, to) = (grid.vertex(cell.column, cell.row), grid.vertex(cell.column + 1, cell.row + 1));
+        let side = cell.side();
+        #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
+        let share = move |k: usize| k as f64 / (side - 1) as f64;
+        self.displacement(cell).iter().enumerate().map(move |(k, d)| {
+            let (s, t) = (share(k % side), share(k / side));
+            let rest = Point::new(from.x + (to.x - from.x) * s, from.y + (to.y - from.y) * t);
+            rest + Vec2::new(f64::from(d[0]), f64::from(d[1]))
+        })
     }
 
     /// The refined cell at a column and row.

@@ -24,6 +24,13 @@ impl Canvas {
     pub const fn of(source: Extent) -> Self {
         Self { x: 0, y: 0, extent: source }
     }
+
+    /// Left, top, right and bottom edge, px.
+    #[must_use]
+    pub fn edges(&self) -> [f64; 4] {
+        let (left, top) = (f64::from(self.x), f64::from(self.y));
+        [left, top, left + f64::from(self.extent.width()), top + f64::from(self.extent.height())]
+    }
 }
 
 /// Side of a window, px of the target.
@@ -125,11 +132,10 @@ impl Placement {
     }
 }
 
-/// The number of windows that a canvas may show at most, without its place: each holds the posed grid.
-pub(super) fn most_windows(target: Extent) -> u64 {
-    // Partial ones at both ends, and the division near the origin.
-    let along = |length: u32| u64::from(length) / SIDE.unsigned_abs() + 3;
-    along(target.width()) * along(target.height())
+/// The number of windows in which a canvas is drawn onto a target of this size; each holds a posed grid.
+#[must_use]
+pub fn window_count(canvas: Canvas, target: Extent) -> u64 {
+    Placement::new(canvas, target).windows().len() as u64
 }
 
 #[cfg(test)]

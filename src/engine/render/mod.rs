@@ -44,7 +44,7 @@ mod steps;
 #[forbid(unsafe_code)]
 mod tests;
 
-pub use canvas::Canvas;
+pub use canvas::{Canvas, window_count};
 pub use source::Source;
 
 use canvas::{Placement, Window};

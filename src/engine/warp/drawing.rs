@@ -7,10 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::digest::Collector;
 use super::posed::Posed;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
-use super::{Digest, Image, Limits, OutputSpec, WarpError};
+use super::{Digest, Image, Limits, OutputSpec, Target, WarpError};
 use crate::codec::{Compression, Encoding, Format, PngShape, Writer};
-use crate::pixmap::Extent;
-use crate::render::{Filter, Outside, RenderOptions, Renderer};
+use crate::render::{Canvas, Filter, Outside, RenderOptions, Renderer};
 
 /// A prepared warp.
 #[derive(Debug)]
@@ -19,20 +18,26 @@ pub struct Warp {
     pub(super) writer: Writer,
     format: Format,
     etag: Digest,
+    target: Target,
 }
 
 impl Warp {
     /// Prepares the renderer for a posed mesh: tens of microseconds.
     ///
     /// # Errors
-    /// A target over the limits; [`OutputSpec::target`] checks it before anything is posed.
+    /// Those of [`OutputSpec::target`].
     pub fn new(image: &Image, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
-        let target = output.target(image.extent(), limits)?;
-        let options = RenderOptions { target, canvas: None, filter: output.filter, outside: output.outside };
+        Ok(Self::onto(output.target(image.extent(), posed.mesh(), limits)?, image, posed, output))
+    }
+
+    /// Prepares the renderer for a target of `output`.
+    #[must_use]
+    pub fn onto(target: Target, image: &Image, posed: &Posed, output: &OutputSpec) -> Self {
+        let options = RenderOptions { target: target.extent, canvas: target.canvas, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
-        let shape = PngShape { extent: target, channels: renderer.channels(), depth: renderer.depth() };
+        let shape = PngShape { extent: target.extent, channels: renderer.channels(), depth: renderer.depth() };
         let writer = Writer::new(shape, output.encoding(), image.icc.as_ref());
-        Ok(Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target) })
+        Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target), target }
     }
 
     /// Digest of image, resolved request and version: the ETag.
@@ -41,10 +46,10 @@ impl Warp {
         self.etag
     }
 
-    /// Size of the target, px.
+    /// What is drawn, and its size.
     #[must_use]
-    pub const fn target(&self) -> Extent {
-        self.renderer.target()
+    pub const fn target(&self) -> Target {
+        self.target
     }
 
     /// File format.
@@ -98,7 +103,7 @@ impl Warp {
     }
 }
 
-fn etag(image: &Image, posed: &Posed, output: &OutputSpec, target: Extent) -> Digest {
+fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, extent }: Target) -> Digest {
     let encoding = match output.encoding() {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
@@ -115,13 +120,20 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, target: Extent) -> Di
         Outside::Edge => [1, 0, 0, 0, 0],
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
     };
-    Collector::new("mlswarp answer 3")
+    let digest = Collector::new("mlswarp answer 3")
         .bytes(&image.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)
         .integer(filter)
         .bytes(&outside)
-        .integer(target.width().into())
-        .integer(target.height().into())
-        .finish()
+        .integer(extent.width().into())
+        .integer(extent.height().into());
+    let digest = match canvas {
+        None => digest,
+        Some(Canvas { x, y, extent }) => {
+            let sides = digest.integer(extent.width().into()).integer(extent.height().into());
+            sides.bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes())
+        }
+    };
+    digest.finish()
 }

@@ -34,7 +34,8 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `handle_columns`, `spline_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`.
+        /// Which limit: `handle_columns`, `spline_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`,
+        /// `canvas_side`, `canvas_pixels`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -56,6 +57,9 @@ pub enum WarpError {
         /// Folded cells.
         cells: u64,
     },
+    /// `canvas: fit` and the posed picture has no area.
+    #[error("the posed picture has no area, so the canvas `fit` would be empty")]
+    NothingVisible,
 }
 
 /// An unusual property of a warp that does not prevent a result.
@@ -70,7 +74,7 @@ pub enum Warning {
     /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
     /// value is beyond 4.
     LooksNormalized,
-    /// No posed cell intersects the picture.
+    /// No posed cell intersects the canvas.
     NothingVisible,
     /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
     ProfileDropped,
@@ -119,6 +123,8 @@ fn measured(what: &str, actual: u64) -> String {
         "grid_rows" => format!("the grid would have {actual} rows"),
         "output_side" => format!("the longer side of the output would be {actual} px"),
         "output_pixels" => format!("the output would have {actual} pixels"),
+        "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
+        "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => format!("{what}: {actual}"),
     }
 }

@@ -13,6 +13,7 @@ mod posed;
 mod setup;
 mod spec;
 mod strip_scheduler;
+mod target;
 #[cfg(test)]
 mod tests;
 
@@ -24,4 +25,5 @@ pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
+pub use self::target::{CanvasSpec, Target};
 pub use crate::codec::Limits as ImageLimits;

@@ -1,9 +1,10 @@
 //! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
-use super::{Digest, Folds, Image, Plan, Setup, Warning, WarpError};
+use super::{Digest, Folds, Image, Plan, Setup, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::Mesh;
+use crate::render::Canvas;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
@@ -73,9 +74,6 @@ impl Posed {
             warnings.push(Warning::Deform(deform::Warning::RotationUndefined));
             warnings.sort_unstable();
         }
-        if !mesh.intersects_picture(cancelled).ok_or(WarpError::Cancelled)? {
-            warnings.push(Warning::NothingVisible);
-        }
         let residual = residual(setup.field(), pose, &mesh);
         let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
@@ -99,10 +97,20 @@ impl Posed {
         &self.report
     }
 
-    /// The report, without the mesh.
-    #[must_use]
-    pub fn into_report(self) -> Report {
-        self.report
+    /// The report of an output that shows `canvas`.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn into_report(mut self, canvas: Option<Canvas>, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+        let is_visible = match canvas {
+            Some(canvas) => self.mesh.intersects(canvas.edges(), cancelled).ok_or(WarpError::Cancelled)?,
+            None => false,
+        };
+        if !is_visible {
+            self.report.warnings.push(Warning::NothingVisible);
+            self.report.warnings.sort_unstable();
+        }
+        Ok(self.report)
     }
 
     /// Digest of everything that the mesh depends on.
@@ -111,12 +119,14 @@ impl Posed {
         self.digest
     }
 
-    /// The report of an output drawn from `image`.
-    #[must_use]
-    pub fn into_report_on(self, image: &Image) -> Report {
-        let mut report = self.report;
+    /// The report of a target drawn from `image`.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn into_report_on(self, image: &Image, target: &Target, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+        let mut report = self.into_report(Some(target.canvas.unwrap_or(Canvas::of(image.extent()))), cancelled)?;
         report.warnings.extend(image.warning());
-        report
+        Ok(report)
     }
 
     /// The posed vertices row by row, in the client's units.

@@ -2,10 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use super::WarpError;
+use super::{CanvasSpec, WarpError};
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
 use crate::deform::{self, Coincident, Handle};
-use crate::pixmap::Extent;
 use crate::render::{Filter, Outside};
 
 /// Limits of a warp; each is a flag of the service.
@@ -164,7 +163,9 @@ pub struct OutputSpec {
     pub quality: u8,
     /// PNG compression.
     pub compression: Compression,
-    /// Width of the target, px; default the source's. Height = max(1, round(H w / W)).
+    /// The part of the posed plane that is drawn.
+    pub canvas: CanvasSpec,
+    /// Width of the target, px; default the canvas's. Height = max(1, round(H w / W)).
     pub width: Option<u32>,
     /// The sampling filter.
     pub filter: Filter,
@@ -182,6 +183,7 @@ impl Default for OutputSpec {
             format: Format::default(),
             quality: QUALITY,
             compression: Compression::default(),
+            canvas: CanvasSpec::default(),
             width: None,
             filter: Filter::default(),
             outside: Outside::default(),
@@ -204,24 +206,6 @@ impl OutputSpec {
             }
             Format::WebP => Encoding::WebP,
         }
-    }
-
-    /// The target's size: `width` with the height that keeps the proportions, max(1, round(H w / W)).
-    ///
-    /// # Errors
-    /// Over the limits.
-    pub fn target(&self, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
-        let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
-        let Some(width) = self.width else {
-            let longest = source.width().max(source.height());
-            return at_most("output_side", self.format.max_side().into(), longest.into()).map(|()| source);
-        };
-        let (w, h) = (u64::from(source.width()), u64::from(source.height()));
-        let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
-        at_most("output_side", max_side, height.max(width.into()))?;
-        at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
-        let height = u32::try_from(height).expect("at most max_side");
-        Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
     }
 }
 

@@ -11,9 +11,8 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
-use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
-    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Warp, WarpError, WriteObserver,
+    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target, Warp, WarpError, WriteObserver,
 };
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
@@ -83,12 +82,13 @@ pub(crate) struct DrawJob {
 }
 
 impl DrawJob {
-    fn warp(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Warp, Report), WarpError> {
+    fn pose(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Posed, Target), WarpError> {
         let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, is_preview, .. } = self;
-        output.target(image.extent(), limits)?;
+        output.check(image.extent(), limits)?;
         let pose_as = if *is_preview { Posed::coarse } else { Posed::new };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
-        Ok((Warp::new(image, &posed, output, limits)?, posed.into_report_on(image)))
+        let target = output.target(image.extent(), posed.mesh(), limits)?;
+        Ok((posed, target))
     }
 }
 
@@ -99,8 +99,8 @@ pub struct Drawn {
     pub report: Report,
     /// Digest of the image, the resolved request and the build.
     pub etag: Digest,
-    /// Width and height, px.
-    pub extent: Extent,
+    /// The part of the posed plane that it shows, and its size.
+    pub target: Target,
     /// File format.
     pub format: Format,
     /// Cost before drawing.
@@ -290,8 +290,11 @@ impl DrawTask {
         let is_cancelled = || self.answer.is_closed();
         let prepare = || {
             let mut reservation = self.app.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
-            let pose = || job.warp(&limits, &is_cancelled);
-            let (warp, report) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
+            let pose = || job.pose(&limits, &is_cancelled);
+            let (posed, target) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
+            self.app.reserve_more(&mut reservation, target.window_bytes(posed.mesh()))?;
+            let warp = Warp::onto(target, &job.image, &posed, &job.output);
+            let report = posed.into_report_on(&job.image, &target, &is_cancelled)?;
             self.app.reserve_more(&mut reservation, warp.work_bytes())?;
             Ok((warp, report, reservation))
         };
@@ -329,15 +332,15 @@ impl DrawTask {
         reservation.shrink_to(file.len() as u64);
         let picture = Picture::Whole { bytes: reservation.attach(file), cost: meter.cost() };
         let Self { timing, plan_built, answer, .. } = self;
-        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
-        let _ = answer.send(Ok(Drawn { report, etag, extent, format, timing, plan_built, picture }));
+        let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
+        let _ = answer.send(Ok(Drawn { report, etag, target, format, timing, plan_built, picture }));
     }
 
     fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {
         let Self { app, ticket, timing, plan_built, handoff, answer } = self;
         let (pieces, strips) = unbounded_channel();
-        let (etag, extent, format) = (warp.etag(), warp.target(), warp.format());
-        let drawn = Drawn { report, etag, extent, format, timing, plan_built, picture: Picture::Strips(strips) };
+        let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
+        let drawn = Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Strips(strips) };
         let (end, mut first) = (pieces.clone(), Some((answer, drawn)));
         let sink: Sink = Box::new(move |bytes, _| {
             let is_sent = pieces.send(Piece::Bytes(reservation.split(bytes.len() as u64).attach(bytes))).is_ok();

@@ -176,7 +176,7 @@ impl App {
         quota: ClientQuota,
     ) -> Result<PosedMesh, Problem> {
         let AdmittedPlan { ticket, planned: Planned { setup, plan, mut timing, is_built } } = plan;
-        let (app, folds, extent) = (self.clone(), record.folds, record.extent);
+        let (app, folds, extent, canvas) = (self.clone(), record.folds, record.extent, record.output.canvas);
         let pose = move |cancel: &Cancel| {
             let began = Instant::now();
             let is_cancelled = || cancel.is_cancelled();
@@ -189,7 +189,9 @@ impl App {
             let body = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
             reservation.shrink_to(body.len() as u64);
             let body = reservation.attach(body);
-            Ok::<_, Problem>(PosedMesh { report: posed.into_report(), timing, plan_built: is_built, body })
+            let canvas = canvas.of(extent, posed.mesh());
+            let report = posed.into_report(canvas, &is_cancelled)?;
+            Ok::<_, Problem>(PosedMesh { report, timing, plan_built: is_built, body })
         };
         self.0.pool.run(&ticket, pose).await?
     }

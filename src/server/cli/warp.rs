@@ -15,6 +15,7 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED};
 use crate::wire::{WarpObject, WarpPatch};
+use crate::wire::{canvas_from_text, canvas_text};
 
 /// The input files; `-` is standard input.
 #[derive(Clone, Debug)]
@@ -27,6 +28,8 @@ pub struct Input {
     pub landmarks: Option<PathBuf>,
     /// Landmarks of `q`.
     pub landmarks_q: Option<PathBuf>,
+    /// The canvas, instead of that of the warp object.
+    pub canvas: Option<String>,
 }
 
 impl Input {
@@ -85,6 +88,8 @@ impl From<WarpError> for Failure {
 
 fn run_with_failure(config: &Config, input: &Input, out: &Path) -> Result<String, Failure> {
     input.require_one_stdin()?;
+    let canvas = input.canvas.as_deref().map(canvas_from_text).transpose();
+    let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
     let json = input.warp.as_deref().map(|path| read("warp object", path, config.max_warp_json_bytes)).transpose()?;
     let patch = json.map(|json| WarpPatch::parse(&json)).transpose()?.unwrap_or_default();
     // The file name takes the place of `Accept`.
@@ -100,6 +105,7 @@ fn run_with_failure(config: &Config, input: &Input, out: &Path) -> Result<String
     let file = read("image", &input.image, config.max_body_bytes)?;
     let mut object = patch.into_object()?;
     object.output.format = format;
+    object.output.canvas = canvas.unwrap_or(object.output.canvas);
     let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
     let threads = threads.map_err(|e| Failure::Local(format!("cannot start compute threads: {e}")))?;
     threads.install(|| render(config, &file, object, landmarks, out))
@@ -113,12 +119,15 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     }
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let pose = setup.pose(object.posed()?)?;
-    object.output.target(image.extent(), &config.limits())?;
+    object.output.check(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
     write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
-    let (extent, Report { warnings, folds, residual, .. }) = (warp.target(), posed.into_report_on(&image));
-    let summary = format!("{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height());
+    let target = warp.target();
+    let Report { warnings, folds, residual, .. } = posed.into_report_on(&image, &target, &|| false)?;
+    let (width, height) = (target.extent.width(), target.extent.height());
+    let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
+    let summary = format!("{width} x {height} px{canvas}, {folds} folded cells, residual {residual:.4} px");
     let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
     Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }

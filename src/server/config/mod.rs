@@ -62,6 +62,10 @@ pub enum Command {
         /// Landmark file with q.
         #[arg(long, value_name = "FILE", requires = "landmarks")]
         landmarks_q: Option<PathBuf>,
+        /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
+        /// precedence over the warp object.
+        #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true)]
+        canvas: Option<String>,
         /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg or .webp. A format in the warp object
         /// takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
         #[arg(short, long)]

@@ -52,6 +52,7 @@ codes! {
     Misdirected = 421, "misdirected", "Misdirected request";
     BadImage = 422, "bad_image", "Bad image";
     BadLandmarks = 422, "bad_landmarks", "Bad landmark file";
+    NothingVisible = 422, "nothing_visible", "Nothing visible";
     NotSupported = 422, "not_supported", "Not supported";
     UnknownField = 422, "unknown_field", "Unknown field";
     BadValue = 422, "bad_value", "Bad value";

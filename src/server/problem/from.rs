@@ -27,12 +27,14 @@ impl From<WarpError> for Problem {
                     "handle_columns" | "spline_handles" => problem.pointer("/p"),
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     output if output.starts_with("output_") => problem.pointer("/output/width"),
+                    canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
                     _ => problem,
                 }
             }
             WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
+            WarpError::NothingVisible => Self::new(Code::NothingVisible, detail).pointer("/output/canvas"),
         }
     }
 }

@@ -20,7 +20,7 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{CanvasSpec, Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -65,6 +65,7 @@ fn base() -> WarpObject {
             format: Format::Png,
             quality: 90,
             compression: Compression::Fast,
+            canvas: CanvasSpec::Same,
             width: None,
             filter: Filter::Bilinear,
             outside: Outside::Transparent,
@@ -132,7 +133,7 @@ struct Output<'a>(&'a OutputSpec, Defaults);
 impl Serialize for Output<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(output, defaults)) = (base().output, self);
-        let OutputSpec { format, quality, compression, width, filter, outside } = *output;
+        let OutputSpec { format, quality, compression, canvas, width, filter, outside } = *output;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "format", format, &base.format)?;
         if defaults == Defaults::Written || quality != base.quality {
@@ -144,9 +145,7 @@ impl Serialize for Output<'_> {
         }
         defaults.field(&mut object, "filter", filter, &base.filter)?;
         defaults.field(&mut object, "outside", outside, &base.outside)?;
-        if defaults == Defaults::Written {
-            object.serialize_entry("canvas", "same")?;
-        }
+        defaults.field(&mut object, "canvas", canvas, &base.canvas)?;
         object.end()
     }
 }
@@ -274,6 +273,7 @@ mod tests {
             format: Format::Jpeg,
             quality: 7,
             compression: Compression::Best,
+            canvas: CanvasSpec::Fit,
             width: Some(5),
             filter: Filter::Nearest,
             outside: Outside::Edge,
@@ -334,7 +334,7 @@ mod tests {
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
-        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"same"},"coincident":{"policy":"reject","within":1.5}}"#;
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit"},"coincident":{"policy":"reject","within":1.5}}"#;
         assert_eq!(made(&full), digest(&full, warp));
     }
 
@@ -366,7 +366,7 @@ mod tests {
             changed("\"version\":1", "\"version\":1,\"layers\":{}"),
             with_warp(&record, r#"{"strength":0.5}"#),
             with_warp(&record, r#"{"method":"arap"}"#),
-            with_warp(&record, r#"{"output":{"canvas":"fit"}}"#),
+            with_warp(&record, r#"{"output":{"filter":"lanczos"}}"#),
             with_warp(&record, r#"{"q":[]}"#),
             sealed(b"{\"version\":3}"),
             sealed(b"\x82\xa7version\x04"),

@@ -68,12 +68,6 @@ pub(crate) enum Metric {
     Euclidean,
 }
 
-/// The rectangle that the answer shows.
-#[derive(Clone, Copy)]
-pub(crate) enum Canvas {
-    Same,
-}
-
 enum_names!(
     Method, unsupported ["auto", "global_affine", "beier_neely", "arap"],
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
@@ -86,4 +80,3 @@ enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression
 enum_names!(Filter, unsupported["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported["tiff"], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
-enum_names!(Canvas, unsupported["fit"], Canvas::Same = "same");

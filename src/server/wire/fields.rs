@@ -28,8 +28,11 @@ pub(crate) const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 /// The fields of `output`, in the order of `OutputPatch::read`.
 pub(crate) const OUTPUT: [&str; 7] = ["format", "quality", "compression", "width", "filter", "outside", "canvas"];
 
+/// The fields of a box as `canvas`.
+pub(crate) const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
+
 /// Fields that this version accepts with one value only: nobody needs to send them.
-const ONE_VALUED: [&str; 6] = ["metric", "canvas", "polygons", "boxes", "inverse", "refine"];
+const ONE_VALUED: [&str; 5] = ["metric", "polygons", "boxes", "inverse", "refine"];
 
 /// The names without those that this version accepts with one value only.
 pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {

@@ -32,7 +32,7 @@ use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, OutputSpec, RestSpec};
 use number::{count, whole};
-pub(crate) use output::OutputPatch;
+pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use rest::WarpPatch;
 pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionObject};
 pub use socket::UnreadHandles;

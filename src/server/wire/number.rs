@@ -51,6 +51,20 @@ pub(crate) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem>
     }
 }
 
+/// A whole number of `-most..=most`.
+pub(crate) fn integer(node: &Node<'_, '_>, most: i32, expected: &str) -> Result<i32, Problem> {
+    let value = number(node, expected)?;
+    if value.fract() != 0.0 {
+        return Err(node.unexpected(expected, quote(node.text)).actual(value));
+    }
+    if value.abs() > f64::from(most) {
+        return Err(node.unexpected(&format!("{expected} between -{most} and {most}"), Compact(value)).actual(value));
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "a whole number in range")]
+    let value = value as i32;
+    Ok(value)
+}
+
 /// A whole number of `min..=u32::MAX`. Whether the service can process so large a value is decided later.
 pub(crate) fn count(node: &Node<'_, '_>, min: u32, expected: &str) -> Result<u32, Problem> {
     let value = whole(node, expected)?;

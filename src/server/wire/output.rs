@@ -2,25 +2,30 @@
 
 use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format};
-use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::OutputSpec;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::{Canvas, Filter, Outside};
+use mlswarp::warp::{CanvasSpec, OutputSpec};
 
-use super::enum_name::{Canvas, enum_name, unknown_name};
+use super::enum_name::{enum_name, unknown_name};
 use super::fields;
 use super::json::{Kind, Node, optional};
-use super::number::count;
+use super::number::{count, integer};
 use super::suggest;
 use crate::problem::words::{did_you_mean, quote};
 use crate::problem::{Code, Problem};
 
+const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
+/// The farthest corner of a canvas, as of handles, px.
+const FARTHEST: i32 = 1_000_000;
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
-/// The fields that a request gives. `canvas` has one value in this version and is not kept.
+/// The fields that a request gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct OutputPatch {
     pub(crate) format: Option<Format>,
     pub(crate) quality: Option<u8>,
     pub(crate) compression: Option<Compression>,
+    pub(crate) canvas: Option<CanvasSpec>,
     pub(crate) width: Option<u32>,
     pub(crate) filter: Option<Filter>,
     pub(crate) outside: Option<Outside>,
@@ -33,6 +38,7 @@ impl OutputPatch {
             format: self.format.unwrap_or(base.format),
             quality: self.quality.unwrap_or(base.quality),
             compression: self.compression.unwrap_or(base.compression),
+            canvas: self.canvas.unwrap_or(base.canvas),
             width: self.width.or(base.width),
             filter: self.filter.unwrap_or(base.filter),
             outside: self.outside.unwrap_or(base.outside),
@@ -44,11 +50,11 @@ impl OutputPatch {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
         let [format, quality_, compression, width, filter, outside_, canvas_] = node.fields(&fields::OUTPUT)?;
-        optional(canvas_, canvas)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
             compression: optional(compression, enum_name)?,
+            canvas: optional(canvas_, canvas)?,
             width: optional(width, |n| count(n, 1, "a width: a whole number of pixels, at least 1"))?,
             filter: optional(filter, enum_name)?,
             outside: optional(outside_, outside)?,
@@ -56,12 +62,47 @@ impl OutputPatch {
     }
 }
 
-/// The contract also has boxes.
-fn canvas(node: &Node<'_, '_>) -> Result<Canvas, Problem> {
+fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
     match node.kind() {
-        Kind::Object => Err(node.problem(Code::NotSupported, "not supported by this version: a box as `canvas`; supported: `same`")),
-        _ => enum_name(node),
+        Kind::String => match node.string(CANVAS)?.as_str() {
+            "same" => Ok(CanvasSpec::Same),
+            "fit" => Ok(CanvasSpec::Fit),
+            other => Err(unknown_name(node, other, &[], &["same", "fit"], CANVAS)),
+        },
+        Kind::Object => {
+            let [Some(x), Some(y), Some(width), Some(height)] = node.fields(&fields::CANVAS)? else {
+                return Err(node.problem(Code::BadValue, format!("expected `x`, `y`, `width` and `height`; a canvas is one of {CANVAS}")));
+            };
+            let place = |node: &Node<'_, '_>| integer(node, FARTHEST, "a whole number of pixels");
+            let side = |node: &Node<'_, '_>| count(node, 1, "a whole number of pixels, at least 1");
+            let extent = Extent::new(side(&width)?, side(&height)?).expect("at least 1");
+            Ok(CanvasSpec::Box(Canvas { x: place(&x)?, y: place(&y)?, extent }))
+        }
+        _ => Err(node.wrong_kind(&format!("one of {CANVAS}"))),
     }
+}
+
+/// Reads a canvas of the command line: `same`, `fit`, or `x,y,width,height`.
+/// Errors: What was expected.
+pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
+    let numbers: Option<Vec<i64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    let place = |place: i64| i32::try_from(place).ok().filter(|place| place.abs() <= FARTHEST);
+    let side = |side: i64| u32::try_from(side).ok();
+    match (text, numbers.as_deref()) {
+        ("same", _) => Ok(CanvasSpec::Same),
+        ("fit", _) => Ok(CanvasSpec::Fit),
+        (_, Some(&[x, y, width, height])) => {
+            let extent = side(width).zip(side(height)).and_then(|(width, height)| Extent::new(width, height));
+            let canvas = place(x).zip(place(y)).zip(extent).map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
+            canvas.ok_or_else(|| format!("x and y must lie between -{FARTHEST} and {FARTHEST}, width and height must be at least 1"))
+        }
+        _ => Err("expected `same`, `fit`, or four whole numbers: x,y,width,height".to_owned()),
+    }
+}
+
+/// A canvas as `x,y,width,height`.
+pub(crate) fn canvas_text(Canvas { x, y, extent }: Canvas) -> String {
+    format!("{x},{y},{},{}", extent.width(), extent.height())
 }
 
 fn quality(node: &Node<'_, '_>) -> Result<u8, Problem> {

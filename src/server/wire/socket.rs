@@ -1,6 +1,7 @@
 //! The messages of the drag socket: `{"seq", "q"}` and `{"ack"}` from the client; the report that precedes a frame.
 
 use mlswarp::deform::{Contradiction, Handle};
+use mlswarp::render::Canvas;
 use serde::Serialize;
 
 use super::handles::handles;
@@ -72,6 +73,9 @@ pub(crate) struct FrameReport<'a> {
     /// Size of the frame, px; of the source if the frame is a mesh.
     pub(crate) width: u32,
     pub(crate) height: u32,
+    /// The part of the posed plane that the picture shows; absent if it is that of the source.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) canvas: Option<AsJson<Canvas>>,
     /// Not a preview.
     pub(crate) full: bool,
     /// Drawn cells that fold.

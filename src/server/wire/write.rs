@@ -3,8 +3,8 @@
 
 use mlswarp::deform::{Coincident, Contradiction, Handle};
 use mlswarp::geometry::Point;
-use mlswarp::render::Outside;
-use mlswarp::warp::{GridSpec, OutputSpec};
+use mlswarp::render::{Canvas, Outside};
+use mlswarp::warp::{CanvasSpec, GridSpec, OutputSpec};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::AsJson;
@@ -68,6 +68,23 @@ impl Serialize for AsJson<&[Contradiction]> {
     }
 }
 
+impl Serialize for AsJson<Canvas> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let Canvas { x, y, extent } = self.0;
+        s.collect_map([("x", i64::from(x)), ("y", i64::from(y)), ("width", extent.width().into()), ("height", extent.height().into())])
+    }
+}
+
+impl Serialize for AsJson<CanvasSpec> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            CanvasSpec::Same => s.serialize_str("same"),
+            CanvasSpec::Fit => s.serialize_str("fit"),
+            CanvasSpec::Box(canvas) => AsJson(canvas).serialize(s),
+        }
+    }
+}
+
 impl Serialize for AsJson<Outside> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         match self.0 {
@@ -80,7 +97,7 @@ impl Serialize for AsJson<Outside> {
 
 impl Serialize for AsJson<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let OutputSpec { format, quality, compression, width, filter, outside } = *self.0;
+        let OutputSpec { format, quality, compression, canvas, width, filter, outside } = *self.0;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("format", &AsJson(format))?;
         object.serialize_entry("quality", &quality)?;
@@ -90,6 +107,7 @@ impl Serialize for AsJson<&OutputSpec> {
         }
         object.serialize_entry("filter", &AsJson(filter))?;
         object.serialize_entry("outside", &AsJson(outside))?;
+        object.serialize_entry("canvas", &AsJson(canvas))?;
         object.end()
     }
 }

@@ -56,7 +56,7 @@ fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8
 fn warped(object: &WarpObject) -> Result<(), Problem> {
     let setup = Setup::new(&object.rest, IMAGE.extent(), &LIMITS)?;
     let pose = setup.pose(object.posed()?)?;
-    object.output.target(IMAGE.extent(), &LIMITS)?;
+    object.output.check(IMAGE.extent(), &LIMITS)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
     assert!(posed.vertices().flatten().all(f64::is_finite), "a vertex is nowhere");

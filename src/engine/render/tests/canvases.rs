@@ -10,7 +10,7 @@ fn canvas(x: i32, y: i32, width: u32, height: u32) -> Canvas {
 /// Draws a canvas at a scale (target px per source px as a ratio) in bands; RGBA.
 fn drawn(source: &Arc<Source>, mesh: &Mesh, canvas: Option<Canvas>, (up, down): (u32, u32), options: RenderOptions) -> Vec<u8> {
     let shown = canvas.map_or(source.pixmap().extent(), |canvas| canvas.extent);
-    assert!(shown.width() % down == 0 && shown.height() % down == 0, "whole px");
+    assert!(shown.width().is_multiple_of(down) && shown.height().is_multiple_of(down), "whole px");
     let options = RenderOptions { canvas, target: extent(shown.width() / down * up, shown.height() / down * up), ..options };
     let renderer = Renderer::new(source.clone(), mesh, options);
     let out = banded(&renderer, 37);
@@ -56,7 +56,13 @@ fn meshes() -> Vec<(&'static str, Mesh)> {
 #[test]
 fn a_canvas_in_a_larger_one_is_an_exact_crop_of_it() {
     let whole = canvas(-64, -128, 704, 768);
-    let parts = [None, Some(canvas(-64, -128, 8, 768)), Some(canvas(-4, 100, 520, 12)), Some(canvas(256, 256, 64, 64)), Some(canvas(300, -40, 340, 600))];
+    let parts = [
+        None,
+        Some(canvas(-64, -128, 8, 768)),
+        Some(canvas(-4, 100, 520, 12)),
+        Some(canvas(256, 256, 64, 64)),
+        Some(canvas(300, -40, 340, 600)),
+    ];
     for (name, source) in sources() {
         let bytes = source.pixmap().depth().bytes();
         for (shape, mesh) in meshes() {

@@ -6,8 +6,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
-use mlswarp::pixmap::Extent;
-use mlswarp::warp::{OutputSpec, Report};
+use mlswarp::warp::{CanvasSpec, OutputSpec, Report, Target};
 use tokio::sync::Semaphore;
 
 use crate::app::App;
@@ -47,9 +46,12 @@ pub(crate) struct Frame {
     pub(crate) report: String,
 }
 
-/// The full width of the session's images.
+/// The full width of the session's images; with the canvas `fit`, a typical one.
 pub(crate) fn full_width(record: &Record) -> u32 {
-    record.output.width.unwrap_or_else(|| record.extent.width())
+    record.output.width.unwrap_or_else(|| match record.output.canvas {
+        CanvasSpec::Box(canvas) => canvas.extent.width(),
+        CanvasSpec::Same | CanvasSpec::Fit => record.extent.width(),
+    })
 }
 
 /// The output of a frame of this width. Previews are compressed fast.
@@ -103,9 +105,9 @@ async fn try_draw_frame(
             let AdmittedPlan { ticket, planned } = plan;
             let job = DrawJob { image, planned, q, folds: record.folds, output, is_preview: !is_full, quota };
             let drawn = app.draw(ticket, job).await?;
-            let Drawn { report, extent, timing, picture, .. } = drawn;
+            let Drawn { report, target, timing, picture, .. } = drawn;
             let (pieces, cost) = collect(picture).await?;
-            let report = report_json(seq, extent, is_full, &report, timing, cost);
+            let report = report_json(seq, target, is_full, &report, timing, cost);
             Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh => {
@@ -114,7 +116,8 @@ async fn try_draw_frame(
             let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
             let shape = plan.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
-            let report = report_json(seq, record.extent, true, &report, timing, Cost::default());
+            let target = Target { canvas: None, extent: record.extent };
+            let report = report_json(seq, target, true, &report, timing, Cost::default());
             Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }
     }
@@ -144,13 +147,14 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     }
 }
 
-fn report_json(seq: u64, extent: Extent, full: bool, report: &Report, timing: Timing, cost: Cost) -> String {
+fn report_json(seq: u64, target: Target, full: bool, report: &Report, timing: Timing, cost: Cost) -> String {
     let ms = |time: Duration| (time.as_secs_f64() * 1e6).round() / 1e3;
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
-    let (width, height) = (extent.width(), extent.height());
+    let (width, height) = (target.extent.width(), target.extent.height());
     let Report { folds, residual, ref coincident, .. } = *report;
     let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
-    let report = FrameReport { seq, width, height, full, folds, residual, warnings, coincident, timing };
+    let canvas = target.canvas.map(AsJson);
+    let report = FrameReport { seq, width, height, canvas, full, folds, residual, warnings, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

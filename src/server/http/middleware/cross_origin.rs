@@ -14,12 +14,13 @@ use crate::problem::{Code, Problem};
 
 const METHODS: [Method; 5] = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE];
 const REQUEST_HEADERS: [&str; 7] = ["accept", "authorization", "content-type", "if-none-match", "te", "traceparent", "x-request-id"];
-const RESPONSE_HEADERS: [&str; 12] = [
+const RESPONSE_HEADERS: [&str; 13] = [
     "allow",
     "etag",
     "location",
     "retry-after",
     "server-timing",
+    "warp-canvas",
     "warp-folds",
     "warp-plan",
     "warp-residual",

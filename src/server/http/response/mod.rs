@@ -21,9 +21,11 @@ use crate::app::landmarks::HeldLandmarks;
 use crate::app::warp::Upload;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
+use crate::wire::canvas_text;
 use crate::wire::landmarks::UNMATCHED;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+const WARP_CANVAS: HeaderName = HeaderName::from_static("warp-canvas");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
 const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
 const WARP_RESIDUAL: HeaderName = HeaderName::from_static("warp-residual");
@@ -94,8 +96,11 @@ pub(crate) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type
 
 /// A picture.
 pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
-    let Drawn { report, etag, format, timing, plan_built, picture, .. } = drawn;
+    let Drawn { report, etag, target, format, timing, plan_built, picture } = drawn;
     let mut headers = report_headers(&report, plan_built);
+    if let Some(canvas) = target.canvas {
+        headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
+    }
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     headers.insert(VARY, HeaderValue::from_static("accept"));
     headers.insert(ETAG, text(format!("\"{etag}\"")));

@@ -4,8 +4,9 @@ mod contract;
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
-use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Digest, GridSpec, Method, Units};
+use mlswarp::pixmap::Extent;
+use mlswarp::render::{Canvas, Filter, Outside};
+use mlswarp::warp::{CanvasSpec, Digest, GridSpec, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -60,6 +61,7 @@ fn warp_reads_the_example_of_the_contract() {
             format: Format::Png,
             quality: 90,
             compression: Compression::Best,
+            canvas: CanvasSpec::Same,
             width: Some(800),
             filter: Filter::Nearest,
             outside: Outside::Colour([1, 128, 255, 64]),
@@ -223,10 +225,9 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
         ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
         ("{\"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None),
         ("{\"output\": {\"outside\": \"reflect\"}}", S, Some("/output/outside"), None),
-        ("{\"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None),
     ];
     check(WarpObject::parse, table);
-    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"canvas\": \"fit\"}}", S, Some("/output/canvas"), None)]);
+    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None)]);
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
         "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`"
@@ -247,6 +248,11 @@ fn words_and_colours_that_do_not_exist_are_bad_values() {
         ("{\"output\": {\"compression\": \"fastest\"}}", B, Some("/output/compression"), None),
         ("{\"output\": {\"filter\": 2}}", B, Some("/output/filter"), None),
         ("{\"output\": {\"canvas\": \"grow\"}}", B, Some("/output/canvas"), None),
+        ("{\"output\": {\"canvas\": {\"x\": 0, \"y\": 0, \"width\": 5}}}", B, Some("/output/canvas"), None),
+        ("{\"output\": {\"canvas\": {\"x\": 0.5, \"y\": 0, \"width\": 5, \"height\": 5}}}", B, Some("/output/canvas/x"), None),
+        ("{\"output\": {\"canvas\": {\"x\": 0, \"y\": -1000001, \"width\": 5, \"height\": 5}}}", B, Some("/output/canvas/y"), None),
+        ("{\"output\": {\"canvas\": {\"x\": 0, \"y\": 0, \"width\": 0, \"height\": 5}}}", B, Some("/output/canvas/width"), None),
+        ("{\"output\": {\"canvas\": [0, 0, 5, 5]}}", B, Some("/output/canvas"), None),
         ("{\"output\": {\"outside\": \"black\"}}", B, Some("/output/outside"), None),
         ("{\"output\": {\"outside\": [0, 0, 0, 0]}}", B, Some("/output/outside"), None),
         ("{\"output\": {\"outside\": \"#\"}}", B, Some("/output/outside"), None),
@@ -332,22 +338,24 @@ fn output_patch_replaces_only_what_it_gives() {
         format: Format::Jpeg,
         quality: 40,
         compression: Compression::None,
+        canvas: CanvasSpec::Fit,
         width: Some(7),
         filter: Filter::Nearest,
         outside: Outside::Edge,
     };
     assert_eq!(OutputPatch::default().merge_onto(&base), base);
     let (format, quality, compression, width) = (Format::WebP, 70, Compression::Best, 8);
-    let (filter, outside) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]));
+    let (filter, outside, canvas) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]), CanvasSpec::Same);
     let all = OutputPatch {
         format: Some(format),
         quality: Some(quality),
         compression: Some(compression),
+        canvas: Some(canvas),
         width: Some(width),
         filter: Some(filter),
         outside: Some(outside),
     };
-    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, width: Some(width), filter, outside });
+    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, canvas, width: Some(width), filter, outside });
     assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.merge_onto(&base), OutputSpec { width: Some(8), ..base });
 }
 
@@ -554,11 +562,15 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
             grid,
         },
     );
-    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside);
-    let output = output.prop_map(|(format, quality, compression, width, filter, outside)| OutputSpec {
+    let place = || -1_000_000..=1_000_000;
+    let boxes = (place(), place(), 1_u32.., 1_u32..).prop_map(|(x, y, w, h)| Canvas { x, y, extent: Extent::new(w, h).unwrap() });
+    let canvas = prop_oneof![Just(CanvasSpec::Same), Just(CanvasSpec::Fit), boxes.prop_map(CanvasSpec::Box)];
+    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside, canvas);
+    let output = output.prop_map(|(format, quality, compression, width, filter, outside, canvas)| OutputSpec {
         format,
         quality,
         compression,
+        canvas,
         width,
         filter,
         outside,

@@ -1,0 +1,108 @@
+//! The target picture: which part of the posed plane it shows, and its size.
+
+use super::spec::at_most;
+use super::{Limits, OutputSpec, WarpError};
+use crate::geometry::Mesh;
+use crate::pixmap::Extent;
+use crate::render::{Canvas, window_count};
+
+/// Positions are drawn to 1/256 px; what is nearer to a whole px is on it.
+const STEPS: f64 = 256.0;
+/// Memory of a window that is drawn, bytes per vertex of the posed grid.
+const WINDOW_BYTES_PER_VERTEX: u64 = 48;
+
+/// The requested canvas.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum CanvasSpec {
+    /// The box of the source.
+    #[default]
+    Same,
+    /// The smallest box of whole px that contains the whole posed picture.
+    Fit,
+    /// This box.
+    Box(Canvas),
+}
+
+impl CanvasSpec {
+    /// The box that is drawn; `None` if the posed picture of `fit` has no area.
+    #[must_use]
+    pub fn of(self, source: Extent, mesh: &Mesh) -> Option<Canvas> {
+        match self {
+            Self::Same => Some(Canvas::of(source)),
+            Self::Fit => fit(mesh),
+            Self::Box(canvas) => Some(canvas),
+        }
+    }
+}
+
+fn fit(mesh: &Mesh) -> Option<Canvas> {
+    let [left, top, right, bottom] = mesh.bounds().map(|edge| (edge * STEPS).round() / STEPS);
+    #[expect(clippy::cast_possible_truncation, reason = "float to integer saturates")]
+    let canvas = |extent| Canvas { x: left.floor() as i32, y: top.floor() as i32, extent };
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+    let side = |low: f64, high: f64| if high > low { (high.ceil() - low.floor()) as u32 } else { 0 };
+    Extent::new(side(left, right), side(top, bottom)).map(canvas)
+}
+
+/// The part of the posed plane that a target picture shows, and the size of the picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Target {
+    /// The part of the posed plane; `None` for the box of the source, which is requested as `same`.
+    pub canvas: Option<Canvas>,
+    /// The size of the picture, px.
+    pub extent: Extent,
+}
+
+impl Target {
+    /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows.
+    #[must_use]
+    pub fn window_bytes(&self, mesh: &Mesh) -> u64 {
+        let windows = self.canvas.map_or(1, |canvas| window_count(canvas, self.extent));
+        (windows - 1) * mesh.vertices() * WINDOW_BYTES_PER_VERTEX
+    }
+}
+
+impl OutputSpec {
+    /// Checks the size of the target as far as it is known before anything is posed.
+    ///
+    /// # Errors
+    /// Over the limits.
+    pub fn check(&self, source: Extent, limits: &Limits) -> Result<(), WarpError> {
+        match self.canvas {
+            CanvasSpec::Same => self.extent_of(Canvas::of(source), limits).map(drop),
+            CanvasSpec::Box(canvas) => self.extent_of(canvas, limits).map(drop),
+            CanvasSpec::Fit => Ok(()),
+        }
+    }
+
+    /// The target of a posed mesh.
+    ///
+    /// # Errors
+    /// Over the limits; nothing to show.
+    pub fn target(&self, source: Extent, mesh: &Mesh, limits: &Limits) -> Result<Target, WarpError> {
+        let canvas = self.canvas.of(source, mesh).ok_or(WarpError::NothingVisible)?;
+        let extent = self.extent_of(canvas, limits)?;
+        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent })
+    }
+
+    /// The size of the target: `width` with the height that keeps the proportions, max(1, round(H w / W)).
+    fn extent_of(&self, canvas: Canvas, limits: &Limits) -> Result<Extent, WarpError> {
+        let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
+        let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
+        let Some(width) = self.width else {
+            if self.canvas == CanvasSpec::Same {
+                // The source is within the limits of pictures.
+                at_most("output_side", self.format.max_side().into(), w.max(h))?;
+            } else {
+                at_most("canvas_side", max_side, w.max(h))?;
+                at_most("canvas_pixels", limits.image.max_pixels, w * h)?;
+            }
+            return Ok(canvas.extent);
+        };
+        let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
+        at_most("output_side", max_side, height.max(width.into()))?;
+        at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+        let height = u32::try_from(height).expect("at most max_side");
+        Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
+    }
+}
