@@ -45,6 +45,7 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
         mlswarp(&["warp", &path("in.png"), &path("warp.json"), "--canvas", "-20,10,450,300", "-o", &path("box.png")]).output().unwrap();
     assert!(String::from_utf8_lossy(&output.stderr).starts_with("450 x 300 px, canvas -20,10,450,300, 0 folded cells"), "{output:?}");
     assert_eq!(std::fs::read(path("box.png")).unwrap(), answer, "--canvas takes precedence over the warp object");
+    std::fs::remove_file(path("box.png")).unwrap();
     for text in ["grow", "1,2,3", "0,0,0,5", "1000001,0,5,5", "0.5,0,5,5", ""] {
         let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "--canvas", text, "-o", &path("box.png")]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
