@@ -233,6 +233,7 @@ fn warp_with(schema: &str, example: &Value) -> Value {
         "Place" | "Line" | "Handle" => json!({"p": [example], "q": [example]}),
         "Grid" => json!({"p": [[120, 80]], "q": [[130, 60]], "grid": example}),
         "Outside" => json!({"output": {"outside": example}}),
+        "Canvas" => json!({"output": {"canvas": example}}),
         "Output" => json!({"output": example}),
         "WarpObject" => example.clone(),
         _ => panic!("nothing replays the examples of the schema {schema}"),

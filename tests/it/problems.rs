@@ -200,6 +200,7 @@ async fn the_page_shows_what_is_said() {
         ("contradictory_handles", json!({"p": meeting, "q": apart, "coincident": {"policy": "reject"}})),
         ("degenerate_line", json!({"p": with(&six, 4, json!([[1, 2], [1, 2]])), "q": six})),
         ("alpha_out_of_range", json!({"p": six, "q": six, "alpha": 9})),
+        ("nothing_visible", json!({"p": [[2, 6], [14, 6]], "q": [[5, 5], [5, 5]], "method": "similarity", "output": {"canvas": "fit"}})),
     ];
     for (code, warp) in cases {
         same(code, server.post("/warp").multipart(form(&image, warp.to_string()))).await;
