@@ -98,7 +98,7 @@ impl Drawing {
     }
 
     /// The columns of the window up to the last one that is drawn.
-    const fn width(&self) -> usize {
+    pub(super) const fn width(&self) -> usize {
         self.window.columns.end
     }
 

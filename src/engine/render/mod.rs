@@ -152,6 +152,15 @@ impl Renderer {
         self.options.target
     }
 
+    /// Upper bound of the pixels whose source positions are computed to draw a row: a window is computed from its left edge.
+    #[must_use]
+    pub fn computed_width(&self) -> u32 {
+        match &self.work {
+            Work::Copy { .. } => self.options.target.width(),
+            Work::Draw(drawings) => drawings.iter().map(Drawing::width).max().map_or(0, |width| u32::try_from(width).unwrap_or(u32::MAX)),
+        }
+    }
+
     /// RGBA if the source has alpha or some target pixel may need it, otherwise RGB.
     #[must_use]
     pub const fn channels(&self) -> Channels {

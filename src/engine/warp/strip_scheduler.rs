@@ -12,7 +12,7 @@ use crate::codec::{StripChecksum, Writer};
 /// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
 
-/// Pixels that are rendered between two checks of `is_wanted`; a strip of PNG has fewer.
+/// Pixels that are computed between two checks of `is_wanted`; a strip of PNG has fewer.
 const BAND: u32 = 1 << 18;
 /// A band has a whole number of rows that are drawn together.
 const BAND_ROWS: u32 = 32;
@@ -93,7 +93,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let step = (BAND / renderer.target().width()).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+            let step = (BAND / renderer.computed_width().max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
             let bands = (rows.start..rows.end).step_by(step as usize).zip(samples.chunks_mut(step as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {
