@@ -106,8 +106,9 @@ impl Coincidences {
         let at = |(element, t): On| (place(&elements[element], t), displacement(&elements[element], t, displacements));
         for &(x, y) in &self.touching {
             let ((p, dp), (r, dr)) = (at(x), at(y));
-            if ((p + dp) - (r + dr)).norm() > self.tolerance {
-                found.add_position(p);
+            let apart = ((p + dp) - (r + dr)).norm();
+            if apart > self.tolerance {
+                found.add_tear(p, apart);
             }
         }
         if found.is_empty() {

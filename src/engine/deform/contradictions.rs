@@ -73,9 +73,16 @@ pub struct Contradictory {
     /// The number of all groups.
     pub total: usize,
     positions: Positions,
+    /// Positions at which f is torn, and the distance of two targets there, px. Coincident points, which move by their mean, tear nothing.
+    tears: Vec<(Point, f64)>,
 }
 
 impl Contradictory {
+    /// Positions at which f is torn by more than `apart`, px.
+    pub(super) fn torn(&self, apart: f64) -> impl Iterator<Item = Point> + '_ {
+        self.tears.iter().filter(move |(_, by)| *by > apart).map(|(position, _)| *position)
+    }
+
     /// Whether handles contradict each other at this position at rest.
     #[must_use]
     pub fn contains(&self, position: Point) -> bool {
@@ -132,11 +139,12 @@ pub(super) struct Contradictions {
     groups: Vec<(Point, Vec<Member>)>,
     /// The groups by their position; an index beyond the end: counted only.
     positions: Positions,
+    tears: Vec<(Point, f64)>,
 }
 
 impl Contradictions {
     pub(super) fn new(within: f64) -> Self {
-        Self { groups: Vec::new(), positions: Positions { within, ..Positions::default() } }
+        Self { groups: Vec::new(), positions: Positions { within, ..Positions::default() }, tears: Vec::new() }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -150,6 +158,12 @@ impl Contradictions {
         }
     }
 
+    /// Counts a position at which f has two targets, this far apart.
+    pub(super) fn add_tear(&mut self, position: Point, apart: f64) {
+        self.add_position(position);
+        self.tears.push((position, apart));
+    }
+
     /// Adds an element at a position, if it is one of the groups that are listed.
     pub(super) fn add_member(&mut self, position: Point, member: Member) {
         let Some((_, members)) = self.positions.find(position).and_then(|index| self.groups.get_mut(index)) else { return };
@@ -158,9 +172,9 @@ impl Contradictions {
 
     /// The groups in the order of their first position.
     pub(super) fn finish(self) -> Contradictory {
-        let Self { groups, positions } = self;
+        let Self { groups, positions, tears } = self;
         let listed = groups.into_iter().map(|(position, members)| contradiction(position, members, positions.within)).collect();
-        Contradictory { listed, total: positions.cells.len(), positions }
+        Contradictory { listed, total: positions.cells.len(), positions, tears }
     }
 }
 

@@ -11,7 +11,7 @@ use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group, group_len};
 use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
-use crate::geometry::{Grid, Mesh, RefinedCell, Refinement, Vec2};
+use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
 const SUSPECT: f64 = 0.6;
@@ -23,14 +23,17 @@ const RESOLVED: f32 = 0.1;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
+/// The largest difference of two targets at one position that counts as one, as a share of the tolerance.
+const TORN: f64 = 0.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
 /// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
 const LEVELS: usize = 4;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
 const BESIDE: f64 = 0.5;
-/// An error between the vertices where it is measured is at most this much larger.
-const BETWEEN: f32 = 1.1;
+/// An error between the vertices where it is measured is at most this much larger: where f is smooth, and at a cusp or a crease.
+const BETWEEN_SMOOTH: f32 = 1.1;
+const BETWEEN: f32 = 1.5;
 
 /// The tolerance of a posed grid, and what may be spent on it.
 #[derive(Clone, Copy, Debug)]
@@ -112,6 +115,7 @@ impl Refiner<'_> {
             is_smooth: self.field.falloff().is_none_or(|falloff| falloff.alpha() >= smooth),
         };
         work.run(&posing, cancelled)?;
+        work.exceed_torn(pose);
         Some(work.finish())
     }
 }
@@ -166,6 +170,10 @@ impl Work<'_> {
         self.refiner.tolerance as f32
     }
 
+    const fn between(&self) -> f32 {
+        if self.is_smooth { BETWEEN_SMOOTH } else { BETWEEN }
+    }
+
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
         let mut pending = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance);
         for (&cell, samples) in &self.samples {
@@ -175,8 +183,11 @@ impl Work<'_> {
         }
         if self.refiner.folds {
             let columns = self.mesh.grid().columns() - 1;
+            // What the second differences of a cell that is not bent leave room for.
+            #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
+            let split = ((1.0 - SUSPECT) * self.refiner.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
-            pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > self.tolerance()));
+            pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > split));
         }
         while !pending.is_empty() {
             pending.sort_unstable();
@@ -191,6 +202,9 @@ impl Work<'_> {
             let mut next = Vec::new();
             for &cell in &pending {
                 self.judge(cell, &mut next);
+            }
+            if next.is_empty() {
+                self.judge_edges(&mut next);
             }
             pending = next;
         }
@@ -231,7 +245,7 @@ impl Work<'_> {
         }
         let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
         // The grid may not resolve f there.
-        if depth == 1 && known.errors[0] * BETWEEN > self.tolerance() {
+        if depth == 1 && known.errors[0] * self.between() > self.tolerance() {
             next.extend(self.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
         }
         // Both cells at a side must be halved for the handles beside it.
@@ -252,6 +266,64 @@ impl Work<'_> {
         }
     }
 
+    /// Cells whose neighbours know that a common edge must be halved more often; those that must be measured for it go to `next`.
+    fn judge_edges(&mut self, next: &mut Vec<u32>) {
+        let mut wanted = Vec::new();
+        for (cell, known) in &self.cells.known {
+            let level = self.level(*cell, known);
+            if level == 0 {
+                continue;
+            }
+            let mut vertices = Vec::new();
+            for (edge, other) in self.beside(*cell).into_iter().enumerate() {
+                let Some(other) = other else { continue };
+                let other_level = self.cells.get(&other).map_or(0, |known| self.level(other, known));
+                if other_level >= level {
+                    continue;
+                }
+                if vertices.is_empty() {
+                    vertices = known.at_level(level);
+                }
+                let least = edge_level(&vertices, (1 << level) + 1, edge, self.tolerance());
+                if least > other_level {
+                    wanted.push((other, least));
+                }
+            }
+        }
+        for (cell, least) in wanted {
+            let corners = self.corners(cell);
+            let known = self.cells.get_or_insert(cell, corners);
+            if known.least < least {
+                known.least = least;
+                if known.depth < least {
+                    next.push(cell);
+                }
+            }
+        }
+    }
+
+    /// No cell resolves a position at which f is torn.
+    fn exceed_torn(&mut self, pose: &Pose) {
+        let grid = self.mesh.grid();
+        let beside = |x: f64, y: f64| grid.locate(Point::new(x.clamp(0.0, grid.width()), y.clamp(0.0, grid.height())));
+        for p in pose.contradictions().torn(TORN * self.refiner.tolerance) {
+            if grid.locate(p).is_none() {
+                continue;
+            }
+            let around = [-1.0, 1.0].map(|x| [-1.0, 1.0].map(|y| beside(p.x + x * SMALLEST_CELL, p.y + y * SMALLEST_CELL)));
+            let cells = around.into_iter().flatten().flatten().map(|(i, j, ..)| j * (grid.columns() - 1) + i);
+            self.exceeded.extend(cells);
+        }
+    }
+
+    /// The halvings of a cell as it will be drawn.
+    fn level(&self, cell: u32, known: &Measured) -> u8 {
+        match self.decide(cell, known) {
+            Decision::Draw(level) => level,
+            Decision::Measure => known.depth,
+        }
+    }
+
     /// The fewest halvings with which a cell meets the tolerance, as far as it was measured.
     fn decide(&self, cell: u32, known: &Measured) -> Decision {
         let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
@@ -262,10 +334,11 @@ impl Work<'_> {
         };
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
-                Ordering::Less => known.errors[usize::from(level)] * BETWEEN,
-                _ if level > 0 && (level == self.deepest || self.is_smooth && is_resolved(level)) => {
+                Ordering::Less => known.errors[usize::from(level)] * self.between(),
+                _ if level > 0 && self.is_smooth && (level == self.deepest || is_resolved(level)) => {
                     known.errors[usize::from(level) - 1] * HALVED
                 }
+                _ if level > 0 && level == self.deepest => known.errors[usize::from(level) - 1],
                 _ => f32::INFINITY,
             };
             if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
@@ -281,10 +354,7 @@ impl Work<'_> {
         self.cells.sort();
         for (cell, known) in &self.cells.known {
             let cell = *cell;
-            let level = match self.decide(cell, known) {
-                Decision::Draw(level) => level,
-                Decision::Measure => known.depth,
-            };
+            let level = self.level(cell, known);
             if level > 0 {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
                 refinement.push(i, j, level, &known.at_level(level));
@@ -296,7 +366,7 @@ impl Work<'_> {
                 return cell.level;
             }
             let vertices = self.cells.get(&index).map_or_else(Vec::new, |known| known.at_level(cell.level));
-            outer_level(&vertices, cell.side(), edge, self.tolerance())
+            edge_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
         refinement.join(grid, outer);
@@ -320,6 +390,18 @@ impl Work<'_> {
         let at = cell as usize / (columns - 1) * columns + cell as usize % (columns - 1);
         let d = self.mesh.displacement();
         [d[at], d[at + 1], d[at + columns], d[at + columns + 1]]
+    }
+
+    /// The cells at the edges of a cell: top, right, bottom, left.
+    fn beside(&self, cell: u32) -> [Option<u32>; 4] {
+        let (columns, rows) = (self.mesh.grid().columns() - 1, self.mesh.grid().rows() - 1);
+        let (i, j) = (cell % columns, cell / columns);
+        [
+            (j > 0).then(|| cell - columns),
+            (i + 1 < columns).then(|| cell + 1),
+            (j + 1 < rows).then(|| cell + columns),
+            (i > 0).then(|| cell - 1),
+        ]
     }
 
     /// The neighbours of a cell in the chosen directions.
@@ -388,7 +470,7 @@ impl Measured {
                 vertices[2 * b * fine + 2 * a] = *d;
             }
         }
-        let mut worst = split_error(&self.vertices, coarse, size);
+        let (mut worst, split) = (0.0_f32, split_error(&self.vertices, coarse, size));
         let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
         for ((a, b), d) in group(self.depth + 1).zip(fresh) {
             let (a, b) = (a as usize, b as usize);
@@ -402,7 +484,7 @@ impl Measured {
             vertices[b * fine + a] = *d;
         }
         self.vertices = vertices;
-        self.errors[usize::from(self.depth)] = worst;
+        self.errors[usize::from(self.depth)] = worst + split;
         self.depth += 1;
     }
 
@@ -442,7 +524,7 @@ fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Vec<[f32; 2]> {
 }
 
 /// The fewest halvings with which an edge meets the tolerance.
-fn outer_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
+fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
     let line: Vec<[f32; 2]> = (0..side)
         .map(|k| match edge {
             0 => vertices[k],
