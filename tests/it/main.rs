@@ -15,6 +15,7 @@ mod doors;
 mod drag;
 mod environment;
 mod fairness;
+mod fit;
 mod floods;
 mod formats;
 mod golden;

@@ -79,7 +79,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
             "/p/1",
             &["handle 1 is a line, but the method `tps` takes points"],
         ),
-        (r#"{"method": "tps", "alpha": 1}"#, "bad_value", "/alpha", &["`alpha` does not apply: the method `tps` has no such parameter"]),
+        (r#"{"method": "tps", "alpha": 1}"#, "bad_value", "/alpha", &["`alpha` does not apply: it belongs to the methods `rigid`"]),
         (r#"{"method": "tps", "point_mass": 1}"#, "bad_value", "/point_mass", &["`point_mass` does not apply: the method `tps`"]),
         (r#"{"smoothing": 0}"#, "bad_value", "/smoothing", &["`smoothing` does not apply: it belongs to the method `tps`"]),
         (r#"{"method": "tps", "smothing": 1}"#, "unknown_field", "/smothing", &["did you mean `smoothing`?"]),

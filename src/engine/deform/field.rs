@@ -5,10 +5,11 @@ use std::cell::RefCell;
 use std::sync::Arc;
 
 use super::coincidences::Coincidences;
-use super::columns::{Element, Rank, Sources, elements, rank};
+use super::columns::{Element, Rank, Segment, Sources, elements, rank};
 use super::contradictions::{Contradictions, Member};
 use super::falloff::Falloff;
 use super::family::{displacement, rotation};
+use super::global_affine::GlobalAffine;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::kernel;
@@ -30,16 +31,16 @@ const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 #[derive(Clone, Debug)]
 pub struct Field {
     /// Coincident points are one handle.
-    handles: Handles,
+    pub(super) handles: Handles,
     /// The client's handles, if some of their points coincide.
-    grouped: Option<Box<(Handles, Groups)>>,
+    pub(super) grouped: Option<Box<(Handles, Groups)>>,
     policy: CoincidentPolicy,
-    model: Model,
+    pub(super) model: Model,
     /// The family whose rows are used: affine on a line falls back to similarity; the rows of a spline are real, on a line complex.
-    family: Method,
-    rank: Rank,
+    pub(super) family: Method,
+    pub(super) rank: Rank,
     elements: Vec<Element>,
-    sources: Sources,
+    pub(super) sources: Sources,
     /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
     coincidences: Coincidences,
@@ -48,11 +49,13 @@ pub struct Field {
 
 /// How f is computed.
 #[derive(Clone, Debug)]
-enum Model {
+pub(super) enum Model {
     /// A map is fitted at every position.
     MovingLeastSquares { falloff: Falloff, point_mass: f64 },
     /// One map; no spline is needed for handles at one position.
     ThinPlateSpline { smoothing: f64, spline: Option<Arc<Spline>> },
+    /// One affine map; none is needed for handles at one position.
+    GlobalAffine { point_mass: f64, map: Option<Arc<GlobalAffine>> },
 }
 
 /// f of one pose: what does not depend on the position is computed once.
@@ -105,6 +108,15 @@ impl Grouped {
     }
 }
 
+/// The family that handles of this rank determine, and the warnings.
+fn determined(method: Method, rank: Rank) -> (Method, Vec<Warning>) {
+    match (method, rank) {
+        (Method::Affine, Rank::Collinear) => (Method::Similarity, vec![Warning::AffineDegenerateUsedSimilarity]),
+        (_, Rank::OnePlace) => (method, vec![Warning::TranslationOnly]),
+        _ => (method, vec![]),
+    }
+}
+
 impl Field {
     /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where points and lines are mixed.
     ///
@@ -132,17 +144,7 @@ impl Field {
         let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
         let policy = coincident.policy;
         let rank = rank(&handles);
-        let mut warnings = Vec::new();
-        let family = match (method, rank) {
-            (Method::Affine, Rank::Collinear) => {
-                warnings.push(Warning::AffineDegenerateUsedSimilarity);
-                Method::Similarity
-            }
-            _ => method,
-        };
-        if rank == Rank::OnePlace {
-            warnings.push(Warning::TranslationOnly);
-        }
+        let (family, mut warnings) = determined(method, rank);
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
@@ -195,6 +197,30 @@ impl Field {
         Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
     }
 
+    /// One affine map, of least squares over all handles; `point_mass` as in [`Field::new`].
+    ///
+    /// # Errors
+    /// Those of [`Field::new_unless`].
+    pub fn global_affine_unless(
+        handles: Handles,
+        coincident: Coincident,
+        point_mass: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        if !POINT_MASS.contains(&point_mass) {
+            return Err(DeformError::BadPointMass { value: point_mass });
+        }
+        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
+        let (policy, sources, rank) = (coincident.policy, Sources::of(&elements), rank(&handles));
+        let (family, warnings) = determined(Method::Affine, rank);
+        let map = match rank {
+            Rank::Empty | Rank::OnePlace => None,
+            Rank::Collinear | Rank::Full => Some(Arc::new(GlobalAffine::new(&sources, rank == Rank::Collinear))),
+        };
+        let model = Model::GlobalAffine { point_mass, map };
+        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+    }
+
     /// Bytes that [`Field::spline`] of this number of points takes; known before anything is allocated.
     #[must_use]
     pub const fn spline_bytes(points: u64) -> u64 {
@@ -207,12 +233,12 @@ impl Field {
         &self.handles
     }
 
-    /// The fall-off; none of a spline.
+    /// The fall-off of moving least squares.
     #[must_use]
     pub const fn falloff(&self) -> Option<Falloff> {
         match self.model {
             Model::MovingLeastSquares { falloff, .. } => Some(falloff),
-            Model::ThinPlateSpline { .. } => None,
+            Model::ThinPlateSpline { .. } | Model::GlobalAffine { .. } => None,
         }
     }
 
@@ -220,7 +246,7 @@ impl Field {
     #[must_use]
     pub const fn point_mass(&self) -> Option<f64> {
         match self.model {
-            Model::MovingLeastSquares { point_mass, .. } => Some(point_mass),
+            Model::MovingLeastSquares { point_mass, .. } | Model::GlobalAffine { point_mass, .. } => Some(point_mass),
             Model::ThinPlateSpline { .. } => None,
         }
     }
@@ -229,7 +255,7 @@ impl Field {
     #[must_use]
     pub const fn smoothing(&self) -> Option<f64> {
         match self.model {
-            Model::MovingLeastSquares { .. } => None,
+            Model::MovingLeastSquares { .. } | Model::GlobalAffine { .. } => None,
             Model::ThinPlateSpline { smoothing, .. } => Some(smoothing),
         }
     }
@@ -347,15 +373,26 @@ impl Field {
     /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
     #[must_use]
     pub fn approximated(&self, pose: &Pose) -> Option<Vec<Vec2>> {
-        self.solved().filter(|spline| !spline.interpolates())?;
+        let interpolates = match &self.model {
+            Model::MovingLeastSquares { .. } => true,
+            Model::ThinPlateSpline { spline, .. } => spline.as_ref().is_none_or(|spline| spline.interpolates()),
+            Model::GlobalAffine { map, .. } => map.is_none(),
+        };
+        if interpolates {
+            return None;
+        }
         let f = self.deformation(pose);
-        Some(self.sources.points.iter().map(|source| f.map(source.p) - source.p).collect())
+        let places = self.elements.iter().flat_map(|element| match element {
+            Element::Point { p, .. } => [Some(*p), None],
+            Element::Segment(Segment { a, b, .. }) => [Some(*a), Some(*b)],
+        });
+        Some(places.flatten().map(|p| f.map(p) - p).collect())
     }
 
     pub(super) fn solved(&self) -> Option<&Spline> {
         match &self.model {
             Model::ThinPlateSpline { spline, .. } => spline.as_deref(),
-            Model::MovingLeastSquares { .. } => None,
+            Model::MovingLeastSquares { .. } | Model::GlobalAffine { .. } => None,
         }
     }
 
@@ -372,6 +409,7 @@ impl Field {
                     kernel::rows(&RowInputs { sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
                 }
                 Model::ThinPlateSpline { spline, .. } => spline.as_ref().expect("has an extent").rows(v, &mut scratch.sides, rows),
+                Model::GlobalAffine { map, .. } => map.as_ref().expect("has an extent").rows(v, rows),
             },
         }
     }

@@ -139,6 +139,23 @@ impl Groups {
         self.origins.iter().map(of).collect()
     }
 
+    /// The grouped column of each of the client's columns.
+    pub(super) fn columns(&self) -> Vec<usize> {
+        let of = |origin: &Origin| match *origin {
+            Origin::Column(column) => vec![column],
+            Origin::Group(group) => self.groups[group].iter().map(|point| point.column).collect(),
+        };
+        let pairs: Vec<(usize, usize)> = self
+            .origins
+            .iter()
+            .enumerate()
+            .flat_map(|(grouped, origin)| of(origin).into_iter().map(move |given| (given, grouped)))
+            .collect();
+        let mut columns = vec![0; pairs.len()];
+        pairs.into_iter().for_each(|(given, grouped)| columns[given] = grouped);
+        columns
+    }
+
     /// Adds the position of each group whose displacements differ from their mean by more than `tolerance`.
     pub(super) fn add_contradictions(&self, found: &mut Contradictions, grouped: &Handles, given: &[Vec2], mean: &[Vec2], tolerance: f64) {
         let mut columns = self.origins.iter().zip(mean);

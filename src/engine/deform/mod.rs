@@ -22,6 +22,8 @@ mod field;
 #[forbid(unsafe_code)]
 mod fit;
 #[forbid(unsafe_code)]
+mod global_affine;
+#[forbid(unsafe_code)]
 mod groups;
 #[forbid(unsafe_code)]
 mod handles;
@@ -30,6 +32,8 @@ mod kernel;
 mod lane_math;
 #[forbid(unsafe_code)]
 mod lanes;
+#[forbid(unsafe_code)]
+mod leave_one_out;
 #[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]

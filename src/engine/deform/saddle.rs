@@ -188,6 +188,22 @@ impl Saddle {
         a
     }
 
+    /// The diagonal entry i of the inverse of the whole system, i < n: the squared length of `L^-1` times what Q^T S leaves of the i-th unit
+    /// vector beyond the polynomials. O(n^2).
+    pub(super) fn inverse_diagonal(&self, i: usize) -> f64 {
+        let mut x = vec![[0.0]; self.scale.len()];
+        x[i] = [1.0];
+        self.scaled(&mut x);
+        self.reflections.iter().for_each(|reflection| reflect(reflection, &mut x));
+        let head = self.reflections.len();
+        let mut solved: Vec<f64> = x.into_iter().map(|[x]| x).collect();
+        for i in head..solved.len() {
+            let row = self.factor.row(i);
+            solved[i] = (solved[i] - dot(&row[head..i], &solved[head..i])) / row[i];
+        }
+        dot(&solved[head..], &solved[head..])
+    }
+
     fn scaled<const N: usize>(&self, x: &mut [[f64; N]]) {
         for (x, scale) in x.iter_mut().zip(&self.scale) {
             x.iter_mut().for_each(|x| *x *= scale);

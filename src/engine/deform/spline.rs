@@ -7,6 +7,8 @@
 
 #![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
 
+use rayon::prelude::*;
+
 use super::IsCancelled;
 use super::columns::PointSource;
 use super::lane_math::ln;
@@ -117,6 +119,16 @@ impl Spline {
     /// At least two sites. `line`: they lie on one. O(n^3); `None` when cancelled.
     pub(super) fn new(sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
         let frame = Frame::of(&sites.positions, line);
+        Self::in_frame(frame, sites, line, smoothing, cancelled)
+    }
+
+    /// The spline of some of the sites of another one, with its unit.
+    pub(super) fn of_part(&self, sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
+        let frame = Frame { unit: self.frame.unit, ..Frame::of(&sites.positions, line) };
+        Self::in_frame(frame, sites, line, smoothing, cancelled)
+    }
+
+    fn in_frame(frame: Frame, sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
         let (x, y): (Vec<f64>, Vec<f64>) = sites
             .positions
             .iter()
@@ -133,6 +145,25 @@ impl Spline {
         let noise: Vec<f64> = sites.weights.iter().map(|weight| smoothing / weight).collect();
         let saddle = Saddle::new(kernel, &noise, polynomials, cancelled)?;
         Some(Self { frame, sites, x, y, saddle, is_complex: line, interpolates: smoothing == 0.0 })
+    }
+
+    /// Position and column of every point, with its site.
+    pub(super) fn members(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.sites.members.iter().map(|(site, _, column)| (*column, *site))
+    }
+
+    /// The displacement of each site less the one that the spline of all other sites predicts there, px (mathematics 10.4):
+    /// `w_i / (Lm^-1)_ii`, not finite where the others determine fewer polynomials. Parallel; O(n^3); `None` when cancelled.
+    pub(super) fn left_out(&self, d: &[Vec2], cancelled: IsCancelled<'_>) -> Option<Vec<Vec2>> {
+        let weights = self.posed(d).weights;
+        let residual = |(site, w): (usize, &[f64; 2])| {
+            if cancelled() {
+                return None;
+            }
+            let diagonal = self.saddle.inverse_diagonal(site);
+            Some(Vec2::new(w[0] / diagonal, w[1] / diagonal))
+        };
+        weights.par_iter().enumerate().map(residual).collect()
     }
 
     /// The number of distinct positions.

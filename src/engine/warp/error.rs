@@ -34,7 +34,7 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `handle_columns`, `spline_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`,
+        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`,
         /// `canvas_side`, `canvas_pixels`.
         what: &'static str,
         /// The limit.
@@ -47,6 +47,20 @@ pub enum WarpError {
     ForeignParameter {
         /// The field: `alpha`, `point_mass`, `smoothing`.
         parameter: &'static str,
+    },
+    /// A line where points are compared.
+    #[error("handle {handle} is a line, but methods are compared on points")]
+    LineInFit {
+        /// Index of the handle.
+        handle: usize,
+    },
+    /// Too few points to compare methods.
+    #[error("methods are compared on at least {least} distinct points; found {actual}")]
+    TooFewPoints {
+        /// The fewest.
+        least: usize,
+        /// The number of distinct points.
+        actual: usize,
     },
     /// An invalid grid.
     #[error("{0}")]
@@ -108,7 +122,8 @@ impl From<CodecError> for WarpError {
 fn foreign(parameter: &str) -> String {
     let reason = match parameter {
         "smoothing" => "it belongs to the method `tps`",
-        _ => "the method `tps` has no such parameter; it belongs to `rigid`, `similarity` and `affine`",
+        "alpha" => "it belongs to the methods `rigid`, `similarity` and `affine`",
+        _ => "the method `tps` has no such parameter",
     };
     format!("`{parameter}` does not apply: {reason}")
 }
@@ -118,6 +133,7 @@ fn measured(what: &str, actual: u64) -> String {
     match what {
         "handle_columns" => format!("the handles need {actual} columns (1 for each point, 2 for each segment)"),
         "spline_handles" => format!("the method `tps` would have {actual} handles"),
+        "fit_handles" => format!("methods would be compared on {actual} handles"),
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),

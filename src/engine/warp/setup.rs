@@ -178,7 +178,7 @@ impl Setup {
         self.field.groups()
     }
 
-    /// Effective alpha; `None` of a spline.
+    /// Effective alpha of moving least squares.
     #[must_use]
     pub fn alpha(&self) -> Option<f64> {
         self.field.falloff().map(Falloff::alpha)
@@ -287,10 +287,10 @@ impl Setup {
 }
 
 /// Errors: A parameter of another method, too many handles.
-fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
+pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
     let is_spline = rest.method == Method::ThinPlateSpline;
     let given = [
-        ("alpha", rest.alpha.is_some() && is_spline),
+        ("alpha", rest.alpha.is_some() && rest.method.family().is_none()),
         ("point_mass", rest.point_mass.is_some() && is_spline),
         ("smoothing", rest.smoothing.is_some() && !is_spline),
     ];
@@ -300,14 +300,19 @@ fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
     if is_spline { at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64) } else { Ok(()) }
 }
 
-fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, DeformError> {
-    let Some(family) = rest.method.family() else {
-        return Field::spline_unless(handles, rest.coincident, rest.smoothing.unwrap_or(0.0), cancelled);
+pub(super) fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, DeformError> {
+    let coincident = rest.coincident;
+    let point_mass = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
+    let family = match rest.method {
+        Method::ThinPlateSpline => return Field::spline_unless(handles, coincident, rest.smoothing.unwrap_or(0.0), cancelled),
+        Method::GlobalAffine => return Field::global_affine_unless(handles, coincident, point_mass, cancelled),
+        Method::Rigid => deform::Method::Rigid,
+        Method::Similarity => deform::Method::Similarity,
+        Method::Affine => deform::Method::Affine,
     };
     let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
     let falloff = Falloff::new(alpha, handles.has_lines())?;
-    let point_mass = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-    Field::new_unless(handles, rest.coincident, family, falloff, point_mass, cancelled)
+    Field::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
 }
 
 fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
@@ -354,7 +359,7 @@ fn unit(units: Units, grid: &Grid) -> (f64, f64) {
     }
 }
 
-fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
+pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
     let px = |p: &Point| Point::new(p.x * ux, p.y * uy);
     handles
         .iter()
@@ -368,6 +373,7 @@ fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
 fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
     /// Beside the families of moving least squares.
     const SPLINE: u64 = 3;
+    const GLOBAL_AFFINE: u64 = 4;
     let family = match field.family() {
         deform::Method::Affine => 0,
         deform::Method::Similarity => 1,
@@ -376,7 +382,8 @@ fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest
     let key = Collector::new("mlswarp plan 2");
     let key = match (field.falloff(), field.smoothing()) {
         (Some(falloff), _) => key.integer(family).float(falloff.alpha()),
-        (None, smoothing) => key.integer(SPLINE).float(smoothing.unwrap_or_default()),
+        (None, Some(smoothing)) => key.integer(SPLINE).float(smoothing),
+        (None, None) => key.integer(GLOBAL_AFFINE),
     };
     let mut key = key
         // A mass that all points share cancels without lines.

@@ -37,24 +37,26 @@ pub enum Method {
     Affine,
     /// The thin-plate spline; points only.
     ThinPlateSpline,
+    /// One affine map, of least squares; it does not interpolate the handles.
+    GlobalAffine,
 }
 
 impl Method {
-    /// The class of maps that moving least squares fits; none of a spline.
+    /// The class of maps that moving least squares fits; none of the other methods.
     #[must_use]
     pub const fn family(self) -> Option<deform::Method> {
         match self {
             Self::Rigid => Some(deform::Method::Rigid),
             Self::Similarity => Some(deform::Method::Similarity),
             Self::Affine => Some(deform::Method::Affine),
-            Self::ThinPlateSpline => None,
+            Self::ThinPlateSpline | Self::GlobalAffine => None,
         }
     }
 
     /// Whether both have the same parameters.
     #[must_use]
-    pub const fn is_like(self, other: Self) -> bool {
-        self.family().is_some() == other.family().is_some()
+    pub fn is_like(self, other: Self) -> bool {
+        self == other || self.family().is_some() && other.family().is_some()
     }
 }
 
@@ -149,7 +151,7 @@ impl RestSpec {
     pub fn field_bytes(&self) -> u64 {
         match self.method {
             Method::ThinPlateSpline => deform::Field::spline_bytes((self.p.len() as u64).min(MOST_SPLINE_HANDLES)),
-            Method::Rigid | Method::Similarity | Method::Affine => 0,
+            Method::Rigid | Method::Similarity | Method::Affine | Method::GlobalAffine => 0,
         }
     }
 }

@@ -24,7 +24,7 @@ impl From<WarpError> for Problem {
             WarpError::TooLarge { what, limit, actual } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
-                    "handle_columns" | "spline_handles" => problem.pointer("/p"),
+                    "handle_columns" | "spline_handles" | "fit_handles" => problem.pointer("/p"),
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     output if output.starts_with("output_") => problem.pointer("/output/width"),
                     canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
@@ -32,6 +32,8 @@ impl From<WarpError> for Problem {
                 }
             }
             WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),
+            WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail).pointer(format!("/p/{handle}")).handle(handle),
+            WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail).pointer("/p").actual(actual),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
             WarpError::NothingVisible => Self::new(Code::NothingVisible, detail).pointer("/output/canvas"),

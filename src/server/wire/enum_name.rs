@@ -69,9 +69,9 @@ pub(crate) enum Metric {
 }
 
 enum_names!(
-    Method, unsupported ["auto", "global_affine", "beier_neely", "arap"],
+    Method, unsupported ["auto", "beier_neely", "arap"],
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
-    Method::ThinPlateSpline = "tps"
+    Method::ThinPlateSpline = "tps", Method::GlobalAffine = "global_affine"
 );
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");

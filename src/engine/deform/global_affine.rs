@@ -1,0 +1,123 @@
+//! One affine map for the whole plane: that of least squares over all handles, without a fall-off. It does not interpolate the handles.
+//! Handles on a line determine a similarity only. A segment counts with the integral over its length. O(columns) for a position.
+
+use super::columns::{PointSource, Segment, Sources};
+use super::lanes::{Rows, Vertices};
+use crate::geometry::{Point, Vec2};
+
+/// The coefficients of all columns: affine functions of the position.
+#[derive(Clone, Debug)]
+pub(super) struct GlobalAffine {
+    /// The mean of the handles at rest; the frame's origin.
+    centre: Point,
+    /// Direction of the frame: the one in which the handles extend farthest.
+    tau: Vec2,
+    /// Slope of the regression of y on x in the frame.
+    slope: f64,
+    /// Whether the map is a similarity, because the handles lie on a line.
+    is_complex: bool,
+    columns: Vec<Column>,
+}
+
+/// The coefficient of a column at `e` in the frame: `share + gradient . (e.x, e.y - slope e.x)`, for a similarity
+/// `share + e conj(gradient)`.
+#[derive(Clone, Copy, Debug)]
+struct Column {
+    column: usize,
+    share: f64,
+    gradient: Vec2,
+}
+
+/// A column as a mass: its first moment is `mass * at`.
+#[derive(Clone, Copy, Debug)]
+struct Mass {
+    column: usize,
+    mass: f64,
+    at: Vec2,
+}
+
+/// A straight piece of mass from `a` to `b`; a point is one of length 0.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    mass: f64,
+    a: Vec2,
+    b: Vec2,
+}
+
+impl Piece {
+    /// The integral of the product of two linear functions with these values at a and b.
+    fn integral(&self, f: [f64; 2], g: [f64; 2]) -> f64 {
+        self.mass * (2.0 * (f[0] * g[0] + f[1] * g[1]) + f[0] * g[1] + f[1] * g[0]) / 6.0
+    }
+}
+
+impl GlobalAffine {
+    /// At least two positions. `line`: all lie on one.
+    pub(super) fn new(sources: &Sources, line: bool) -> Self {
+        let first = sources.points.first().map_or_else(|| sources.segments[0].a, |source| source.p);
+        let point = |source: &PointSource| Piece { mass: source.mass, a: source.p - first, b: source.p - first };
+        let segment = |s: &Segment| Piece { mass: s.weight * s.length, a: s.a - first, b: s.b - first };
+        let mut pieces: Vec<Piece> = sources.points.iter().map(point).chain(sources.segments.iter().map(segment)).collect();
+        let total: f64 = pieces.iter().map(|piece| piece.mass).sum();
+        let mean = pieces.iter().fold(Vec2::ZERO, |sum, Piece { mass, a, b }| sum + (*a + *b) * (0.5 * mass / total));
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for piece in &mut pieces {
+            (piece.mass, piece.a, piece.b) = (piece.mass / total, piece.a - mean, piece.b - mean);
+            let (x, y) = ([piece.a.x, piece.b.x], [piece.a.y, piece.b.y]);
+            (xx, xy, yy) = (xx + piece.integral(x, x), xy + piece.integral(x, y), yy + piece.integral(y, y));
+        }
+        let (sin, cos) = (0.5 * f64::atan2(2.0 * xy, xx - yy)).sin_cos();
+        let tau = Vec2::new(cos, sin);
+        for Piece { a, b, .. } in &mut pieces {
+            (*a, *b) = (turned(*a, tau), turned(*b, tau));
+        }
+        // The tangent first, then what is left across it, so that handles near a line keep their digits.
+        let sum = |f: &dyn Fn(Vec2) -> f64, g: &dyn Fn(Vec2) -> f64| -> f64 {
+            pieces.iter().map(|piece| piece.integral([f(piece.a), f(piece.b)], [g(piece.a), g(piece.b)])).sum()
+        };
+        let along = sum(&|p| p.x, &|p| p.x);
+        let slope = if line { 0.0 } else { sum(&|p| p.x, &|p| p.y) / along };
+        let rest = |p: Vec2| p.y - slope * p.x;
+        let across = sum(&rest, &rest);
+        let spread = along + across;
+        let masses = masses(sources, &pieces);
+        let columns = masses.map(|Mass { column, mass, at }| {
+            let gradient = if line { at * (1.0 / spread) } else { Vec2::new(at.x / along, (at.y - slope * at.x) / across) };
+            Column { column, share: mass, gradient }
+        });
+        Self { centre: first + mean, tau, slope, is_complex: line, columns: columns.collect() }
+    }
+
+    /// The coefficients of N vertices.
+    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, rows: &mut Rows<N>) {
+        let (mut ex, mut ey) = ([0.0; N], [0.0; N]);
+        for k in 0..N {
+            let e = turned(Point::new(v.x[k], v.y[k]) - self.centre, self.tau);
+            (ex[k], ey[k]) = (e.x, e.y - self.slope * e.x);
+        }
+        for Column { column, share, gradient } in &self.columns {
+            let [re, im] = &mut rows.h[*column];
+            for k in 0..N {
+                re[k] = share + (ex[k] * gradient.x + ey[k] * gradient.y);
+                im[k] = if self.is_complex { ey[k] * gradient.x - ex[k] * gradient.y } else { 0.0 };
+            }
+        }
+    }
+}
+
+/// The columns of all sources; `pieces` in their order. The first moment of an end is the integral of the position times the end's share.
+fn masses<'a>(sources: &'a Sources, pieces: &'a [Piece]) -> impl Iterator<Item = Mass> + 'a {
+    let (points, segments) = pieces.split_at(sources.points.len());
+    let points =
+        sources.points.iter().zip(points).map(|(source, piece)| Mass { column: source.column, mass: piece.mass, at: piece.a * piece.mass });
+    let segments = sources.segments.iter().zip(segments).flat_map(|(segment, Piece { mass, a, b })| {
+        let end = |column: usize, near: Vec2, far: Vec2| Mass { column, mass: 0.5 * mass, at: (near * 2.0 + far) * (mass / 6.0) };
+        [end(segment.column, *a, *b), end(segment.column + 1, *b, *a)]
+    });
+    points.chain(segments)
+}
+
+/// `p conj(tau)`.
+fn turned(p: Vec2, tau: Vec2) -> Vec2 {
+    Vec2::new(p.dot(tau), tau.cross(p))
+}
