@@ -4,7 +4,13 @@ use mlswarp::deform::{Coincident, Falloff, Field, Handle, Handles, Method as Fam
 use mlswarp::geometry::{Point, Vec2};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Fit, Method, RestSpec};
+use mlswarp_server::pool::WorkClass;
 use proptest::prelude::*;
+use reqwest::Response;
+use serde_json::{Value, json};
+
+use crate::support::server::{header, png, problem};
+use crate::support::{Server, eventually, photo};
 
 fn handles(points: &[Point]) -> Vec<Handle> {
     points.iter().copied().map(Handle::Point).collect()
@@ -121,4 +127,131 @@ fn a_fit_stops_when_it_is_no_longer_wanted() {
     for candidate in Candidate::defaults() {
         assert!(fit.predict(candidate, &|| true).is_err(), "{candidate:?}");
     }
+}
+
+/// Points of a smooth map with noise of half a pixel, and one that is wrong by 40 px.
+fn landmarks(count: u32) -> (Value, Value) {
+    let places = (0..count).map(|k| (f64::from(k * 137 % 397), f64::from(k * 89 % 293)));
+    let (mut p, mut q) = (Vec::new(), Vec::new());
+    for (k, (x, y)) in places.enumerate() {
+        let noise = f64::from(u32::try_from(k * 7 % 11).unwrap()) / 11.0 - 0.5;
+        p.push(json!([x, y]));
+        q.push(json!([1.05 * x + 0.1 * y + noise + if k == 5 { 40.0 } else { 0.0 }, 0.97 * y - 0.08 * x + 20.0 - noise]));
+    }
+    (json!(p), json!(q))
+}
+
+async fn answered(response: Response) -> Value {
+    assert_eq!(response.status(), 200, "{:?}", response.text().await);
+    response.json().await.unwrap()
+}
+
+#[tokio::test]
+async fn the_best_candidate_is_named_with_residuals_and_outliers() {
+    let server = Server::start(&[]).await;
+    let (p, q) = landmarks(20);
+    let body = json!({"p": p, "q": q, "extent": [400, 300]});
+    let fit = answered(server.post("/fit").json(&body).send().await.unwrap()).await;
+    let candidates = fit["candidates"].as_array().unwrap();
+    assert_eq!(candidates.len(), 17);
+    let least = candidates.iter().min_by(|a, b| a["rms"].as_f64().unwrap().total_cmp(&b["rms"].as_f64().unwrap())).unwrap();
+    for name in ["method", "alpha", "smoothing"] {
+        assert_eq!(fit["best"][name], least[name]);
+        assert!(candidates.iter().all(|candidate| candidate.get(name).is_some()), "{name} is always present");
+    }
+    let affine = candidates.iter().find(|candidate| candidate["method"] == "global_affine").unwrap();
+    assert_eq!((&affine["outliers"], &affine["alpha"], affine["residuals"].as_array().unwrap().len()), (&json!([5]), &Value::Null, 20));
+
+    // The same of a session, and with normalised units residuals are px too.
+    let id = server.session(&photo(400, 300), &json!({"p": p})).await;
+    let posed = json!({"q": q});
+    assert_eq!(answered(server.post(&format!("/sessions/{id}/fit")).json(&posed).send().await.unwrap()).await, fit);
+    let shares = |places: &Value| -> Value {
+        places.as_array().unwrap().iter().map(|at| json!([at[0].as_f64().unwrap() / 400.0, at[1].as_f64().unwrap() / 300.0])).collect()
+    };
+    let body =
+        json!({"p": shares(&p), "q": shares(&q), "units": "normalized", "extent": [400, 300], "candidates": [{"method": "global_affine"}]});
+    let normalized = answered(server.post("/fit").json(&body).send().await.unwrap()).await;
+    let difference = normalized["candidates"][0]["rms"].as_f64().unwrap() - affine["rms"].as_f64().unwrap();
+    assert!(difference.abs() < 1e-9, "{difference}");
+}
+
+#[tokio::test]
+async fn auto_is_chosen_once_and_named() {
+    let server = Server::start(&[]).await;
+    let (p, q) = landmarks(12);
+    let image = photo(400, 300);
+    let fit = answered(server.post("/fit").json(&json!({"p": p, "q": q, "extent": [400, 300]})).send().await.unwrap()).await;
+    let best = &fit["best"];
+    let warp = json!({"p": p, "q": q, "method": "auto"});
+    let drawn = server.upload("/warp", &image, &warp).await;
+    let method = header(&drawn, "warp-method").to_owned();
+    assert!(method.starts_with(best["method"].as_str().unwrap()), "{method}: {best}");
+    let picture = png(drawn).await;
+    // The choice written out is the same request.
+    let mut chosen = json!({"p": p, "q": q});
+    for name in ["method", "alpha", "smoothing"] {
+        chosen[name] = best[name].clone();
+    }
+    let explicit = server.upload("/warp", &image, &chosen).await;
+    assert!(explicit.headers().get("warp-method").is_none());
+    assert_eq!(png(explicit).await, picture);
+    // A session keeps it, and a drag does not choose again.
+    let opened: Value = server.upload("/sessions", &image, &warp).await.json().await.unwrap();
+    assert_eq!(opened["method"], best["method"]);
+    let id = opened["id"].as_str().unwrap();
+    assert_eq!(png(server.drag(id, &json!({"q": q})).await).await, picture);
+    // New handles may choose again; without `q` there is nothing to choose by.
+    let handles = |body: Value| server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send();
+    problem(handles(json!({"method": "auto"})).await.unwrap(), 422, "bad_value").await;
+    let (p, q) = landmarks(30);
+    let revised = answered(handles(json!({"p": p, "q": q, "method": "auto"})).await.unwrap()).await;
+    assert_ne!(revised["method"], "auto");
+    let points = json!({"p": p, "q": q, "method": "auto", "extent": [400, 300], "points": [[10, 10]]});
+    assert_eq!(answered(server.post("/points").json(&points).send().await.unwrap()).await["points"].as_array().unwrap().len(), 1);
+}
+
+#[tokio::test]
+async fn what_cannot_be_compared_is_refused() {
+    let server = Server::start(&["--max-fit-handles", "10"]).await;
+    let fit = async |body: Value| server.post("/fit").json(&body).send().await.unwrap();
+    let (p, q) = landmarks(11);
+    let refused = problem(fit(json!({"p": p, "q": q, "extent": [400, 300]})).await, 413, "too_large").await;
+    assert_eq!((&refused["limit_name"], &refused["limit"], &refused["actual"]), (&json!("fit_handles"), &json!(10), &json!(11)));
+    let refused = problem(server.upload("/warp", &photo(40, 30), &json!({"p": p, "q": q, "method": "auto"})).await, 413, "too_large").await;
+    assert_eq!(refused["pointer"], "/p");
+    let (p, q) = landmarks(6);
+    let with = |more: Value| {
+        let mut body = json!({"p": p, "q": q, "extent": [400, 300]});
+        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        body
+    };
+    let mut line = p.clone();
+    line[2] = json!([[1, 2], [3, 4]]);
+    let cases = [
+        (with(json!({"candidates": [{"method": "rigid"}, {"method": "rigid", "alpha": 9}]})), "alpha_out_of_range", "/candidates/1/alpha"),
+        (with(json!({"candidates": [{"method": "tps", "alpha": 1}]})), "bad_value", "/candidates/0/alpha"),
+        (with(json!({"candidates": [{"method": "affine", "smoothing": 1}]})), "bad_value", "/candidates/0/smoothing"),
+        (with(json!({"p": line, "q": line})), "bad_value", "/p/2"),
+        (with(json!({"p": [[1, 1], [2, 2], [3, 4], [1, 1]], "q": [[1, 1], [2, 2], [3, 4], [1, 1]]})), "bad_value", "/p"),
+    ];
+    for (body, code, pointer) in cases {
+        assert_eq!(problem(fit(body).await, 422, code).await["pointer"], pointer);
+    }
+    let met = json!({"p": [[1, 1], [1, 1], [9, 9], [3, 4], [8, 2]], "q": [[1, 1], [5, 1], [9, 9], [3, 4], [8, 2]], "extent": [400, 300]});
+    let shared = answered(fit(met).await).await;
+    assert_eq!(shared["candidates"][0]["residuals"][0], shared["candidates"][0]["residuals"][1]);
+}
+
+/// A comparison of splines takes long; a client that leaves ends it.
+#[tokio::test]
+async fn a_comparison_ends_with_its_client() {
+    let server = Server::start(&["--workers", "1"]).await;
+    let (p, q) = landmarks(2000);
+    let candidates = vec![json!({"method": "tps", "smoothing": 0.1}); 64];
+    let body = json!({"p": p, "q": q, "extent": [400, 300], "candidates": candidates, "coincident": {"within": 0}});
+    let request = server.post("/fit").json(&body).send();
+    assert!(tokio::time::timeout(std::time::Duration::from_millis(700), request).await.is_err(), "64 splines take minutes");
+    let pool = server.app.pool().clone();
+    eventually("the comparison ends", || pool.load(WorkClass::Upload).running == 0).await;
 }

@@ -53,6 +53,15 @@ impl Method {
         }
     }
 
+    /// Memory of the deformation of this number of handles, bytes, beyond that of the handles.
+    #[must_use]
+    pub fn field_bytes(self, handles: u64) -> u64 {
+        match self {
+            Self::ThinPlateSpline => deform::Field::spline_bytes(handles.min(MOST_SPLINE_HANDLES)),
+            Self::Rigid | Self::Similarity | Self::Affine | Self::GlobalAffine => 0,
+        }
+    }
+
     /// Whether both have the same parameters.
     #[must_use]
     pub fn is_like(self, other: Self) -> bool {
@@ -149,10 +158,7 @@ impl RestSpec {
     /// is allocated.
     #[must_use]
     pub fn field_bytes(&self) -> u64 {
-        match self.method {
-            Method::ThinPlateSpline => deform::Field::spline_bytes((self.p.len() as u64).min(MOST_SPLINE_HANDLES)),
-            Method::Rigid | Method::Similarity | Method::Affine | Method::GlobalAffine => 0,
-        }
+        self.method.field_bytes(self.p.len() as u64)
     }
 }
 

@@ -18,7 +18,7 @@ use crate::observe::scope::stage;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{AsJson, PointsObject, WarpObject};
+use crate::wire::{AsJson, PointsObject};
 
 /// Number of points up to which one thread is faster than several.
 const MAX_SEQUENTIAL: usize = 256;
@@ -44,11 +44,11 @@ impl App {
     pub async fn map_once(&self, client: Client, json: Bytes) -> Result<MappedPoints, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
-        let (mut rest, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // The exact deformation needs no grid; this one is within all limits.
-        rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
+        warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let app = self.clone();
-        let resolve = move |cancel: &Cancel| app.resolve(WarpObject { rest, ..WarpObject::default() }, extent, cancel);
+        let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
         self.map(&ticket, self.response_quota(client), setup, object).await
     }

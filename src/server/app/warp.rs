@@ -22,7 +22,7 @@ use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::Record;
 use crate::wire::formats::Formats;
-use crate::wire::{WarpObject, WarpPatch};
+use crate::wire::{WarpObject, WarpPatch, method_text};
 
 /// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
@@ -62,6 +62,11 @@ pub struct PreparedWarp {
 }
 
 impl PreparedWarp {
+    /// The method that was chosen, if that was requested, as a header shows it.
+    pub(crate) fn chosen_method(&self) -> Option<String> {
+        self.object.is_auto.then(|| method_text(&self.object.rest))
+    }
+
     /// The record, file and setup of a session, and the memory of the setup.
     pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>, Option<Reservation>) {
         let Self { file, digest, object, image, setup, held, .. } = self;
@@ -95,9 +100,11 @@ impl AsRef<[u8]> for File {
 }
 
 impl App {
-    /// Resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the pool.
+    /// Chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
+    /// pool.
     /// Errors: Wrong handles, or too little memory.
-    pub(crate) fn resolve(&self, object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
+    pub(crate) fn resolve(&self, mut object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
+        self.choose_method(&mut object, extent, cancel)?;
         let bytes = object.rest.field_bytes();
         let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
         let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;

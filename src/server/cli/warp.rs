@@ -8,14 +8,15 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError};
+use mlswarp::warp::{Candidate, Image, Posed, Report, Setup, Warp, WarpError, best};
 
+use crate::app::fit::predictions;
 use crate::config::Config;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED};
 use crate::wire::{WarpObject, WarpPatch};
-use crate::wire::{canvas_from_text, canvas_text};
+use crate::wire::{canvas_from_text, canvas_text, method_text};
 
 /// The input files; `-` is standard input.
 #[derive(Clone, Debug)]
@@ -117,6 +118,12 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     if let Some(landmarks) = landmarks {
         landmarks.place_in(&mut object, image.extent())?;
     }
+    if object.is_auto {
+        object.require_choice()?;
+        let (q, most) = (object.posed()?, config.max_fit_handles as u64);
+        let predictions = predictions(&object.rest, q, image.extent(), &Candidate::defaults(), most, &|| false)?;
+        object.choose(best(&predictions).map(|best| best.candidate));
+    }
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let pose = setup.pose(object.posed()?)?;
     object.output.check(image.extent(), &config.limits())?;
@@ -127,7 +134,8 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     let Report { warnings, folds, residual, .. } = posed.into_report_on(&image, &target, &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
     let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
-    let summary = format!("{width} x {height} px{canvas}, {folds} folded cells, residual {residual:.4} px");
+    let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
+    let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
     let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
     Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }

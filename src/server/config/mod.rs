@@ -91,6 +91,7 @@ const EFFECTIVE: [(&str, &[(&str, &str)]); 2] = [
             ("max-image-pixels", ""),
             ("max-image-side", ""),
             ("max-columns", ""),
+            ("max-fit-handles", "Maximum number of handles on which the method auto compares methods; the time grows with its cube"),
             ("max-plan-bytes", ""),
         ],
     ),
@@ -132,6 +133,9 @@ pub struct Config {
     /// Maximum size of a set of handles: a point counts 1, a segment 2.
     #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(1, 1_000_000)))]
     max_columns: usize,
+    /// Maximum number of handles on which methods are compared, by POST /fit and by the method auto; the time grows with its cube.
+    #[arg(long, value_name = "N", default_value = "2000", value_parser = Checked(whole::<usize>(4, 2000)))]
+    pub max_fit_handles: usize,
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,

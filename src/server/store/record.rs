@@ -70,6 +70,7 @@ fn base() -> WarpObject {
             filter: Filter::Bilinear,
             outside: Outside::Transparent,
         },
+        is_auto: false,
     }
 }
 

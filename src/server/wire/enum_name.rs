@@ -62,6 +62,31 @@ macro_rules! enum_names {
     };
 }
 
+/// A method, or that one is to be chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RequestedMethod {
+    Rigid,
+    Similarity,
+    Affine,
+    ThinPlateSpline,
+    GlobalAffine,
+    Auto,
+}
+
+impl RequestedMethod {
+    /// `None` of `auto`.
+    pub(crate) const fn method(self) -> Option<Method> {
+        match self {
+            Self::Rigid => Some(Method::Rigid),
+            Self::Similarity => Some(Method::Similarity),
+            Self::Affine => Some(Method::Affine),
+            Self::ThinPlateSpline => Some(Method::ThinPlateSpline),
+            Self::GlobalAffine => Some(Method::GlobalAffine),
+            Self::Auto => None,
+        }
+    }
+}
+
 /// How distances between places are measured.
 #[derive(Clone, Copy)]
 pub(crate) enum Metric {
@@ -69,9 +94,14 @@ pub(crate) enum Metric {
 }
 
 enum_names!(
-    Method, unsupported ["auto", "beier_neely", "arap"],
+    Method, unsupported ["beier_neely", "arap"],
     Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
     Method::ThinPlateSpline = "tps", Method::GlobalAffine = "global_affine"
+);
+enum_names!(
+    RequestedMethod, unsupported ["beier_neely", "arap"],
+    RequestedMethod::Rigid = "rigid", RequestedMethod::Similarity = "similarity", RequestedMethod::Affine = "affine",
+    RequestedMethod::ThinPlateSpline = "tps", RequestedMethod::GlobalAffine = "global_affine", RequestedMethod::Auto = "auto"
 );
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");

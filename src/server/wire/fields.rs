@@ -19,6 +19,13 @@ pub(crate) const WARP_WITH_POINTS: [&str; 19] = {
 /// The fields of `/sessions/{id}/points`.
 pub(crate) const POINTS_OF_SESSION: [&str; 6] = ["q", "points", "polygons", "boxes", "inverse", "refine"];
 
+/// The fields of `/fit` and of `/sessions/{id}/fit`.
+pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
+pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
+
+/// The fields of a candidate.
+pub(crate) const CANDIDATE: [&str; 3] = ["method", "alpha", "smoothing"];
+
 /// The fields of `coincident`.
 pub(crate) const COINCIDENT: [&str; 2] = ["policy", "within"];
 

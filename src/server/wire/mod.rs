@@ -6,6 +6,7 @@
 
 mod enum_name;
 pub(crate) mod fields;
+mod fit;
 pub mod formats;
 mod handles;
 mod json;
@@ -24,13 +25,15 @@ mod write;
 pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
+pub use fit::FitObject;
+pub(crate) use fit::{FitAnswer, in_candidate, method_text};
 use handles::{handles, places};
 use json::{At, Node, optional};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, OutputSpec, RestSpec};
+use mlswarp::warp::{Candidate, Folds, OutputSpec, RestSpec};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use rest::WarpPatch;
@@ -55,12 +58,37 @@ pub struct WarpObject {
     pub folds: Folds,
     /// How the picture is made.
     pub output: OutputSpec,
+    /// The method is still to be chosen.
+    pub is_auto: bool,
 }
 
 impl WarpObject {
     /// Reads the object. Whether it has what a route needs is not checked.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
+    }
+
+    /// Errors: `method: auto` with a parameter that it chooses, or without `q`.
+    pub(crate) fn require_choice(&self) -> Result<(), Problem> {
+        let given = [("alpha", self.rest.alpha), ("smoothing", self.rest.smoothing)];
+        if let Some((name, _)) = given.into_iter().find(|(_, value)| value.is_some()) {
+            let detail = format!("`{name}` does not apply: the method `auto` chooses it");
+            return Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")));
+        }
+        match &self.q {
+            Some(_) => Ok(()),
+            None => {
+                let detail = "`q` is missing: the method `auto` compares methods by where the handles go; send `q`, or choose a method";
+                Err(Problem::new(Code::BadValue, detail).pointer("/q"))
+            }
+        }
+    }
+
+    /// Replaces `method: auto` by the best candidate.
+    pub(crate) fn choose(&mut self, candidate: Option<Candidate>) {
+        if let Some(candidate) = candidate {
+            self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
+        }
     }
 
     /// The posed handles; none if there are none at rest.
@@ -116,8 +144,8 @@ impl DragObject {
 /// `POST /points` (a whole warp object and `extent`) and `POST /sessions/{id}/points` (`q` alone).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointsObject {
-    /// With `/points` only: rest handles and the extent `[W, H]`.
-    pub warp: Option<(RestSpec, Extent)>,
+    /// With `/points` only: the warp object and the extent `[W, H]`.
+    pub warp: Option<(WarpObject, Extent)>,
     /// Posed handles.
     pub q: Vec<Handle>,
     /// Places to map, in the spec's units.
@@ -133,7 +161,7 @@ impl PointsObject {
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let points = read_points([points, polygons, boxes, inverse, refine])?;
         let q = warp.posed()?.to_vec();
-        Ok(Self { warp: Some((warp.rest, extent)), q, points })
+        Ok(Self { warp: Some((warp, extent)), q, points })
     }
 
     /// Reads the object of `/sessions/{id}/points`.

@@ -4,7 +4,7 @@ use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
 use mlswarp::geometry::Compact;
 use mlswarp::warp::{Folds, GridSpec, Method, RestSpec, Units};
 
-use super::enum_name::{Metric, enum_name, unknown_name};
+use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
 use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
 use super::number::{count, number, number_in, positive};
@@ -21,7 +21,7 @@ pub(crate) struct WarpPatch {
     pub(crate) p: Option<Vec<Handle>>,
     pub(crate) q: Option<Vec<Handle>>,
     pub(crate) weights: Option<Vec<f64>>,
-    pub(crate) method: Option<Method>,
+    pub(crate) method: Option<RequestedMethod>,
     pub(crate) alpha: Option<f64>,
     pub(crate) point_mass: Option<f64>,
     pub(crate) smoothing: Option<f64>,
@@ -86,8 +86,9 @@ impl WarpPatch {
     /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
-        let method = self.method.unwrap_or(base.rest.method);
-        let kept = |parameter: Option<f64>| parameter.filter(|_| method.is_like(base.rest.method));
+        let is_auto = self.method == Some(RequestedMethod::Auto);
+        let method = self.method.and_then(RequestedMethod::method).unwrap_or(if is_auto { Method::default() } else { base.rest.method });
+        let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && method.is_like(base.rest.method));
         WarpObject {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
@@ -103,6 +104,7 @@ impl WarpPatch {
             q: self.q,
             folds: self.folds.unwrap_or(base.folds),
             output: self.output.merge_onto(&base.output),
+            is_auto,
         }
     }
 }

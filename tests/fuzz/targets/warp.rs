@@ -71,8 +71,8 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
 }
 
 fn mapped(object: &PointsObject) -> Result<(), Problem> {
-    let Some((rest, extent)) = &object.warp else { return Ok(()) };
-    let setup = Setup::new(rest, *extent, &LIMITS)?;
+    let Some((warp, extent)) = &object.warp else { return Ok(()) };
+    let setup = Setup::new(&warp.rest, *extent, &LIMITS)?;
     let pose = setup.pose(&object.q)?;
     let mapped = setup.map(&pose, &object.points, &|| false).map_err(|e: WarpError| Problem::from(e))?;
     assert!(mapped.iter().all(|p| p.x.is_finite() && p.y.is_finite()), "{mapped:?}");

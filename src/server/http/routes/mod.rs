@@ -6,6 +6,7 @@ pub(crate) mod docs;
 #[path = "no_docs.rs"]
 pub(crate) mod docs;
 pub(crate) mod fallbacks;
+pub(crate) mod fit;
 pub(crate) mod landmarks;
 pub(crate) mod mesh;
 pub(crate) mod points;

@@ -18,6 +18,7 @@ use crate::session::SessionId;
 use crate::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
+const WARP_METHOD: HeaderName = HeaderName::from_static("warp-method");
 /// Maximum size of a drag's JSON: a constant, and bytes per column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 /// Memory of parsed handles per byte of their JSON.
@@ -31,8 +32,12 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let upload = upload::read(&caller, request).await?;
     let (Caller { app, client }, warning) = (caller, Warning::of(&upload));
     let (drawn, material) = app.warp_once(client, upload, formats).await?;
+    let method = material.chosen_method();
     let session = if keeps_session { Some(app.create_session_from(client, material).await?.0.record.id) } else { None };
     let mut response = warning.add_to(picture(drawn, trailers));
+    if let Some(method) = method {
+        response.headers_mut().insert(WARP_METHOD, HeaderValue::try_from(method).expect("a name and numbers are visible ASCII"));
+    }
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
         response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::{warp_object, written};
-use crate::wire::enum_name::EnumName;
+use crate::wire::enum_name::{EnumName, RequestedMethod};
 use crate::wire::*;
 
 fn document() -> Value {
@@ -183,7 +183,8 @@ fn words<T: EnumName>(place: &str) {
 
 #[test]
 fn enums_list_what_this_version_has() {
-    words::<Method>("/Method");
+    words::<RequestedMethod>("/Method");
+    words::<Method>("/EffectiveMethod");
     words::<Units>("/Units");
     words::<Folds>("/Folds");
     words::<Compression>("/Compression");

@@ -6,7 +6,7 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{CanvasSpec, Digest, GridSpec, Method, Units};
+use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -66,6 +66,7 @@ fn warp_reads_the_example_of_the_contract() {
             filter: Filter::Nearest,
             outside: Outside::Colour([1, 128, 255, 64]),
         },
+        is_auto: false,
     };
     assert_eq!(WarpObject::parse(text), Ok(expected));
 }
@@ -218,7 +219,6 @@ fn unknown_field_of_any_length_gives_a_short_answer() {
 fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     use Code::NotSupported as S;
     let table: &[Expected] = &[
-        ("{\"method\": \"global_affine\"}", S, Some("/method"), None),
         ("{\"method\": \"beier_neely\"}", S, Some("/method"), None),
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
@@ -230,7 +230,7 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     check(DragObject::parse, &[("{\"q\": [], \"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None)]);
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
-        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`"
+        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `auto`"
     );
 }
 
@@ -379,6 +379,41 @@ fn parameters_stay_with_their_method() {
 }
 
 #[test]
+fn auto_is_a_method_to_be_chosen_and_drops_parameters() {
+    let local = WarpObject::parse(br#"{"p": [[1, 2]], "method": "affine", "alpha": 1.5}"#).unwrap();
+    let auto = WarpPatch::parse(br#"{"method": "auto"}"#).unwrap().merge_onto(local.clone());
+    assert!(auto.is_auto && auto.rest.alpha.is_none());
+    assert!(!WarpPatch::parse(br#"{"p": [[3, 4]]}"#).unwrap().merge_onto(auto).is_auto, "a choice is made once");
+    let text = |json: &[u8]| method_text(&WarpObject::parse(json).unwrap().rest);
+    assert_eq!(text(br#"{"method": "affine", "alpha": 1.5}"#), "affine;alpha=1.5");
+    assert_eq!(text(br#"{"method": "tps", "smoothing": 0}"#), "tps;smoothing=0");
+    assert_eq!(text(br#"{"method": "global_affine"}"#), "global_affine");
+}
+
+#[test]
+fn fit_reads_its_fields() {
+    let fit = FitObject::parse(br#"{"p": [[1, 2]], "q": [[3, 4]], "extent": [9, 8], "candidates": [{"method": "tps", "smoothing": 0.5}]}"#);
+    let fit = fit.unwrap();
+    assert_eq!(fit.candidates, [Candidate { method: Method::ThinPlateSpline, alpha: None, smoothing: Some(0.5) }]);
+    assert_eq!((fit.q, fit.rest.unwrap().1), (vec![point(3.0, 4.0)], Extent::new(9, 8).unwrap()));
+    assert_eq!(FitObject::parse_posed(br#"{"q": []}"#).unwrap().candidates.len(), 17);
+    use Code::BadValue as B;
+    let many = format!("{{\"q\": [], \"candidates\": [{}]}}", [r#"{"method": "tps"}"#; 65].join(", "));
+    let table: &[Expected] = &[
+        ("{\"q\": [], \"candidates\": []}", B, Some("/candidates"), None),
+        ("{\"q\": [], \"candidates\": [{\"alpha\": 1}]}", B, Some("/candidates/0"), None),
+        ("{\"q\": [], \"candidates\": [{\"method\": \"auto\"}]}", B, Some("/candidates/0/method"), None),
+        ("{\"q\": [], \"candidates\": [{\"method\": \"tps\", \"smoothing\": \"1\"}]}", B, Some("/candidates/0/smoothing"), None),
+        ("{\"q\": [], \"candidates\": [{\"method\": \"tps\", \"grid\": 1}]}", Code::UnknownField, Some("/candidates/0/grid"), None),
+        ("{\"p\": [], \"q\": []}", Code::UnknownField, Some("/p"), None),
+        ("{}", B, Some("/q"), None),
+    ];
+    check(FitObject::parse_posed, table);
+    assert_eq!(FitObject::parse_posed(many.as_bytes()).unwrap_err().pointer.as_deref(), Some("/candidates"));
+    check(FitObject::parse, &[("{\"p\": [], \"q\": []}", B, Some("/extent"), None)]);
+}
+
+#[test]
 fn points_begin_with_the_fields_of_the_warp() {
     assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
 }
@@ -389,7 +424,8 @@ fn points_read_their_fields() {
                   \"inverse\": false}";
     let points = PointsObject::parse(text).unwrap();
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
-    assert_eq!(points.warp, Some((rest, Extent::new(640, 480).unwrap())));
+    let warp = WarpObject { rest, q: Some(points.q.clone()), ..WarpObject::default() };
+    assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
     assert_eq!((points.q, points.points), (vec![point(3.0, 4.0)], vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)]));
     let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
     assert_eq!(posed, PointsObject { warp: None, q: vec![point(3.0, 4.0)], points: vec![] });
@@ -576,12 +612,12 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         outside,
     });
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
-    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output })
+    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, is_auto: false })
 }
 
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
-    let WarpObject { rest, q, folds, output } = warp;
+    let WarpObject { rest, q, folds, output, .. } = warp;
     let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha, "point_mass": point_mass,

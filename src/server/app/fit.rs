@@ -1,0 +1,108 @@
+//! `POST /fit` and `/sessions/{id}/fit`: how well methods predict points that they do not know; and the choice of `method: auto`.
+
+use bytes::Bytes;
+use mlswarp::deform::{Handle, IsCancelled};
+use mlswarp::geometry::Vec2;
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, best};
+
+use super::App;
+use super::json_text::json_unless;
+use crate::client::Client;
+use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
+use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
+use crate::problem::{Code, Problem};
+use crate::session::SessionId;
+use crate::wire::{FitAnswer, FitObject, WarpObject, in_candidate};
+
+/// Compares candidates on at most `most` handles. CPU work, in parallel on the current rayon pool.
+/// Errors: Wrong points or candidates, cancelled.
+pub(crate) fn predictions(
+    rest: &RestSpec,
+    q: &[Handle],
+    extent: Extent,
+    candidates: &[Candidate],
+    most: u64,
+    cancelled: IsCancelled<'_>,
+) -> Result<Vec<Prediction>, Problem> {
+    let fit = Fit::new(rest, q, extent, most, cancelled)?;
+    let predict = |(index, candidate): (usize, &Candidate)| {
+        fit.predict(*candidate, cancelled).map_err(|error: WarpError| in_candidate(index, error.into()))
+    };
+    candidates.iter().enumerate().map(predict).collect()
+}
+
+/// Longest text of a residual, bytes: two numbers of 24 characters, brackets, commas.
+const RESIDUAL_TEXT: usize = 52;
+/// Longest text of a candidate without its lists, bytes.
+const CANDIDATE_TEXT: usize = 256;
+/// Longest index of an outlier with its comma, bytes.
+const OUTLIER_TEXT: usize = 5;
+
+impl App {
+    /// Compares methods on the points of the body.
+    /// Errors: Wrong points or candidates, or too little capacity.
+    pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let mut object = self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await??;
+        let (rest, extent) = object.rest.take().ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))?;
+        self.fit(&ticket, self.response_quota(client), rest, extent, object).await
+    }
+
+    /// Compares methods on the points of a session.
+    /// Errors: Unknown session, wrong `q` or candidates, lines, or too little capacity.
+    pub async fn fit_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
+        let record = self.touch(id, None).await?.record;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+        let object = self.0.pool.run(&ticket, move |_| FitObject::parse_posed(&json)).await??;
+        self.fit(&ticket, self.response_quota(client), record.rest.clone(), record.extent, object).await
+    }
+
+    async fn fit(&self, ticket: &Ticket, quota: ClientQuota, rest: RestSpec, extent: Extent, object: FitObject) -> Result<Bytes, Problem> {
+        let app = self.clone();
+        let work = move |cancel: &Cancel| {
+            let FitObject { q, candidates, .. } = object;
+            let text =
+                candidates.len() * (CANDIDATE_TEXT + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.0.config.max_fit_handles));
+            let mut reservation = app.reserve_for(Purpose::Frame, &quota, text as u64)?;
+            let predictions = app.predict(&rest, &q, extent, &candidates, cancel)?;
+            let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
+            // The client may read it slowly.
+            body.shrink_to_fit();
+            reservation.shrink_to(body.len() as u64);
+            Ok::<_, Problem>(reservation.attach(body))
+        };
+        self.0.pool.run(ticket, work).await?
+    }
+
+    /// Runs on the pool, and uses all of its threads.
+    fn predict(
+        &self,
+        rest: &RestSpec,
+        q: &[Handle],
+        extent: Extent,
+        candidates: &[Candidate],
+        cancel: &Cancel,
+    ) -> Result<Vec<Prediction>, Problem> {
+        let (count, most) = (rest.p.len() as u64, self.0.config.max_fit_handles as u64);
+        let of_candidate = |candidate: &Candidate| candidate.method.field_bytes(count.min(most));
+        let system = candidates.iter().map(of_candidate).max().unwrap_or_default();
+        let residuals = candidates.len() as u64 * count.min(most) * size_of::<Vec2>() as u64;
+        let _held = self.reserve(Purpose::Plan, system + residuals)?;
+        let is_cancelled = || cancel.is_cancelled();
+        self.0.pool.run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
+    }
+
+    /// Replaces the method `auto` by the one that fits best. Runs on the pool.
+    /// Errors: No `q`, lines, too few or too many points, or too little memory.
+    pub(crate) fn choose_method(&self, object: &mut WarpObject, extent: Extent, cancel: &Cancel) -> Result<(), Problem> {
+        if object.is_auto {
+            object.require_choice()?;
+            let q = object.posed()?;
+            let predictions = self.predict(&object.rest, q, extent, &Candidate::defaults(), cancel)?;
+            object.choose(best(&predictions).map(|best| best.candidate));
+        }
+        Ok(())
+    }
+}
