@@ -197,7 +197,9 @@ async fn auto_is_chosen_once_and_named() {
     assert!(explicit.headers().get("warp-method").is_none());
     assert_eq!(png(explicit).await, picture);
     // A session keeps it, and a drag does not choose again.
-    let opened: Value = server.upload("/sessions", &image, &warp).await.json().await.unwrap();
+    let opened = server.upload("/sessions", &image, &warp).await;
+    assert_eq!(header(&opened, "warp-method"), method);
+    let opened: Value = opened.json().await.unwrap();
     assert_eq!(opened["method"], best["method"]);
     let id = opened["id"].as_str().unwrap();
     assert_eq!(png(server.drag(id, &json!({"q": q})).await).await, picture);
@@ -205,10 +207,13 @@ async fn auto_is_chosen_once_and_named() {
     let handles = |body: Value| server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send();
     problem(handles(json!({"method": "auto"})).await.unwrap(), 422, "bad_value").await;
     let (p, q) = landmarks(30);
-    let revised = answered(handles(json!({"p": p, "q": q, "method": "auto"})).await.unwrap()).await;
-    assert_ne!(revised["method"], "auto");
+    let revised = handles(json!({"p": p, "q": q, "method": "auto"})).await.unwrap();
+    let method = header(&revised, "warp-method").to_owned();
+    assert!(method.starts_with(answered(revised).await["method"].as_str().unwrap()));
     let points = json!({"p": p, "q": q, "method": "auto", "extent": [400, 300], "points": [[10, 10]]});
-    assert_eq!(answered(server.post("/points").json(&points).send().await.unwrap()).await["points"].as_array().unwrap().len(), 1);
+    let mapped = server.post("/points").json(&points).send().await.unwrap();
+    assert_eq!(header(&mapped, "warp-method"), method);
+    assert_eq!(answered(mapped).await["points"].as_array().unwrap().len(), 1);
 }
 
 #[tokio::test]

@@ -9,6 +9,8 @@ use crate::support::server::form;
 use crate::support::{DragClient, Server, photo};
 
 const ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
+/// A session of points alone, on which methods are compared.
+const OF_POINTS: &str = "1c9a4a31-6f0b-4c9e-9d2f-0a3f5c1be7d1";
 
 /// A value for every field that a body may have.
 fn sample(name: &str) -> Value {
@@ -30,13 +32,18 @@ fn sample(name: &str) -> Value {
         "rows" => json!(7),
         "folds" => json!("report"),
         "output" => {
-            json!({"format": "png", "quality": 80, "compression": "best", "width": 20, "filter": "nearest", "outside": "edge"})
+            json!({"format": "png", "quality": 80, "compression": "best", "width": 20, "filter": "nearest", "outside": "edge", "canvas": "fit"})
         }
         "seq" => json!(3),
         "extent" => json!([16, 12]),
         "points" => json!([[1, 1], [5, 6.5]]),
+        "candidates" => json!([{"method": "tps"}, {"method": "rigid", "alpha": 2}]),
         other => panic!("`{other}` is new: say here what it may hold"),
     }
+}
+
+fn four_points() -> Value {
+    json!([[2, 2], [12, 3], [4, 9], [13, 10]])
 }
 
 fn resolve<'a>(document: &'a Value, schema: &'a Value) -> &'a Value {
@@ -79,7 +86,7 @@ impl Body {
                 let names = |of: &Value| of.as_array().into_iter().flatten().map(|name| name.as_str().unwrap().to_owned()).collect();
                 all.push(Self {
                     method: method.to_uppercase().parse().unwrap(),
-                    path: path.replace("{id}", ID),
+                    path: path.replace("{id}", if path.ends_with("/fit") { OF_POINTS } else { ID }),
                     is_upload: upload.is_object(),
                     fields: schema["properties"].as_object().unwrap().keys().cloned().collect(),
                     required: names(&schema["required"]),
@@ -105,7 +112,12 @@ impl Body {
 
     /// An object with these fields.
     fn of(&self, is_chosen: impl Fn(&str) -> bool) -> Value {
-        self.fields.iter().filter(|name| is_chosen(name)).map(|name| (name.clone(), sample(name))).collect()
+        let value = |name: &str| match name {
+            "p" | "q" if self.path.ends_with("/fit") => four_points(),
+            "weights" if self.path.ends_with("/fit") => json!([1, 2, 1, 2]),
+            _ => sample(name),
+        };
+        self.fields.iter().filter(|name| is_chosen(name)).map(|name| (name.clone(), value(name))).collect()
     }
 
     /// Compares the answers for each of these fields as `null` and left out, and gives the last of them.
@@ -127,6 +139,9 @@ async fn a_field_that_is_null_is_absent_in_every_body_of_the_document() {
     let put =
         server.client.put(server.url(&format!("/sessions/{ID}"))).multipart(form(&photo(16, 12), json!({"p": sample("p")}).to_string()));
     assert_eq!(put.send().await.unwrap().status(), 201);
+    let points = server.client.put(server.url(&format!("/sessions/{OF_POINTS}")));
+    let points = points.multipart(form(&photo(16, 12), json!({"p": four_points()}).to_string()));
+    assert_eq!(points.send().await.unwrap().status(), 201);
     let document: Value = server.get("/openapi.json").send().await.unwrap().json().await.unwrap();
     let bodies = Body::all(&document);
     assert!(bodies.len() >= 8, "{}", bodies.len());
@@ -168,7 +183,9 @@ async fn a_field_that_is_null_is_absent_in_every_body_of_the_document() {
 #[tokio::test]
 async fn a_null_in_an_array_is_a_wrong_value() {
     let server = Server::start(&[]).await;
-    server.client.put(server.url(&format!("/sessions/{ID}"))).multipart(form(&photo(16, 12), "{}")).send().await.unwrap();
+    for id in [ID, OF_POINTS] {
+        server.client.put(server.url(&format!("/sessions/{id}"))).multipart(form(&photo(16, 12), "{}")).send().await.unwrap();
+    }
     let document: Value = server.get("/openapi.json").send().await.unwrap().json().await.unwrap();
     let mut tried = 0;
     for body in Body::all(&document) {

@@ -18,7 +18,7 @@ use crate::observe::scope::stage;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{AsJson, PointsObject};
+use crate::wire::{AsJson, PointsObject, method_text};
 
 /// Number of points up to which one thread is faster than several.
 const MAX_SEQUENTIAL: usize = 256;
@@ -39,9 +39,9 @@ struct Mapped<'a> {
 type MappedPoints = (Bytes, Vec<Warning>);
 
 impl App {
-    /// Maps points.
+    /// Maps points. The second result: the method that was chosen if that was requested, as a header shows it.
     /// Errors: Wrong handles, or too little capacity.
-    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<MappedPoints, Problem> {
+    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
@@ -49,8 +49,9 @@ impl App {
         warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
-        self.map(&ticket, self.response_quota(client), setup, object).await
+        let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
+        let method = warp.is_auto.then(|| method_text(&warp.rest));
+        Ok((self.map(&ticket, self.response_quota(client), setup, object).await?, method))
     }
 
     /// Maps points by the deformation of a session.

@@ -16,29 +16,32 @@ use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, StoreError};
-use crate::wire::{WarpObject, WarpPatch};
+use crate::wire::{WarpObject, WarpPatch, method_text};
+
+/// A session with its setup, and the method that was chosen for it if that was requested, as a header shows it.
+pub(crate) type Resulting<T> = (T, Arc<Setup>, Option<String>);
 
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<Resulting<Session>, Problem> {
         let prepared = self.prepare_session(client, upload).await?;
         self.create_session_from(client, prepared).await
     }
 
     /// Opens a session from an upload that was already prepared.
     /// Errors: Too little capacity.
-    pub async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<Resulting<Session>, Problem> {
         // Undoes the demotion of an image that is warped once.
         let _ = self.0.images.touch(Key::new(client.owner, prepared.digest));
-        let (put, setup) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
+        let (put, setup, method) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = put;
-        Ok((session, setup))
+        Ok((session, setup, method))
     }
 
     /// Opens or replaces a session with an id that the client has chosen.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<(Put, Arc<Setup>), Problem> {
+    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<Resulting<Put>, Problem> {
         let prepared = self.prepare_session(client, upload).await?;
         self.put_prepared(client, id, prepared).await
     }
@@ -50,7 +53,8 @@ impl App {
     }
 
     /// Stores a session, counted for its client.
-    async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<(Put, Arc<Setup>), Problem> {
+    async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<Resulting<Put>, Problem> {
+        let method = prepared.chosen_method();
         let (record, file, setup, _held) = prepared.into_session(id);
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
@@ -68,12 +72,12 @@ impl App {
         if let Put::Replaced(_, old) = &put {
             self.evict_session(old);
         }
-        Ok((put, setup))
+        Ok((put, setup, method))
     }
 
     /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<(Session, Arc<Setup>), Problem> {
+    pub async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<Resulting<Session>, Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
@@ -84,6 +88,7 @@ impl App {
             self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
             // The ticket is not held while the store works.
             drop(ticket);
+            let method = object.is_auto.then(|| method_text(&object.rest));
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
             let claim = self.0.client_sessions.claim_revision(&new)?;
@@ -96,7 +101,7 @@ impl App {
             if let Some(session) = revised? {
                 self.cache_setup(&session.record, &setup).await;
                 self.0.setups.remove(revision_key(&old));
-                return Ok((session, setup));
+                return Ok((session, setup, method));
             }
         }
         Err(StoreError::Contended.into())
@@ -219,7 +224,7 @@ mod tests {
         let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
-        let (session, _) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
+        let (session, ..) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
         let refused = app.replace_handles(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
@@ -239,7 +244,7 @@ mod tests {
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
         let file = Bytes::from(file.into_inner());
         let open = || app.create_session(client, Upload::new(file.clone(), r#"{"p": [[5, 5]]}"#));
-        let (session, setup) = open().await.unwrap();
+        let (session, setup, _) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
         let _used =
             (app.0.images.peek(image_key(&session.record)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap());
@@ -250,7 +255,7 @@ mod tests {
             drop(held);
             rest.push(budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap());
         }
-        let (other, _) = open().await.unwrap();
+        let (other, ..) = open().await.unwrap();
         assert_eq!(app.peek_session(other.record.id).await.unwrap().record, other.record);
     }
 
@@ -267,7 +272,7 @@ mod tests {
             let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
             app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
         };
-        let (session, _) = open(3).await.unwrap();
+        let (session, ..) = open(3).await.unwrap();
         // The picture stays decoded.
         let _used = app.0.images.peek(image_key(&session.record)).unwrap();
         let budget = app.budget();

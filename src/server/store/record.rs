@@ -213,6 +213,9 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     if warp.q.is_some() {
         return Err(other("it has posed handles"));
     }
+    if warp.is_auto {
+        return Err(other("its method is not chosen"));
+    }
     Ok(Arc::new(Record {
         id: SessionId::from_bytes(&unhex(&read.id).ok_or_else(|| other("its name is in another form"))?),
         revision: Revision::from_bytes(unhex(&read.revision).ok_or_else(|| other("its revision is in another form"))?),
@@ -367,6 +370,7 @@ mod tests {
             changed("\"version\":1", "\"version\":1,\"layers\":{}"),
             with_warp(&record, r#"{"strength":0.5}"#),
             with_warp(&record, r#"{"method":"arap"}"#),
+            with_warp(&record, r#"{"method":"auto"}"#),
             with_warp(&record, r#"{"output":{"filter":"lanczos"}}"#),
             with_warp(&record, r#"{"q":[]}"#),
             sealed(b"{\"version\":3}"),

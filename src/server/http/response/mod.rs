@@ -26,6 +26,7 @@ use crate::wire::landmarks::UNMATCHED;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_CANVAS: HeaderName = HeaderName::from_static("warp-canvas");
+const WARP_METHOD: HeaderName = HeaderName::from_static("warp-method");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
 const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
 const WARP_RESIDUAL: HeaderName = HeaderName::from_static("warp-residual");
@@ -57,6 +58,14 @@ impl Warning {
 /// A response with the warnings of its handles.
 pub(crate) fn with_warnings(mut response: Response, warnings: &[mlswarp::warp::Warning]) -> Response {
     insert_warnings(response.headers_mut(), warnings);
+    response
+}
+
+/// A response with the method that was chosen, if that was requested.
+pub(crate) fn with_method(mut response: Response, method: Option<String>) -> Response {
+    if let Some(method) = method {
+        response.headers_mut().insert(WARP_METHOD, text(method));
+    }
     response
 }
 

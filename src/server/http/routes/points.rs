@@ -7,14 +7,14 @@ use bytes::Bytes;
 use super::sessions::session_id;
 use crate::http::body::json;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{json_text, with_warnings};
+use crate::http::response::{json_text, with_method, with_warnings};
 use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
     let body = read(&caller, request).await?;
-    let (json, warnings) = caller.app.map_once(caller.client, body).await?;
-    Ok(with_warnings(json_text(json), &warnings))
+    let ((json, warnings), method) = caller.app.map_once(caller.client, body).await?;
+    Ok(with_method(with_warnings(json_text(json), &warnings), method))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {

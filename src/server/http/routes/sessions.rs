@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::app::warp::Upload;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{Warning, json_text, with_warnings};
+use crate::http::response::{Warning, json_text, with_method, with_warnings};
 use crate::http::{body, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::words::quote;
@@ -31,8 +31,8 @@ const FIXED_PART: usize = 2048;
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&caller, request).await?;
     let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
-    let (session, setup) = caller.app.create_session(caller.client, upload).await?;
-    Ok(warning.add_to(created(&caller, &session, object(held, &session, &setup))))
+    let (session, setup, method) = caller.app.create_session(caller.client, upload).await?;
+    Ok(with_method(warning.add_to(created(&caller, &session, object(held, &session, &setup))), method))
 }
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
@@ -40,11 +40,12 @@ pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request
     let id = SessionId::parse(caller.client.owner, &id).ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
     let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
-    let (put, setup) = caller.app.put_session(caller.client, id, upload).await?;
-    Ok(warning.add_to(match put {
+    let (put, setup, method) = caller.app.put_session(caller.client, id, upload).await?;
+    let response = warning.add_to(match put {
         Put::Created(session) => created(&caller, &session, object(held, &session, &setup)),
         Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
-    }))
+    });
+    Ok(with_method(response, method))
 }
 
 /// Replaces the rest handles of a session.
@@ -53,8 +54,8 @@ pub(crate) async fn handles(caller: Caller, Path(id): Path<String>, request: Req
     let id = session_id(*client, &id)?;
     app.peek_session(id).await?;
     let body = body::json(&caller, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
-    let (session, setup) = app.replace_handles(*client, id, body).await?;
-    reserved_object(&caller, &session, &setup)
+    let (session, setup, method) = app.replace_handles(*client, id, body).await?;
+    Ok(with_method(reserved_object(&caller, &session, &setup)?, method))
 }
 
 /// The session object. Reading does not extend the session's life.

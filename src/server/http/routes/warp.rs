@@ -10,7 +10,7 @@ use crate::app::warp::columns;
 use crate::http::body::json;
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{Warning, picture, takes_trailers};
+use crate::http::response::{Warning, picture, takes_trailers, with_method};
 use crate::http::{accept, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::Problem;
@@ -18,7 +18,6 @@ use crate::session::SessionId;
 use crate::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
-const WARP_METHOD: HeaderName = HeaderName::from_static("warp-method");
 /// Maximum size of a drag's JSON: a constant, and bytes per column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 /// Memory of parsed handles per byte of their JSON.
@@ -34,10 +33,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let (drawn, material) = app.warp_once(client, upload, formats).await?;
     let method = material.chosen_method();
     let session = if keeps_session { Some(app.create_session_from(client, material).await?.0.record.id) } else { None };
-    let mut response = warning.add_to(picture(drawn, trailers));
-    if let Some(method) = method {
-        response.headers_mut().insert(WARP_METHOD, HeaderValue::try_from(method).expect("a name and numbers are visible ASCII"));
-    }
+    let mut response = with_method(warning.add_to(picture(drawn, trailers)), method);
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
         response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);
