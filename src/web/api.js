@@ -99,6 +99,9 @@ export const readSession = async (id) => read(await ask("GET", session(id)), "js
 
 export const putHandles = async (id, rest, signal) => read(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }), "json");
 
+/** How well methods predict the handles: { best, candidates }. */
+export const fit = async (id, body) => read(await ask("POST", `${session(id)}/fit`, { json: body }), "json");
+
 /** The handles in a landmark file: { p, q (if the file has both sides), units }. */
 export const readLandmarks = async (file) => read(await ask("POST", "landmarks", { file }), "json");
 

@@ -156,7 +156,8 @@ export function massOf({ handles, mass }) {
 
 export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
 const isTwisted = ({ handles }) => handles.some((h) => h.twist);
-export const takesPinsOnly = ({ method }) => method === "tps";
+/** Methods without a focus. Their handles are pins. */
+export const takesPinsOnly = ({ method }) => method === "tps" || method === "global_affine";
 /** Whether all handles are pins without a twist. */
 export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 1 && !h.twist);
 export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(document) >= LEAST_ALPHA;
@@ -181,7 +182,8 @@ export function restOf(document) {
   const weight = (h) => (h.twist ? segmentWeight(h, mass) : (h.weight ?? 1));
   const weights = handles.some((h) => h.weight !== undefined || h.twist) ? { weights: handles.map(weight) } : {};
   const point_mass = mass === undefined ? {} : { point_mass: mass };
-  const parameters = takesPinsOnly(document) ? { smoothing: document.smoothing ?? 0 } : { alpha: alphaOf(document), ...point_mass };
+  const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
+  const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
   const output = { outside: outsideOf(document) };
   return { p: wire(document, "p"), ...weights, method, ...parameters, grid: grid === "auto" ? grid : { cell: grid }, output };
 }

@@ -4,7 +4,7 @@
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
 import { withRoom } from "./numbers.js";
 import { canTwist } from "./twist.js";
-import { marked, places as placesWords } from "./words.js";
+import { marked, places as placesWords, residualWords } from "./words.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
 /** Hit radius of a vertex or a line, CSS px: 24 px across for a mouse, 44 px for touch. */
@@ -35,6 +35,16 @@ function set(node, attributes) {
 const list = (places) => places.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
 const at = ([x, y]) => `translate(${x.toFixed(2)} ${y.toFixed(2)})`;
 
+/** The path of an arrow by (dx, dy) that ends at the rim of a dot; empty if it is shorter than that. */
+function arrowTo([x, y], [dx, dy]) {
+  const [length, rim, head] = [Math.hypot(dx, dy), 9.5, 6];
+  if (length < rim + 2) return "";
+  const [ux, uy] = [dx / length, dy / length];
+  const [tx, ty] = [x - rim * ux, y - rim * uy];
+  const wing = (side) => `${(tx - head * ux + side * head * 0.7 * uy).toFixed(2)} ${(ty - head * uy - side * head * 0.7 * ux).toFixed(2)}`;
+  return `M${(x - dx).toFixed(2)} ${(y - dy).toFixed(2)}L${tx.toFixed(2)} ${ty.toFixed(2)}M${wing(1)}L${tx.toFixed(2)} ${ty.toFixed(2)}L${wing(-1)}`;
+}
+
 export const keyOf = (handle, vertex) => (vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`);
 
 export class Handles {
@@ -49,6 +59,7 @@ export class Handles {
   constructor(svg, store, view) {
     Object.assign(this, { svg, store, view });
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
+    this.fit = element("g", { id: "residuals", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
     this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
     // A round arrow on a stalk, so that it does not look like a handle.
@@ -61,7 +72,7 @@ export class Handles {
     this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
     this.cross = element("path", { id: "cross", class: "cross", d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14", "aria-hidden": true });
     this.body = element("g");
-    svg.replaceChildren(this.ghosts, this.body, this.ringShade, this.ring, this.knob, this.draft, this.frame, this.cross);
+    svg.replaceChildren(this.ghosts, this.fit, this.body, this.ringShade, this.ring, this.knob, this.draft, this.frame, this.cross);
     store.subscribe(() => this.draw());
     view.subscribe(() => this.draw());
   }
@@ -83,6 +94,7 @@ export class Handles {
       if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
     });
+    this.#drawFit(state);
     this.#thinOut(state);
     this.#drawRing(state);
     this.#drawDraft(state);
@@ -109,11 +121,12 @@ export class Handles {
   #update(nodes, handle, index, state) {
     const posed = handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const fault = marked(state.problem).includes(index) ? "" : state.apart.includes(index) ? "warning" : null;
+    const warns = state.apart.includes(index) || (state.fitShown && state.fit?.outliers.includes(index));
+    const fault = marked(state.problem).includes(index) ? "" : warns ? "warning" : null;
     const whole = state.selection.includes(String(handle.id));
     const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
     const single = handle.p.length === 1;
-    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}` : name });
+    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}${this.#residual(state, index)}` : name });
     if (single) this.#updatePlace(nodes.whole, posed[0], handle.q[0], index + 1);
     else for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
@@ -133,6 +146,23 @@ export class Handles {
   #updatePlace(node, stage, place, label) {
     set(node, { transform: at(stage), "data-x": place[0], "data-y": place[1] });
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
+  }
+
+  #residual({ fit }, index) {
+    return fit ? residualWords(fit.residuals[index], fit.outliers.includes(index)) : "";
+  }
+
+  /** An arrow from the prediction of each pin to the pin, as long as the residual times the scale. */
+  #drawFit({ fit, fitShown, document: { handles } }) {
+    const shown = fit && fitShown ? handles : [];
+    while (this.fit.children.length > shown.length) this.fit.lastChild.remove();
+    shown.forEach(({ q: [place] }, index) => {
+      const arrow = this.fit.children[index] ?? this.fit.appendChild(element("g", {}, ...["rim", "over"].map((name) => element("path", { class: name }))));
+      const outlier = fit.outliers.includes(index);
+      set(arrow, { class: outlier ? "outlier" : null, "data-residual": index });
+      const d = arrowTo(this.view.toStage(place), fit.residuals[index].map((c) => c * fit.scale * this.view.zoom));
+      for (const part of arrow.children) set(part, { d });
+    });
   }
 
   /** Circle around a selected pin, or around a selection with two or more vertices, stage px; otherwise null. */

@@ -2,13 +2,13 @@
 // used is rejected with its name, the position and what is expected.
 
 import { Problem, readLandmarks } from "./api.js";
-import { massOf, near } from "./edits.js";
+import { massOf, near, takesPinsOnly } from "./edits.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
 import { pinOf } from "./twist.js";
 
 /** Largest file, bytes: many times what this page writes. */
 const LARGEST = 2 << 20;
-const METHODS = ["rigid", "similarity", "affine", "tps"];
+const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
 
 export const isHandles = (file) =>
   ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
@@ -119,9 +119,9 @@ function documentFrom(warp) {
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
-  demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine" or "tps"');
-  const line = method === "tps" ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
-  demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" takes points only,');
+  demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine", "tps" or "global_affine"');
+  const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
+  demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
   const cell = grid === "auto" ? grid : grid?.cell;

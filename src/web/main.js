@@ -4,6 +4,7 @@ import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
 import { outsideOf, takesPinsOnly } from "./edits.js";
 import { ExportDialog } from "./export.js";
+import { chooseMethod } from "./fit.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
@@ -71,6 +72,13 @@ const does = {
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
+  fit: async () => {
+    try {
+      await chooseMethod(store, sync, view, actions);
+    } catch (problem) {
+      store.do("problem", { problem });
+    }
+  },
   full: () => view.zoomTo(1 / view.scale),
   /** The label of the action that resolves a problem, or null. */
   mending: ({ code, opening }) => {

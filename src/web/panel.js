@@ -1,9 +1,10 @@
 // The controls around the picture: they show the state and change it.
 
 import { alphaOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
+import { LEAST_PINS } from "./fit.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, methodWords, problemWords, waitingWords } from "./words.js";
+import { HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -36,6 +37,8 @@ export class Panel {
       find("pick").focus({ preventScroll: true }); // this button disappears
       store.do("waiting", { handles: null });
     });
+    click("fit", does.fit);
+    find("fit-arrows").addEventListener("change", ({ target }) => store.do("show", { what: { fitShown: target.checked } }));
     click("mesh", does.mesh);
     click("compare", does.compare);
     click("zoom-in", () => view.zoomTo(view.zoom * 1.25));
@@ -103,6 +106,7 @@ export class Panel {
     find("work").hidden = find("panel").hidden = !state.picture || state.phase === "empty";
     this.#drawUpload(state);
     this.#drawBend(state.document);
+    this.#drawFit(state);
     this.#drawTools(state);
     this.#drawProblem(state.problem);
     text("title", state.picture ? `${state.picture.name}` : "");
@@ -125,10 +129,18 @@ export class Panel {
     text("upload-text", progress === 0 ? `Opening ${uploadName}` : progress < 100 ? `Uploading ${uploadName}: ${Math.round(progress)} %` : `Processing ${uploadName}`);
   }
 
+  #drawFit({ document, fit, fitShown }) {
+    const why = noFitWords(document.handles.length, hasPinsOnly(document), LEAST_PINS);
+    find("fit").disabled = why !== "";
+    find("fit-arrows-label").hidden = !fit;
+    find("fit-arrows").checked = fitShown;
+    text("fit-note", fit?.words ?? why);
+  }
+
   #drawBend(document) {
     find(`method-${document.method}`).checked = true;
     const canSpline = hasPinsOnly(document);
-    find("method-tps").disabled = !canSpline;
+    for (const id of ["method-tps", "method-global_affine"]) find(id).disabled = !canSpline;
     text("method-note", methodWords(document, canSpline));
     const pinsOnly = takesPinsOnly(document);
     for (const id of ["alpha", "alpha-auto", "tool-line", "tool-path", "pin-border"]) find(id).disabled = pinsOnly;
@@ -139,7 +151,7 @@ export class Panel {
     find("alpha-auto").checked = document.alpha === null;
     const automatic = alphaOf({ ...document, alpha: null });
     const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
-    text("alpha-note", pinsOnly ? "Spline has no focus: each handle affects the whole picture." : focus);
+    text("alpha-note", pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus);
     const select = find("grid-size");
     const value = String(document.grid);
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));

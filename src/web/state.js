@@ -31,6 +31,8 @@ const initialState = () => ({
   tag: "",
   tagged: 0,
   problem: null,
+  fit: null, // why the method was chosen: { residuals, outliers, scale, words } (fit.js)
+  fitShown: true,
   apart: [], // indices of handles that coincide at rest and are moved apart
   meshShown: false,
   compare: false,
@@ -52,7 +54,8 @@ function withDocument(state, document) {
   if (document === state.document) return state;
   const kept = state.selection.filter((key) => exists(document, key));
   const selection = kept.length === state.selection.length ? state.selection : kept;
-  return { ...state, document, selection, revision: state.revision + 1, problem: null, apart: [] };
+  const isKept = ["handles", "method", "alpha", "smoothing"].every((name) => document[name] === state.document[name]);
+  return { ...state, document, selection, revision: state.revision + 1, problem: null, apart: [], fit: isKept ? state.fit : null };
 }
 
 const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [], later: [] });
@@ -87,6 +90,8 @@ const reducers = {
     const next = withDocument({ ...state, ...history, tag, tagged: now }, settled(document, state.document));
     return select ? { ...next, selection: select } : next;
   },
+
+  fit: (state, { fit }) => ({ ...state, fit }),
 
   dragBegin: (state) => ({ ...state, before: state.document, tag: "" }),
   drag: (state, { document }) => withDocument(state, settled(document, state.document)),

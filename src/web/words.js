@@ -71,16 +71,44 @@ const METHODS = {
   similarity: "Allows scaling and keeps angles: use it to make something larger or smaller.",
   affine: "Also allows stretching and shear: follows the handles most freely.",
   tps: "Bends the whole picture as little as it can, like a thin plate of metal. For pins only.",
+  global_affine: "Moves, turns, stretches and shears the whole picture as one: it passes near the handles, not through them. For pins only.",
 };
 
 /** Why no line, path, border or twist is made. */
-export const PINS_ONLY = "Spline takes pins without a twist only: choose another method first";
+export const PINS_ONLY = "Spline and Global take pins without a twist only: choose another method first";
 
 /** The note about the method of a document. `canSpline`: whether its handles may have that method. */
 export function methodWords({ method, smoothing }, canSpline) {
   const near = method === "tps" && smoothing ? ` Smoothing ${smoothing}: it passes near the handles, not through them.` : "";
-  return `${METHODS[method]}${near}${canSpline ? "" : " Spline is for pins only: not with lines, paths and twists."}`;
+  return `${METHODS[method]}${near}${canSpline ? "" : " Spline and Global are for pins only: not with lines, paths and twists."}`;
 }
+
+/** Why no method can be chosen, or an empty text. */
+export function noFitWords(pins, pinsOnly, least) {
+  if (!pinsOnly) return "Choosing compares pins: not with lines, paths and twists.";
+  return pins < least ? `Choosing takes ${least} pins or more.` : "";
+}
+
+const NAMES = { rigid: "Rigid", similarity: "Similarity", affine: "Affine", tps: "Spline", global_affine: "Global" };
+const px = (length) => `${length < 9.95 ? length.toFixed(1) : Math.round(length)} px`;
+
+function candidateName({ method, alpha, smoothing }) {
+  const parameter = alpha ? `focus ${alpha}` : smoothing ? `smoothing ${smoothing}` : "";
+  return `${NAMES[method]}${parameter && ` (${parameter})`}`;
+}
+
+/** Why a method was chosen. `before`: the method until then. */
+export function fitWords({ best, candidates, before, outliers, scale }) {
+  const ranked = candidates.toSorted((a, b) => a.rms - b.rms);
+  const other = ranked.find(({ method }) => method === before && before !== best.method) ?? ranked.find(({ method }) => method !== best.method);
+  const against = other ? `; ${candidateName(other)}: ${px(other.rms)}` : "";
+  const wrong = outliers.length ? ` Check ${outliers.length > 1 ? "pins" : "pin"} ${series(outliers.map((index) => index + 1))}: far from where the others put ${outliers.length > 1 ? "them" : "it"}.` : "";
+  const drawn = ` Arrows lead from the prediction to the pin${scale > 1 ? `, ${scale} times as long` : ""}.`;
+  return `${candidateName(best)} predicts left-out pins best: ${px(ranked[0].rms)} on average (RMS)${against}.${wrong}${drawn}`;
+}
+
+/** What is known about a pin whose residual is shown. */
+export const residualWords = ([x, y], outlier) => `, ${px(Math.hypot(x, y))} from its prediction${outlier ? ", an outlier" : ""}`;
 
 export const OUTSIDE = {
   transparent: "Transparent outside the warped picture.",

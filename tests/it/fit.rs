@@ -203,6 +203,9 @@ async fn auto_is_chosen_once_and_named() {
     assert_eq!(opened["method"], best["method"]);
     let id = opened["id"].as_str().unwrap();
     assert_eq!(png(server.drag(id, &json!({"q": q})).await).await, picture);
+    // Too few to compare.
+    let few = server.upload("/warp", &image, &json!({"p": [[9, 9], [30, 40]], "q": [[9, 9], [35, 40]], "method": "auto"})).await;
+    assert_eq!(header(&few, "warp-method"), "rigid;alpha=1");
     // New handles may choose again; without `q` there is nothing to choose by.
     let handles = |body: Value| server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send();
     problem(handles(json!({"method": "auto"})).await.unwrap(), 422, "bad_value").await;

@@ -27,7 +27,7 @@ async fn server() -> Server {
 }
 
 fn rest() -> Value {
-    json!({"p": [[4, 4], [12, 8]]})
+    json!({"p": [[4, 4], [12, 8], [3, 9], [13, 2]]})
 }
 
 /// Every method of every route, as the document lists them.
@@ -48,8 +48,10 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
         ("POST", "/warp" | "/sessions") | ("PUT", "/sessions/{id}") => request.multipart(form(&photo(16, 12), rest().to_string())),
         ("GET" | "DELETE", "/sessions/{id}") => request,
         ("PUT", "/sessions/{id}/handles") => request.json(&json!({"p": [[1, 1]]})),
-        ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8]]})),
-        ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8]], "points": [[1, 1]]})),
+        ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
+        ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]], "points": [[1, 1]]})),
+        ("POST", "/sessions/{id}/fit") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
+        ("POST", "/fit") => request.json(&json!({"extent": [9, 9], "p": rest()["p"], "q": rest()["p"]})),
         ("POST", "/landmarks") => request.body("1,2\n"),
         ("POST", "/points") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]], "points": [[3, 3]]})),
         ("GET", "/sessions/{id}/drag") => request
@@ -104,7 +106,7 @@ async fn two_keys_do_not_see_each_others_sessions() {
     let opened = server.post("/sessions").bearer_auth(ANN).multipart(form(&photo(16, 12), rest().to_string())).send().await.unwrap();
     let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
     let picture = async || {
-        let body = json!({"q": [[5, 4], [12, 8]]});
+        let body = json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]});
         let answer = server.post(&format!("/sessions/{id}/warp")).bearer_auth(ANN).json(&body).send().await.unwrap();
         assert_eq!(answer.status(), 200);
         answer.bytes().await.unwrap()
@@ -143,7 +145,7 @@ async fn open(server: &Server, path: &str, protocols: &str) -> Result<Option<Str
     match client_async(request, TcpStream::connect(server.address).await.unwrap()).await {
         Ok((mut socket, answer)) => {
             assert!(matches!(socket.next().await, Some(Ok(Message::Text(_)))), "hello");
-            socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+            socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8], [3, 9], [13, 2]]}).to_string())).await.unwrap();
             assert!(matches!(socket.next().await, Some(Ok(Message::Binary(_)))), "a frame");
             Ok(answer.headers().get("Sec-WebSocket-Protocol").map(|p| p.to_str().unwrap().to_owned()))
         }
@@ -213,7 +215,7 @@ async fn nothing_secret_is_logged() {
     let _ = refused.bytes().await;
     let opened = client.post(url("/sessions")).bearer_auth(ANN).multipart(form(&photo(32, 24), rest().to_string())).send().await.unwrap();
     let id = opened.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
-    let body = json!({"q": [[5, 4], [12, 8]]});
+    let body = json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]});
     let warped = client.post(url(&format!("/sessions/{id}/warp"))).bearer_auth(ANN).json(&body).send().await.unwrap();
     assert_eq!(warped.status(), 200);
     let _ = warped.bytes().await.unwrap();
@@ -223,7 +225,7 @@ async fn nothing_secret_is_logged() {
     let mut request = format!("ws://{}/sessions/{id}/drag", program.address).into_client_request().unwrap();
     request.headers_mut().insert("Sec-WebSocket-Protocol", format!("mlswarp, mlswarp.bearer.{key}").parse().unwrap());
     let (mut socket, _) = client_async(request, TcpStream::connect(program.address).await.unwrap()).await.unwrap();
-    socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+    socket.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8], [3, 9], [13, 2]]}).to_string())).await.unwrap();
     while !matches!(socket.next().await, Some(Ok(Message::Binary(_)))) {}
     socket.close(None).await.unwrap();
     // HTTP/2 has a library of its own that logs.
@@ -286,7 +288,7 @@ async fn a_socket_ends_with_its_key() {
     let Some(Ok(Message::Close(Some(close)))) = ends.next().await else { panic!("its end") };
     assert_eq!(u16::from(close.code), 1008);
     assert!(began.elapsed() < Duration::from_secs(30));
-    stays.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8]]}).to_string())).await.unwrap();
+    stays.send(Message::text(json!({"seq": 1, "q": [[5, 4], [12, 8], [3, 9], [13, 2]]}).to_string())).await.unwrap();
     assert!(matches!(stays.next().await, Some(Ok(Message::Binary(_)))), "a frame");
 }
 
@@ -295,7 +297,7 @@ async fn a_socket_ends_with_its_key() {
 async fn caches_tell_one_owner_nothing_of_another() {
     let server = server().await;
     let (file, mut warp) = (photo(320, 240), rest());
-    warp["q"] = json!([[5, 4], [12, 8]]);
+    warp["q"] = json!([[5, 4], [12, 8], [3, 9], [13, 2]]);
     let ask = async |key: &str| {
         let answer = server.post("/warp").bearer_auth(key).multipart(form(&file, warp.to_string())).send().await.unwrap();
         assert_eq!(answer.status(), 200);
@@ -321,8 +323,13 @@ async fn caches_tell_one_owner_nothing_of_another() {
         answer.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
     };
     let drag = async |key: &str, id: &str| {
-        let answer =
-            server.post(&format!("/sessions/{id}/warp")).bearer_auth(key).json(&json!({"q": [[5, 4], [12, 8]]})).send().await.unwrap();
+        let answer = server
+            .post(&format!("/sessions/{id}/warp"))
+            .bearer_auth(key)
+            .json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]}))
+            .send()
+            .await
+            .unwrap();
         header(&answer, "warp-plan").to_owned()
     };
     server.app.clear_caches();

@@ -156,6 +156,20 @@ fn median(mut values: Vec<f64>) -> f64 {
     if values.len().is_multiple_of(2) { 0.5 * (values[half - 1] + values[half]) } else { values[half] }
 }
 
+/// The default candidate that predicts the points best; rigid moving least squares if they are too few to compare methods.
+///
+/// # Errors
+/// Those of [`Fit::new`] and [`Fit::predict`].
+pub fn choose(rest: &RestSpec, q: &[Handle], extent: Extent, most: u64, cancelled: IsCancelled<'_>) -> Result<Candidate, WarpError> {
+    let rigid = Candidate { method: Method::Rigid, alpha: None, smoothing: None }.resolved();
+    let fit = match Fit::new(rest, q, extent, most, cancelled) {
+        Err(WarpError::TooFewPoints { .. }) => return Ok(rigid),
+        fit => fit?,
+    };
+    let predictions: Result<Vec<_>, _> = Candidate::defaults().into_iter().map(|candidate| fit.predict(candidate, cancelled)).collect();
+    Ok(best(&predictions?).map_or(rigid, |best| best.candidate))
+}
+
 /// The prediction with the least RMS; of equal ones the first.
 #[must_use]
 pub fn best(predictions: &[Prediction]) -> Option<&Prediction> {

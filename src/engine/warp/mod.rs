@@ -21,7 +21,7 @@ mod tests;
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
 pub use self::error::{Warning, WarpError};
-pub use self::fit::{Candidate, Fit, Prediction, best};
+pub use self::fit::{Candidate, Fit, Prediction, best, choose};
 pub use self::image::Image;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};

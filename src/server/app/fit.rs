@@ -4,13 +4,13 @@ use bytes::Bytes;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, best};
+use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, choose};
 
 use super::App;
 use super::json_text::json_unless;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::{Purpose, Reservation};
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
@@ -18,7 +18,7 @@ use crate::wire::{FitAnswer, FitObject, WarpObject, in_candidate};
 
 /// Compares candidates on at most `most` handles. CPU work, in parallel on the current rayon pool.
 /// Errors: Wrong points or candidates, cancelled.
-pub(crate) fn predictions(
+fn predictions(
     rest: &RestSpec,
     q: &[Handle],
     extent: Extent,
@@ -85,23 +85,28 @@ impl App {
         candidates: &[Candidate],
         cancel: &Cancel,
     ) -> Result<Vec<Prediction>, Problem> {
-        let (count, most) = (rest.p.len() as u64, self.0.config.max_fit_handles as u64);
-        let of_candidate = |candidate: &Candidate| candidate.method.field_bytes(count.min(most));
-        let system = candidates.iter().map(of_candidate).max().unwrap_or_default();
-        let residuals = candidates.len() as u64 * count.min(most) * size_of::<Vec2>() as u64;
-        let _held = self.reserve(Purpose::Plan, system + residuals)?;
+        let _held = self.reserve_comparison(rest, candidates)?;
         let is_cancelled = || cancel.is_cancelled();
+        let most = self.0.config.max_fit_handles as u64;
         self.0.pool.run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
     }
 
+    /// The memory of a comparison: one system at a time, and all residuals.
+    fn reserve_comparison(&self, rest: &RestSpec, candidates: &[Candidate]) -> Result<Reservation, Problem> {
+        let count = (rest.p.len() as u64).min(self.0.config.max_fit_handles as u64);
+        let system = candidates.iter().map(|candidate| candidate.method.field_bytes(count)).max().unwrap_or_default();
+        self.reserve(Purpose::Plan, system + candidates.len() as u64 * count * size_of::<Vec2>() as u64)
+    }
+
     /// Replaces the method `auto` by the one that fits best. Runs on the pool.
-    /// Errors: No `q`, lines, too few or too many points, or too little memory.
+    /// Errors: No `q`, lines, too many points, or too little memory.
     pub(crate) fn choose_method(&self, object: &mut WarpObject, extent: Extent, cancel: &Cancel) -> Result<(), Problem> {
         if object.is_auto {
             object.require_choice()?;
-            let q = object.posed()?;
-            let predictions = self.predict(&object.rest, q, extent, &Candidate::defaults(), cancel)?;
-            object.choose(best(&predictions).map(|best| best.candidate));
+            let _held = self.reserve_comparison(&object.rest, &Candidate::defaults())?;
+            let (rest, q, most) = (&object.rest, object.posed()?, self.0.config.max_fit_handles as u64);
+            let chosen = self.0.pool.run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;
+            object.choose(chosen);
         }
         Ok(())
     }

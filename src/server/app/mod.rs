@@ -4,7 +4,7 @@
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;
-pub(crate) mod fit;
+mod fit;
 mod json_text;
 pub mod landmarks;
 pub(crate) mod lifecycle;

@@ -8,9 +8,8 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
-use mlswarp::warp::{Candidate, Image, Posed, Report, Setup, Warp, WarpError, best};
+use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError, choose};
 
-use crate::app::fit::predictions;
 use crate::config::Config;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -121,8 +120,8 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     if object.is_auto {
         object.require_choice()?;
         let (q, most) = (object.posed()?, config.max_fit_handles as u64);
-        let predictions = predictions(&object.rest, q, image.extent(), &Candidate::defaults(), most, &|| false)?;
-        object.choose(best(&predictions).map(|best| best.candidate));
+        let chosen = choose(&object.rest, q, image.extent(), most, &|| false)?;
+        object.choose(chosen);
     }
     let setup = Setup::new(&object.rest, image.extent(), &config.limits())?;
     let pose = setup.pose(object.posed()?)?;

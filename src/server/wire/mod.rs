@@ -77,6 +77,7 @@ impl WarpObject {
         }
         match &self.q {
             Some(_) => Ok(()),
+            None if self.rest.p.is_empty() => Ok(()),
             None => {
                 let detail = "`q` is missing: the method `auto` compares methods by where the handles go; send `q`, or choose a method";
                 Err(Problem::new(Code::BadValue, detail).pointer("/q"))
@@ -85,10 +86,8 @@ impl WarpObject {
     }
 
     /// Replaces `method: auto` by the best candidate.
-    pub(crate) fn choose(&mut self, candidate: Option<Candidate>) {
-        if let Some(candidate) = candidate {
-            self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
-        }
+    pub(crate) fn choose(&mut self, candidate: Candidate) {
+        self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
     }
 
     /// The posed handles; none if there are none at rest.
