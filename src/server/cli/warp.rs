@@ -117,8 +117,9 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
     write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
-    let (extent, Report { warnings, folds, residual, .. }) = (warp.target(), posed.into_report_on(&image));
+    let (extent, Report { warnings, folds, residual, exceeded, .. }) = (warp.target(), posed.into_report_on(&image));
     let summary = format!("{} x {} px, {folds} folded cells, residual {residual:.4} px", extent.width(), extent.height());
+    let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
     let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
     Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }

@@ -149,8 +149,9 @@ fn report_json(seq: u64, extent: Extent, full: bool, report: &Report, timing: Ti
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
     let (width, height) = (extent.width(), extent.height());
-    let Report { folds, residual, ref coincident, .. } = *report;
+    let Report { folds, residual, exceeded, ref coincident, .. } = *report;
+    let exceeded = (exceeded > 0).then_some(exceeded);
     let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
-    let report = FrameReport { seq, width, height, full, folds, residual, warnings, coincident, timing };
+    let report = FrameReport { seq, width, height, full, folds, residual, warnings, exceeded, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }
