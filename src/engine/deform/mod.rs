@@ -25,6 +25,8 @@ mod fit;
 mod groups;
 #[forbid(unsafe_code)]
 mod handles;
+#[forbid(unsafe_code)]
+mod interpolated;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lane_math;

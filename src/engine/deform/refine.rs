@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group, group_len};
+use super::interpolated::Interpolated;
 use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
@@ -20,6 +21,8 @@ const SUSPECT: f64 = 0.6;
 const HALVED: f32 = 0.5;
 /// The largest error of a smooth cell, as a share of its size.
 const RESOLVED: f32 = 0.1;
+/// Vertices may be interpolated if they are off by at most this share of the tolerance.
+const INTERPOLATED: f32 = 0.15;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
@@ -79,6 +82,8 @@ struct Measured {
     errors: [f32; LEVELS],
     /// Halved at least this many times, because a neighbour is.
     least: u8,
+    /// The vertices are not interpolated.
+    is_exact: bool,
 }
 
 /// A position at which f is known.
@@ -192,6 +197,7 @@ impl Work<'_> {
         while !pending.is_empty() {
             pending.sort_unstable();
             pending.dedup();
+            pending.retain(|&cell| !self.interpolate(cell));
             let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
                 by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
@@ -209,6 +215,43 @@ impl Work<'_> {
             pending = next;
         }
         Some(())
+    }
+
+    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than once. If not, its vertices will be exact.
+    fn interpolate(&mut self, cell: u32) -> bool {
+        let corners = self.corners(cell);
+        if let Some(known) = self.cells.get_mut(cell) {
+            if known.is_exact {
+                return false;
+            }
+            if known.depth > 0 {
+                *known = Measured { least: known.least, ..Measured::new(corners) };
+                known.is_exact = true;
+                return false;
+            }
+        }
+        let (tolerance, size) = (self.tolerance(), self.size(cell));
+        let columns = self.mesh.grid().columns() - 1;
+        let is_open = self.is_smooth && !self.samples.contains_key(&cell) && split_error(&corners, 2, size) == 0.0;
+        let halved = if is_open { Interpolated::new(self.mesh, cell % columns, cell / columns) } else { None };
+        let halved = halved.filter(|halved| halved.off <= INTERPOLATED * tolerance && self.left >= group_len(1));
+        let is_known = self.cells.get(&cell).is_some();
+        if let Some(Interpolated { vertices, off, error }) = halved {
+            if !is_known && (error + off) * BETWEEN_SMOOTH <= tolerance {
+                return true;
+            }
+            let known = self.cells.get_or_insert(cell, corners);
+            known.deepen(&vertices, size);
+            known.errors[0] += off;
+            let known = self.cells.get(&cell).expect("is there");
+            if let Decision::Draw(_) = self.decide(cell, known) {
+                self.left -= group_len(1);
+                return true;
+            }
+        }
+        let known = self.cells.get_or_insert(cell, corners);
+        *known = Measured { least: known.least, is_exact: true, ..Measured::new(corners) };
+        false
     }
 
     /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
@@ -357,7 +400,11 @@ impl Work<'_> {
             let level = self.level(cell, known);
             if level > 0 {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
-                refinement.push(i, j, level, &known.at_level(level));
+                let mut vertices = known.at_level(level);
+                if !known.is_exact {
+                    self.take_exact_edges(cell, &mut vertices);
+                }
+                refinement.push(i, j, level, &vertices);
             }
         }
         let outer = |cell: &RefinedCell, edge: usize| {
@@ -374,6 +421,17 @@ impl Work<'_> {
         self.exceeded.dedup();
         let exceeded = self.exceeded.iter().map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1))).collect();
         Refined { refinement, exceeded }
+    }
+
+    /// Gives a cell that is halved once by interpolation the vertices that neighbours compute exactly.
+    fn take_exact_edges(&self, cell: u32, vertices: &mut [[f32; 2]]) {
+        // The middles of the edges on [3][3], and of the same edges in the neighbours.
+        let middles = [(1, 7), (5, 3), (7, 1), (3, 5)];
+        for (other, (here, there)) in self.beside(cell).into_iter().zip(middles) {
+            if let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) {
+                vertices[here] = known.at_level(1)[there];
+            }
+        }
     }
 
     /// Width and height of a cell at rest.
@@ -440,10 +498,14 @@ impl Cells {
         (self.index[*cell as usize] as usize).checked_sub(1).map(|at| &self.known[at].1)
     }
 
+    fn get_mut(&mut self, cell: u32) -> Option<&mut Measured> {
+        (self.index[cell as usize] as usize).checked_sub(1).map(|at| &mut self.known[at].1)
+    }
+
     fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
         let index = &mut self.index[cell as usize];
         if *index == 0 {
-            self.known.push((cell, Measured { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0 }));
+            self.known.push((cell, Measured::new(corners)));
             *index = u32::try_from(self.known.len()).expect("fewer than the grid has");
         }
         let at = *index as usize - 1;
@@ -460,6 +522,10 @@ impl Cells {
 }
 
 impl Measured {
+    fn new(corners: [[f32; 2]; 4]) -> Self {
+        Self { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0, is_exact: false }
+    }
+
     /// Adds the vertices of one halving more, and the error of the present lattice at them.
     fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
         let coarse = (1_usize << self.depth) + 1;
