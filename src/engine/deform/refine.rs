@@ -4,6 +4,7 @@
 //!
 //! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept change it.
 
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
@@ -22,7 +23,7 @@ const HALVED: f32 = 0.5;
 /// The largest error of a smooth cell, as a share of its size.
 const RESOLVED: f32 = 0.1;
 /// Vertices may be interpolated if they are off by at most this share of the tolerance.
-const INTERPOLATED: f32 = 0.15;
+const INTERPOLATED: f32 = 0.35;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
@@ -242,7 +243,7 @@ impl Work<'_> {
             }
             let known = self.cells.get_or_insert(cell, corners);
             known.deepen(&vertices, size);
-            known.errors[0] += off;
+            known.errors[0] += off / HALVED;
             let known = self.cells.get(&cell).expect("is there");
             if let Decision::Draw(_) = self.decide(cell, known) {
                 self.left -= group_len(1);
@@ -312,15 +313,15 @@ impl Work<'_> {
     /// Cells whose neighbours know that a common edge must be halved more often; those that must be measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
-        for (cell, known) in &self.cells.known {
-            let level = self.level(*cell, known);
+        let levels: Vec<u8> = self.cells.known.iter().map(|(cell, known)| self.level(*cell, known)).collect();
+        for ((cell, known), &level) in self.cells.known.iter().zip(&levels) {
             if level == 0 {
                 continue;
             }
-            let mut vertices = Vec::new();
+            let mut vertices = Cow::Borrowed(&[][..]);
             for (edge, other) in self.beside(*cell).into_iter().enumerate() {
                 let Some(other) = other else { continue };
-                let other_level = self.cells.get(&other).map_or(0, |known| self.level(other, known));
+                let other_level = self.cells.position(other).map_or(0, |at| levels[at]);
                 if other_level >= level {
                     continue;
                 }
@@ -402,7 +403,7 @@ impl Work<'_> {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
                 let mut vertices = known.at_level(level);
                 if !known.is_exact {
-                    self.take_exact_edges(cell, &mut vertices);
+                    self.take_exact_edges(cell, vertices.to_mut());
                 }
                 refinement.push(i, j, level, &vertices);
             }
@@ -412,7 +413,7 @@ impl Work<'_> {
             if self.samples.contains_key(&index) {
                 return cell.level;
             }
-            let vertices = self.cells.get(&index).map_or_else(Vec::new, |known| known.at_level(cell.level));
+            let vertices = self.cells.get(&index).map_or(Cow::Borrowed(&[][..]), |known| known.at_level(cell.level));
             edge_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
@@ -494,12 +495,17 @@ impl Work<'_> {
 }
 
 impl Cells {
+    /// The index of a known cell.
+    fn position(&self, cell: u32) -> Option<usize> {
+        (self.index[cell as usize] as usize).checked_sub(1)
+    }
+
     fn get(&self, cell: &u32) -> Option<&Measured> {
-        (self.index[*cell as usize] as usize).checked_sub(1).map(|at| &self.known[at].1)
+        self.position(*cell).map(|at| &self.known[at].1)
     }
 
     fn get_mut(&mut self, cell: u32) -> Option<&mut Measured> {
-        (self.index[cell as usize] as usize).checked_sub(1).map(|at| &mut self.known[at].1)
+        self.position(cell).map(|at| &mut self.known[at].1)
     }
 
     fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
@@ -546,7 +552,7 @@ impl Measured {
                 (0, _) => mean(old(a, b), old(a, b + 1)),
                 _ => mean(mean(old(a, b), old(a + 1, b)), mean(old(a, b + 1), old(a + 1, b + 1))),
             };
-            worst = worst.max((d[0] - patch[0]).hypot(d[1] - patch[1]));
+            worst = worst.max(distance(*d, patch));
             vertices[b * fine + a] = *d;
         }
         self.vertices = vertices;
@@ -555,7 +561,7 @@ impl Measured {
     }
 
     /// The vertices of the cell halved `level` times.
-    fn at_level(&self, level: u8) -> Vec<[f32; 2]> {
+    fn at_level(&self, level: u8) -> Cow<'_, [[f32; 2]]> {
         at_level(&self.vertices, (1 << self.depth) + 1, level)
     }
 }
@@ -573,39 +579,44 @@ fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) -> f32 {
             let (top, bottom, left, right) = (across(ab), across(dc), down(0), down(1));
             let least = cross(top, left).min(cross(top, right)).min(cross(bottom, left)).min(cross(bottom, right));
             if least <= 0.0 {
-                worst = worst.max(0.25 * (bottom[0] - top[0]).hypot(bottom[1] - top[1]));
+                worst = worst.max(0.25 * distance(bottom, top));
             }
         }
     }
     worst
 }
 
+fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+    let (x, y) = (a[0] - b[0], a[1] - b[1]);
+    (x * x + y * y).sqrt()
+}
+
 /// Some of the vertices of a lattice: those of a coarser one.
-fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Vec<[f32; 2]> {
+fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Cow<'_, [[f32; 2]]> {
     let step = (side - 1) >> level;
     if step == 1 {
-        return vertices.to_vec();
+        return Cow::Borrowed(vertices);
     }
     (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
 }
 
 /// The fewest halvings with which an edge meets the tolerance.
 fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
-    let line: Vec<[f32; 2]> = (0..side)
-        .map(|k| match edge {
-            0 => vertices[k],
-            1 => vertices[k * side + side - 1],
-            2 => vertices[(side - 1) * side + k],
-            _ => vertices[k * side],
-        })
-        .collect();
+    let line = |k: usize| {
+        vertices[match edge {
+            0 => k,
+            1 => k * side + side - 1,
+            2 => (side - 1) * side + k,
+            _ => k * side,
+        }]
+    };
     let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
     let is_within = |level: &u8| {
         let step = (side - 1) >> level;
         (0..side).all(|k| {
             let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
-            let (a, b) = (line[from], line[(from + step).min(side - 1)]);
-            (line[k][0] - a[0] - (b[0] - a[0]) * share).hypot(line[k][1] - a[1] - (b[1] - a[1]) * share) <= tolerance
+            let (a, b, d) = (line(from), line((from + step).min(side - 1)), line(k));
+            distance(d, [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share]) <= tolerance
         })
     };
     (0..last).find(is_within).unwrap_or(last)
