@@ -33,6 +33,8 @@ mod lane_math;
 #[forbid(unsafe_code)]
 mod lanes;
 #[forbid(unsafe_code)]
+mod measured;
+#[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
 mod quadrature;
