@@ -185,7 +185,7 @@ export function restOf(document) {
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
   const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
   const output = { outside: outsideOf(document) };
-  return { p: wire(document, "p"), ...weights, method, ...parameters, grid: grid === "auto" ? grid : { cell: grid }, output };
+  return { p: wire(document, "p"), ...weights, method, ...parameters, grid: typeof grid === "number" ? { cell: grid } : grid, output };
 }
 
 /** The complete warp object, for export. */

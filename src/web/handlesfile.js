@@ -124,8 +124,9 @@ function documentFrom(warp) {
   demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
-  const cell = grid === "auto" ? grid : grid?.cell;
-  demand(cell === "auto" || cell > 0, "/grid", '"auto" or {"cell": px}');
+  const isTolerance = grid?.tolerance >= 0.05 && grid.tolerance <= 4;
+  const cell = grid === "auto" || isTolerance ? grid : grid?.cell;
+  demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
   demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
   const read = { handles, method, alpha, ...(smoothing && { smoothing }), grid: cell, outside };

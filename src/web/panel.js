@@ -65,7 +65,7 @@ export class Panel {
     click("problem-action", () => does.mend(state().problem));
     for (const input of document.querySelectorAll("input[name=tool]")) input.addEventListener("change", () => does.tool(input.value));
     for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#setMethod(input.value));
-    find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : Number(target.value) }));
+    find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : JSON.parse(target.value) }));
     find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
     find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
     find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
@@ -153,8 +153,9 @@ export class Panel {
     const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
     text("alpha-note", pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus);
     const select = find("grid-size");
-    const value = String(document.grid);
-    if (![...select.options].some((option) => option.value === value)) select.add(new Option(`${value} px`, value));
+    const { tolerance } = document.grid;
+    const value = tolerance ? JSON.stringify(document.grid) : String(document.grid);
+    if (![...select.options].some((option) => option.value === value)) select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
     select.value = value;
     const outside = outsideOf(document);
     const colour = outside.startsWith("#");

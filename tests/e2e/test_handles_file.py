@@ -68,6 +68,19 @@ def test_a_picture_and_its_handles_come_together(visit, picture, is_open):
     assert visit.page.title().startswith("discs.png")
 
 
+def test_a_tolerance_in_a_file_is_kept_and_shown(opened):
+    opened.page.set_input_files("#file", [file(value={**HANDLES, "grid": {"tolerance": 1}})])
+    is_posed(opened)
+    assert opened.warp()["grid"] == {"tolerance": 1}
+    assert opened.page.locator("#grid-size option:checked").inner_text() == "Within 1 px"
+    opened.page.select_option("#grid-size", "5")
+    opened.ready()
+    assert opened.warp()["grid"] == {"cell": 5}
+    opened.page.select_option("#grid-size", label="Within 1 px")
+    opened.ready()
+    assert opened.warp()["grid"] == {"tolerance": 1}
+
+
 BROKEN = [
     (b'{\n  "p": [[1, 2], [3, 4]],\n  "q": [[1, 2] [3, 4]]\n}', 3, 16, "a comma or ]"),
     (b'{"p": [[1, 2],]}', 1, 15, "a value"),
@@ -85,6 +98,7 @@ BROKEN = [
     (b'{"p": [[1, 2]], "method": "arap"}', 1, 27, '"rigid", "similarity", "affine" or "tps" is expected for method.'),
     (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" takes points only, is expected for p[1].'),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
+    (b'{"p": [[1, 2]], "grid": {"tolerance": 9}}', 1, 25, '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px} is expected for grid.'),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]
 

@@ -103,3 +103,24 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 3, "no half picture is left behind");
     std::fs::remove_dir_all(directory).unwrap();
 }
+
+#[test]
+fn the_program_counts_the_cells_over_the_tolerance() {
+    let directory = directory("offline-tolerance");
+    let path = |name: &str| directory.join(name).to_str().unwrap().to_owned();
+    // Mirrored: the rotation is undefined between the handles.
+    let p = [[50, 50], [150, 50], [50, 150], [150, 150]];
+    let q = [p[1], p[0], p[2], p[3]];
+    std::fs::write(path("in.png"), photo(200, 200)).unwrap();
+    let said = |grid: serde_json::Value| {
+        std::fs::write(path("warp.json"), json!({"p": p, "q": q, "grid": grid}).to_string()).unwrap();
+        let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let over = said(json!({"tolerance": 0.1}));
+    let (before, after) = over.split_once(" cells over the tolerance").unwrap();
+    assert!(before.rsplit(' ').next().unwrap().parse::<u64>().unwrap() > 0 && after.contains("tolerance_exceeded"), "{over}");
+    let fixed = said(json!({"cell": 4}));
+    assert!(!fixed.contains("tolerance") && fixed.contains("folded cells"), "{fixed}");
+}

@@ -15,8 +15,8 @@ use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
 use super::plan::{IsCancelled, gather, store, to_f32};
 use crate::geometry::{Grid, Point, Vec2};
 
-/// Memory to find a group, bytes.
-const ENTRY: usize = 64;
+/// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the counters of its unit.
+const ENTRY: usize = 96;
 
 /// Blocks of one or more groups, as the table of a plan, and what they hold.
 type Unit = Arc<[Lanes]>;
@@ -168,6 +168,72 @@ impl ExactRows {
             if Arc::strong_count(&unit) == 1 {
                 self.left.fetch_add((size_of_val(&*unit) + indices.len() * ENTRY) as u64, Ordering::Relaxed);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+    use crate::deform::{Falloff, Handle, Handles, Method, Plan, Pose};
+
+    /// Bytes of the units that are kept, each once, and of their entries.
+    fn kept_bytes(rows: &ExactRows) -> u64 {
+        let kept = rows.kept.read().unwrap();
+        let units: HashSet<_> = kept.values().map(|(unit, _)| (unit.as_ptr(), size_of_val(&**unit))).collect();
+        units.iter().map(|(_, bytes)| *bytes as u64).sum::<u64>() + (kept.len() * ENTRY) as u64
+    }
+
+    fn set() -> (Field, Pose, Grid) {
+        let place = |k: u32| Point::new(f64::from(k % 5) * 31.0 + 3.3, f64::from(k / 5) * 17.0 + 5.1);
+        let rest = Handles::new((0..20).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
+        let field = Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+        let moved = |k: u32| Handle::Point(place(k) + Vec2::new(3.0, f64::from(k % 3)));
+        let pose = field.pose(&(0..20).map(moved).collect::<Vec<_>>()).unwrap();
+        (field, pose, Grid::with_counts(160.0, 100.0, 33, 21))
+    }
+
+    #[test]
+    fn kept_rows_stay_within_their_bytes_and_the_others_are_computed_again_to_the_same_bits() {
+        let (field, pose, grid) = set();
+        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let cells: Vec<u32> = (0..32 * 20).collect();
+        let displaced = |rows: &ExactRows, level: u8, serial: bool| {
+            let posing = Posing { field: &field, f: None, grid: &grid, d: &d, serial };
+            cells.chunks(100).flat_map(|cells| rows.displace(&posing, level, cells, &|| false).unwrap()).collect::<Vec<_>>()
+        };
+        let all = ExactRows::new(u64::MAX);
+        let want: Vec<_> = (1..=4).map(|level| displaced(&all, level, true)).collect();
+        let (needed, table) = (kept_bytes(&all), Plan::bytes_for(&field, grid.len()));
+        assert!(needed > 100 * table, "{needed} {table}");
+        for limit in [0, 1, table, needed / 3, needed - 1, needed] {
+            let rows = ExactRows::new(limit);
+            for serial in [true, false, true] {
+                for (level, want) in (1..=4).zip(&want) {
+                    assert_eq!(&displaced(&rows, level, serial), want, "{limit} bytes, level {level}");
+                }
+                let kept = kept_bytes(&rows);
+                assert_eq!(kept + rows.left.load(Ordering::Relaxed), limit, "what is kept is counted");
+            }
+            assert_eq!(rows.kept.read().unwrap().len() == 4 * cells.len(), limit == needed, "{limit} of {needed} bytes");
+        }
+    }
+
+    #[test]
+    fn nothing_is_kept_of_what_needs_no_rows() {
+        let (field, pose, grid) = set();
+        let f = field.deformation(&pose);
+        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let cells: Vec<u32> = (0..32 * 20).collect();
+        let rows = ExactRows::new(u64::MAX);
+        let posing = |f| Posing { field: &field, f, grid: &grid, d: &d, serial: true };
+        let direct = rows.displace(&posing(Some(&f)), 2, &cells, &|| false).unwrap();
+        assert_eq!(kept_bytes(&rows), 0);
+        let by_rows = rows.displace(&posing(None), 2, &cells, &|| false).unwrap();
+        for (a, b) in direct.iter().zip(by_rows) {
+            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-3, "{a:?} {b:?}");
         }
     }
 }

@@ -27,6 +27,8 @@ mod global_affine;
 mod groups;
 #[forbid(unsafe_code)]
 mod handles;
+#[forbid(unsafe_code)]
+mod interpolated;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lane_math;
@@ -34,6 +36,8 @@ mod lane_math;
 mod lanes;
 #[forbid(unsafe_code)]
 mod leave_one_out;
+#[forbid(unsafe_code)]
+mod measured;
 #[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]

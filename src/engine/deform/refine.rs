@@ -4,11 +4,14 @@
 //!
 //! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept change it.
 
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
-use super::exact_rows::{ExactRows, Posing, group, group_len};
+use super::exact_rows::{ExactRows, Posing, group_len};
+use super::interpolated::Interpolated;
+use super::measured::{Cells, LEVELS, Measured, at_level, edge_level, split_error};
 use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
@@ -20,6 +23,8 @@ const SUSPECT: f64 = 0.6;
 const HALVED: f32 = 0.5;
 /// The largest error of a smooth cell, as a share of its size.
 const RESOLVED: f32 = 0.1;
+/// Vertices may be interpolated if they are off by at most this share of the tolerance.
+const INTERPOLATED: f32 = 0.35;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
@@ -27,8 +32,6 @@ const SMOOTH_LINES: f64 = 1.5;
 const TORN: f64 = 0.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
-/// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
-const LEVELS: usize = 4;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
 const BESIDE: f64 = 0.5;
 /// An error between the vertices where it is measured is at most this much larger: where f is smooth, and at a cusp or a crease.
@@ -61,26 +64,6 @@ pub struct Refined {
     pub exceeded: Vec<(u32, u32)>,
 }
 
-/// What is known of some cells.
-#[derive(Debug)]
-struct Cells {
-    /// One more than the index of each cell of the grid, or 0.
-    index: Vec<u32>,
-    known: Vec<(u32, Measured)>,
-}
-
-/// What is known of a cell.
-#[derive(Debug)]
-struct Measured {
-    /// Displacements on `[2^depth + 1][2^depth + 1]`.
-    vertices: Vec<[f32; 2]>,
-    depth: u8,
-    /// The largest error of the cell halved k times, for each k below `depth`.
-    errors: [f32; LEVELS],
-    /// Halved at least this many times, because a neighbour is.
-    least: u8,
-}
-
 /// A position at which f is known.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
@@ -108,7 +91,7 @@ impl Refiner<'_> {
             refiner: self,
             mesh,
             samples,
-            cells: Cells { index: vec![0; grid.len()], known: Vec::new() },
+            cells: Cells::new(grid.len()),
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
@@ -192,6 +175,7 @@ impl Work<'_> {
         while !pending.is_empty() {
             pending.sort_unstable();
             pending.dedup();
+            pending.retain(|&cell| !self.interpolate(cell));
             let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
                 by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
@@ -209,6 +193,43 @@ impl Work<'_> {
             pending = next;
         }
         Some(())
+    }
+
+    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than once. If not, its vertices will be exact.
+    fn interpolate(&mut self, cell: u32) -> bool {
+        let corners = self.corners(cell);
+        if let Some(known) = self.cells.get_mut(cell) {
+            if known.is_exact {
+                return false;
+            }
+            if known.depth > 0 {
+                *known = Measured { least: known.least, ..Measured::new(corners) };
+                known.is_exact = true;
+                return false;
+            }
+        }
+        let (tolerance, size) = (self.tolerance(), self.size(cell));
+        let columns = self.mesh.grid().columns() - 1;
+        let is_open = self.is_smooth && !self.samples.contains_key(&cell) && split_error(&corners, 2, size) == 0.0;
+        let halved = if is_open { Interpolated::new(self.mesh, cell % columns, cell / columns) } else { None };
+        let halved = halved.filter(|halved| halved.off <= INTERPOLATED * tolerance && self.left >= group_len(1));
+        let is_known = self.cells.get(&cell).is_some();
+        if let Some(Interpolated { vertices, off, error }) = halved {
+            if !is_known && (error + off) * BETWEEN_SMOOTH <= tolerance {
+                return true;
+            }
+            let known = self.cells.get_or_insert(cell, corners);
+            known.deepen(&vertices, size);
+            known.errors[0] += off / HALVED;
+            let known = self.cells.get(&cell).expect("is there");
+            if let Decision::Draw(_) = self.decide(cell, known) {
+                self.left -= group_len(1);
+                return true;
+            }
+        }
+        let known = self.cells.get_or_insert(cell, corners);
+        *known = Measured { least: known.least, is_exact: true, ..Measured::new(corners) };
+        false
     }
 
     /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
@@ -269,15 +290,15 @@ impl Work<'_> {
     /// Cells whose neighbours know that a common edge must be halved more often; those that must be measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
-        for (cell, known) in &self.cells.known {
-            let level = self.level(*cell, known);
+        let levels: Vec<u8> = self.cells.known.iter().map(|(cell, known)| self.level(*cell, known)).collect();
+        for ((cell, known), &level) in self.cells.known.iter().zip(&levels) {
             if level == 0 {
                 continue;
             }
-            let mut vertices = Vec::new();
+            let mut vertices = Cow::Borrowed(&[][..]);
             for (edge, other) in self.beside(*cell).into_iter().enumerate() {
                 let Some(other) = other else { continue };
-                let other_level = self.cells.get(&other).map_or(0, |known| self.level(other, known));
+                let other_level = self.cells.position(other).map_or(0, |at| levels[at]);
                 if other_level >= level {
                     continue;
                 }
@@ -357,7 +378,11 @@ impl Work<'_> {
             let level = self.level(cell, known);
             if level > 0 {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
-                refinement.push(i, j, level, &known.at_level(level));
+                let mut vertices = known.at_level(level);
+                if !known.is_exact {
+                    self.take_exact_edges(cell, vertices.to_mut());
+                }
+                refinement.push(i, j, level, &vertices);
             }
         }
         let outer = |cell: &RefinedCell, edge: usize| {
@@ -365,7 +390,7 @@ impl Work<'_> {
             if self.samples.contains_key(&index) {
                 return cell.level;
             }
-            let vertices = self.cells.get(&index).map_or_else(Vec::new, |known| known.at_level(cell.level));
+            let vertices = self.cells.get(&index).map_or(Cow::Borrowed(&[][..]), |known| known.at_level(cell.level));
             edge_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
@@ -374,6 +399,17 @@ impl Work<'_> {
         self.exceeded.dedup();
         let exceeded = self.exceeded.iter().map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1))).collect();
         Refined { refinement, exceeded }
+    }
+
+    /// Gives a cell that is halved once by interpolation the vertices that neighbours compute exactly.
+    fn take_exact_edges(&self, cell: u32, vertices: &mut [[f32; 2]]) {
+        // The middles of the edges on [3][3], and of the same edges in the neighbours.
+        let middles = [(1, 7), (5, 3), (7, 1), (3, 5)];
+        for (other, (here, there)) in self.beside(cell).into_iter().zip(middles) {
+            if let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) {
+                vertices[here] = known.at_level(1)[there];
+            }
+        }
     }
 
     /// Width and height of a cell at rest.
@@ -433,114 +469,4 @@ impl Work<'_> {
             |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
         samples.iter().map(error).fold(0.0, f32::max)
     }
-}
-
-impl Cells {
-    fn get(&self, cell: &u32) -> Option<&Measured> {
-        (self.index[*cell as usize] as usize).checked_sub(1).map(|at| &self.known[at].1)
-    }
-
-    fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
-        let index = &mut self.index[cell as usize];
-        if *index == 0 {
-            self.known.push((cell, Measured { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0 }));
-            *index = u32::try_from(self.known.len()).expect("fewer than the grid has");
-        }
-        let at = *index as usize - 1;
-        &mut self.known[at].1
-    }
-
-    /// Orders the cells row by row.
-    fn sort(&mut self) {
-        self.known.sort_unstable_by_key(|(cell, _)| *cell);
-        for ((cell, _), index) in self.known.iter().zip(1..) {
-            self.index[*cell as usize] = index;
-        }
-    }
-}
-
-impl Measured {
-    /// Adds the vertices of one halving more, and the error of the present lattice at them.
-    fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
-        let coarse = (1_usize << self.depth) + 1;
-        let fine = 2 * coarse - 1;
-        let mut vertices = vec![[0.0; 2]; fine * fine];
-        for (b, row) in self.vertices.chunks_exact(coarse).enumerate() {
-            for (a, d) in row.iter().enumerate() {
-                vertices[2 * b * fine + 2 * a] = *d;
-            }
-        }
-        let (mut worst, split) = (0.0_f32, split_error(&self.vertices, coarse, size));
-        let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
-        for ((a, b), d) in group(self.depth + 1).zip(fresh) {
-            let (a, b) = (a as usize, b as usize);
-            let old = |a: usize, b: usize| self.vertices[b / 2 * coarse + a / 2];
-            let patch = match (a & 1, b & 1) {
-                (1, 0) => mean(old(a, b), old(a + 1, b)),
-                (0, _) => mean(old(a, b), old(a, b + 1)),
-                _ => mean(mean(old(a, b), old(a + 1, b)), mean(old(a, b + 1), old(a + 1, b + 1))),
-            };
-            worst = worst.max((d[0] - patch[0]).hypot(d[1] - patch[1]));
-            vertices[b * fine + a] = *d;
-        }
-        self.vertices = vertices;
-        self.errors[usize::from(self.depth)] = worst + split;
-        self.depth += 1;
-    }
-
-    /// The vertices of the cell halved `level` times.
-    fn at_level(&self, level: u8) -> Vec<[f32; 2]> {
-        at_level(&self.vertices, (1 << self.depth) + 1, level)
-    }
-}
-
-/// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells that are not convex are split into two
-/// triangles, which differ from the patch by a quarter of its twist.
-fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) -> f32 {
-    let (width, height) = (size[0] / (side - 1) as f32, size[1] / (side - 1) as f32);
-    let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
-    let mut worst = 0.0_f32;
-    for (above, below) in vertices.chunks_exact(side).zip(vertices.chunks_exact(side).skip(1)) {
-        for (ab, dc) in above.windows(2).zip(below.windows(2)) {
-            let across = |ab: &[[f32; 2]]| [width + (ab[1][0] - ab[0][0]), ab[1][1] - ab[0][1]];
-            let down = |k: usize| [dc[k][0] - ab[k][0], height + (dc[k][1] - ab[k][1])];
-            let (top, bottom, left, right) = (across(ab), across(dc), down(0), down(1));
-            let least = cross(top, left).min(cross(top, right)).min(cross(bottom, left)).min(cross(bottom, right));
-            if least <= 0.0 {
-                worst = worst.max(0.25 * (bottom[0] - top[0]).hypot(bottom[1] - top[1]));
-            }
-        }
-    }
-    worst
-}
-
-/// Some of the vertices of a lattice: those of a coarser one.
-fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Vec<[f32; 2]> {
-    let step = (side - 1) >> level;
-    if step == 1 {
-        return vertices.to_vec();
-    }
-    (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
-}
-
-/// The fewest halvings with which an edge meets the tolerance.
-fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
-    let line: Vec<[f32; 2]> = (0..side)
-        .map(|k| match edge {
-            0 => vertices[k],
-            1 => vertices[k * side + side - 1],
-            2 => vertices[(side - 1) * side + k],
-            _ => vertices[k * side],
-        })
-        .collect();
-    let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
-    let is_within = |level: &u8| {
-        let step = (side - 1) >> level;
-        (0..side).all(|k| {
-            let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
-            let (a, b) = (line[from], line[(from + step).min(side - 1)]);
-            (line[k][0] - a[0] - (b[0] - a[0]) * share).hypot(line[k][1] - a[1] - (b[1] - a[1]) * share) <= tolerance
-        })
-    };
-    (0..last).find(is_within).unwrap_or(last)
 }

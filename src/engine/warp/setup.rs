@@ -30,6 +30,8 @@ const FINE_PER_VERTEX: usize = 4;
 const FINE_ALWAYS: usize = 1 << 16;
 /// Most vertices inside a cell of the size of `grid: auto`.
 const FINE_PER_CELL: usize = 17 * 17;
+/// Most coefficients for vertices inside cells, unless the grid's own are more: several seconds.
+const FINE_COEFFICIENTS: usize = 1 << 28;
 /// Memory for exact rows, bytes for each byte of the table, up to a size of the rows that larger tables alone exceed.
 const EXACT_PER_BYTE: u64 = 4;
 const EXACT_ALWAYS: u64 = 64 << 20;
@@ -129,16 +131,17 @@ impl Setup {
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX: u64 = 64;
-        /// Twice two f32, and the renderer's corner.
-        const FINE: u64 = 40;
+        /// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices that halved cells share.
+        const FINE: u64 = 64;
         let fine = if self.tolerance.is_some() { self.fine_vertices() } else { 0 };
         self.grid.len() as u64 * VERTEX + fine as u64 * FINE
     }
 
     /// Most vertices inside cells.
-    fn fine_vertices(&self) -> usize {
+    pub(super) fn fine_vertices(&self) -> usize {
         let all = self.grid.len();
-        (FINE_PER_VERTEX * all + FINE_ALWAYS).min(FINE_PER_CELL * all)
+        let affordable = (FINE_COEFFICIENTS / self.field.handles().columns().max(1)).max(all);
+        (FINE_PER_VERTEX * all + FINE_ALWAYS).min(FINE_PER_CELL * all).min(affordable)
     }
 
     /// Whether posing is split over the current rayon pool.

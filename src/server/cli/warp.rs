@@ -130,11 +130,12 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
     write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
     let target = warp.target();
-    let Report { warnings, folds, residual, .. } = posed.into_report_on(&image, &target, &|| false)?;
+    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(&image, &target, &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
     let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
     let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
     let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
+    let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
     let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
     Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }

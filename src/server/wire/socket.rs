@@ -84,6 +84,9 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) residual: f64,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'a str>,
+    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) exceeded: Option<u64>,
     /// The groups of handles that coincide at rest and move differently.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) coincident: Option<AsJson<&'a [Contradiction]>>,

@@ -5,11 +5,13 @@
 mod drawn;
 mod sets;
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use rayon::prelude::*;
 
-use self::drawn::{Drawn, draw};
+use self::drawn::{Drawn, PoseAs, draw};
 use self::sets::{Case, Kind, MANY, MORE, contours, examples, extent, face, oracle, random, randoms};
-use super::{Folds, Limits, Method, Posed, RestSpec, Setup, Warning};
+use super::{Folds, GridSpec, Limits, Method, Plan, Posed, RestSpec, Setup, Warning};
 use crate::deform::Handle;
 use crate::geometry::Point;
 
@@ -116,4 +118,48 @@ fn rest_handles_and_undefined_rotations() {
     let drawn = draw(&mirrored, 0.25, 1, Posed::new);
     assert!(drawn.posed.report().exceeded > 0, "{:?}", drawn.posed.report());
     assert!(drawn.posed.report().warnings.contains(&Warning::ToleranceExceeded));
+}
+
+/// Points that move against each other everywhere.
+fn hostile() -> Case {
+    random(extent(160, 120), Kind { points: 200, lines: 0, reach: 0.1 }, Method::Rigid, 2.0, 1)
+}
+
+#[test]
+fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted() {
+    let case = hostile();
+    let rest = RestSpec { grid: GridSpec::Tolerance(0.05), ..case.rest };
+    let setup = Setup::new(&rest, case.extent, &Limits::default()).unwrap();
+    let pose = setup.pose(&case.q).unwrap();
+    let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let drawn: usize = posed.mesh().refinement().cells().iter().map(|cell| cell.side() * cell.side() - 4).sum();
+    let limit = setup.fine_vertices();
+    assert!(drawn <= limit && drawn * 10 > limit * 8, "{drawn} of {limit} vertices");
+    assert!(posed.report().exceeded > 100 && posed.report().warnings.contains(&Warning::ToleranceExceeded), "{:?}", posed.report());
+}
+
+#[test]
+fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
+    let case = hostile();
+    let rest = RestSpec { grid: GridSpec::Tolerance(1.0), ..case.rest };
+    let setup = Setup::new(&rest, case.extent, &Limits::default()).unwrap();
+    let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
+    let looks = |plan: &Plan, pose_as: PoseAs, after: usize| {
+        let asked = AtomicUsize::new(0);
+        let posed = pose_as(&setup, plan, &pose, Folds::Report, &|| asked.fetch_add(1, Ordering::Relaxed) >= after);
+        assert_eq!(posed.is_err(), after < usize::MAX);
+        asked.into_inner()
+    };
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    one.install(|| {
+        let coarse = looks(&plan, Posed::coarse, usize::MAX);
+        // Of a plan that keeps no rows yet, and of one that does.
+        for plan in [&setup.plan(), &plan, &plan] {
+            let all = looks(&setup.plan(), Posed::new, usize::MAX);
+            assert!(all > coarse + 100, "{all} looks, {coarse} without refinement");
+            for after in [coarse, coarse + 1, (coarse + all) / 2] {
+                assert_eq!(looks(plan, Posed::new, after), after + 1);
+            }
+        }
+    });
 }

@@ -152,9 +152,10 @@ fn report_json(seq: u64, target: Target, full: bool, report: &Report, timing: Ti
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
     let (width, height) = (target.extent.width(), target.extent.height());
-    let Report { folds, residual, ref coincident, .. } = *report;
+    let Report { folds, residual, exceeded, ref coincident, .. } = *report;
+    let exceeded = (exceeded > 0).then_some(exceeded);
     let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
     let canvas = target.canvas.map(AsJson);
-    let report = FrameReport { seq, width, height, canvas, full, folds, residual, warnings, coincident, timing };
+    let report = FrameReport { seq, width, height, canvas, full, folds, residual, warnings, exceeded, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

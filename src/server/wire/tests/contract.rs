@@ -315,6 +315,8 @@ fn schemas_and_parsers_agree_on_a_table() {
         "coincident: \"mean\"",
         "strength: 0.5",
         "grid: {\"tolerance\": 0.25}",
+        "grid: {\"tolerance\": 4.5}",
+        "grid: {\"tolerance\": 1, \"cell\": 5}",
         "method: \"auto\"",
         "output: {\"format\": \"tiff\"}",
         "output: {\"canvas\": {\"x\": 0}}",

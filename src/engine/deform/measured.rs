@@ -1,0 +1,163 @@
+//! What is known of cells of a posed grid: their vertices at several levels, and the errors there.
+
+use std::borrow::Cow;
+
+use super::exact_rows::group;
+
+/// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
+pub(super) const LEVELS: usize = 4;
+
+/// What is known of some cells.
+#[derive(Debug)]
+pub(super) struct Cells {
+    /// One more than the index of each cell of the grid, or 0.
+    index: Vec<u32>,
+    pub(super) known: Vec<(u32, Measured)>,
+}
+
+/// What is known of a cell.
+#[derive(Debug)]
+pub(super) struct Measured {
+    /// Displacements on `[2^depth + 1][2^depth + 1]`.
+    pub(super) vertices: Vec<[f32; 2]>,
+    pub(super) depth: u8,
+    /// The largest error of the cell halved k times, for each k below `depth`.
+    pub(super) errors: [f32; LEVELS],
+    /// Halved at least this many times, because a neighbour is.
+    pub(super) least: u8,
+    /// The vertices are not interpolated.
+    pub(super) is_exact: bool,
+}
+
+impl Cells {
+    /// Nothing is known yet; `cells`: at least their number.
+    pub(super) fn new(cells: usize) -> Self {
+        Self { index: vec![0; cells], known: Vec::new() }
+    }
+
+    /// The index of a known cell.
+    pub(super) fn position(&self, cell: u32) -> Option<usize> {
+        (self.index[cell as usize] as usize).checked_sub(1)
+    }
+
+    pub(super) fn get(&self, cell: &u32) -> Option<&Measured> {
+        self.position(*cell).map(|at| &self.known[at].1)
+    }
+
+    pub(super) fn get_mut(&mut self, cell: u32) -> Option<&mut Measured> {
+        self.position(cell).map(|at| &mut self.known[at].1)
+    }
+
+    pub(super) fn get_or_insert(&mut self, cell: u32, corners: [[f32; 2]; 4]) -> &mut Measured {
+        let index = &mut self.index[cell as usize];
+        if *index == 0 {
+            self.known.push((cell, Measured::new(corners)));
+            *index = u32::try_from(self.known.len()).expect("fewer than the grid has");
+        }
+        let at = *index as usize - 1;
+        &mut self.known[at].1
+    }
+
+    /// Orders the cells row by row.
+    pub(super) fn sort(&mut self) {
+        self.known.sort_unstable_by_key(|(cell, _)| *cell);
+        for ((cell, _), index) in self.known.iter().zip(1..) {
+            self.index[*cell as usize] = index;
+        }
+    }
+}
+
+impl Measured {
+    pub(super) fn new(corners: [[f32; 2]; 4]) -> Self {
+        Self { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0, is_exact: false }
+    }
+
+    /// Adds the vertices of one halving more, and the error of the present lattice at them.
+    pub(super) fn deepen(&mut self, fresh: &[[f32; 2]], size: [f32; 2]) {
+        let coarse = (1_usize << self.depth) + 1;
+        let fine = 2 * coarse - 1;
+        let mut vertices = vec![[0.0; 2]; fine * fine];
+        for (b, row) in self.vertices.chunks_exact(coarse).enumerate() {
+            for (a, d) in row.iter().enumerate() {
+                vertices[2 * b * fine + 2 * a] = *d;
+            }
+        }
+        let (mut worst, split) = (0.0_f32, split_error(&self.vertices, coarse, size));
+        let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
+        for ((a, b), d) in group(self.depth + 1).zip(fresh) {
+            let (a, b) = (a as usize, b as usize);
+            let old = |a: usize, b: usize| self.vertices[b / 2 * coarse + a / 2];
+            let patch = match (a & 1, b & 1) {
+                (1, 0) => mean(old(a, b), old(a + 1, b)),
+                (0, _) => mean(old(a, b), old(a, b + 1)),
+                _ => mean(mean(old(a, b), old(a + 1, b)), mean(old(a, b + 1), old(a + 1, b + 1))),
+            };
+            worst = worst.max(distance(*d, patch));
+            vertices[b * fine + a] = *d;
+        }
+        self.vertices = vertices;
+        self.errors[usize::from(self.depth)] = worst + split;
+        self.depth += 1;
+    }
+
+    /// The vertices of the cell halved `level` times.
+    pub(super) fn at_level(&self, level: u8) -> Cow<'_, [[f32; 2]]> {
+        at_level(&self.vertices, (1 << self.depth) + 1, level)
+    }
+}
+
+/// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells that are not convex are split into two
+/// triangles, which differ from the patch by a quarter of its twist.
+pub(super) fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) -> f32 {
+    let (width, height) = (size[0] / (side - 1) as f32, size[1] / (side - 1) as f32);
+    let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
+    let mut worst = 0.0_f32;
+    for (above, below) in vertices.chunks_exact(side).zip(vertices.chunks_exact(side).skip(1)) {
+        for (ab, dc) in above.windows(2).zip(below.windows(2)) {
+            let across = |ab: &[[f32; 2]]| [width + (ab[1][0] - ab[0][0]), ab[1][1] - ab[0][1]];
+            let down = |k: usize| [dc[k][0] - ab[k][0], height + (dc[k][1] - ab[k][1])];
+            let (top, bottom, left, right) = (across(ab), across(dc), down(0), down(1));
+            let least = cross(top, left).min(cross(top, right)).min(cross(bottom, left)).min(cross(bottom, right));
+            if least <= 0.0 {
+                worst = worst.max(0.25 * distance(bottom, top));
+            }
+        }
+    }
+    worst
+}
+
+fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+    let (x, y) = (a[0] - b[0], a[1] - b[1]);
+    (x * x + y * y).sqrt()
+}
+
+/// Some of the vertices of a lattice: those of a coarser one.
+pub(super) fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Cow<'_, [[f32; 2]]> {
+    let step = (side - 1) >> level;
+    if step == 1 {
+        return Cow::Borrowed(vertices);
+    }
+    (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
+}
+
+/// The fewest halvings with which an edge meets the tolerance.
+pub(super) fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
+    let line = |k: usize| {
+        vertices[match edge {
+            0 => k,
+            1 => k * side + side - 1,
+            2 => (side - 1) * side + k,
+            _ => k * side,
+        }]
+    };
+    let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
+    let is_within = |level: &u8| {
+        let step = (side - 1) >> level;
+        (0..side).all(|k| {
+            let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
+            let (a, b, d) = (line(from), line((from + step).min(side - 1)), line(k));
+            distance(d, [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share]) <= tolerance
+        })
+    };
+    (0..last).find(is_within).unwrap_or(last)
+}
