@@ -9,7 +9,7 @@ import { fitWords } from "./words.js";
 export const LEAST_PINS = 4;
 /** Arrows are magnified by one of these, so that the longest has about this length, CSS px. */
 const SCALES = [1, 2, 5, 10, 20, 50, 100];
-const LONGEST = 60;
+const LONGEST = 160;
 
 const of = (method) => (candidate) => candidate.method === method.method && (candidate.alpha ?? undefined) === method.alpha && (candidate.smoothing ?? undefined) === method.smoothing;
 

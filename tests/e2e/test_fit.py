@@ -34,6 +34,7 @@ def test_choose_for_me_selects_the_best_method_and_marks_the_wrong_pin(visit, tm
     seen = opened_with(visit, tmp_path, pair())
     before = seen.warp()
     chosen(seen)
+    seen.keep("arrows")
     best = json.loads(seen.server.ask("POST", "/fit", {"p": before["p"], "q": before["q"], "extent": [512, 512]}).body)["best"]
     after = seen.warp()
     assert {name: after[name] for name in best if name != "smoothing" or best[name]} == {k: v for k, v in best.items() if k != "smoothing" or v}
@@ -45,7 +46,6 @@ def test_choose_for_me_selects_the_best_method_and_marks_the_wrong_pin(visit, tm
     assert seen.page.locator(f"#handle-{WRONG}").get_attribute("data-fault") == "warning"
     assert "from its prediction, an outlier" in seen.page.locator(f"#handle-{WRONG}").get_attribute("aria-label")
     assert words == seen.text("says")
-    seen.keep("arrows")
     seen.page.click("#fit-arrows")
     assert seen.page.locator("#residuals > g").count() == 0 and seen.page.locator("#fit-note").is_visible()
     seen.page.click("#fit-arrows")

@@ -83,7 +83,8 @@ proptest! {
     #[test]
     fn residuals_of_degenerate_sets_are_those_of_refitting((p, q, weights) in points(8), beside in any::<bool>()) {
         let direction = Vec2::new(0.6, 0.8);
-        let mut p: Vec<Point> = p.iter().map(|at| Point::new(50.0, 20.0) + direction * (*at - Point::new(0.0, 0.0)).dot(direction)).collect();
+        let along = |(at, k): (&Point, i32)| 60.0 * f64::from(k) + 0.3 * at.x.rem_euclid(100.0);
+        let mut p: Vec<Point> = p.iter().zip(0..).map(|at| Point::new(50.0, 20.0) + direction * along(at)).collect();
         if beside {
             p[3] = p[3] + Vec2::new(-80.0, 60.0);
         }

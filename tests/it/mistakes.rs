@@ -83,12 +83,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"method": "tps", "point_mass": 1}"#, "bad_value", "/point_mass", &["`point_mass` does not apply: the method `tps`"]),
         (r#"{"smoothing": 0}"#, "bad_value", "/smoothing", &["`smoothing` does not apply: it belongs to the method `tps`"]),
         (r#"{"method": "tps", "smothing": 1}"#, "unknown_field", "/smothing", &["did you mean `smoothing`?"]),
-        (
-            r#"{"p": [[1, 1]], "method": "auto"}"#,
-            "bad_value",
-            "/q",
-            &["`q` is missing: the method `auto` compares methods by where the handles go"],
-        ),
+        (r#"{"p": [[1, 1]], "method": "auto"}"#, "bad_value", "/q", &["`q` is missing: where do the handles go?"]),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "auto", "alpha": 1}"#, "bad_value", "/alpha", &["the method `auto` chooses it"]),
         (r#"{"method": "global_affine", "alpha": 1}"#, "bad_value", "/alpha", &["it belongs to the methods `rigid`"]),
         (r#"{"output": {"format": "tiff"}}"#, "not_supported", "/output/format", &["supported: `png`, `jpeg`, `webp`"]),

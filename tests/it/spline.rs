@@ -276,6 +276,22 @@ proptest! {
     }
 }
 
+/// Nothing but rounding is left of the kernel beyond the polynomials.
+#[test]
+fn a_spline_of_points_a_hair_apart_is_finite() {
+    let size = 10f64.powf(-3.094_024_258_833_591_6);
+    for exponent in [-9.2, -8.575_902_570_309_777, -8.0, -7.0] {
+        let (a, b) = (Point::new(210.0 * size, 10.0 * size), Point::new(482.837_072_702_206_34 * size, 210.0 * size));
+        let p = [a, b, b + Vec2::new(size * 10f64.powf(2.0 + exponent), 0.0)];
+        let q = [Point::new(210.0, 10.0), Point::new(480.0, 200.0), Point::new(1e6, -1e6)];
+        let field = Field::spline(Handles::new(handles(&p), None).unwrap(), 0.0).unwrap();
+        let pose = field.pose(&handles(&q)).unwrap();
+        for v in [Point::new(0.0, 0.0), Point::new(1e6, -1e6), a, b] {
+            assert!(field.map(&pose, v).is_finite(), "{exponent}, {v:?}: {:?}", field.map(&pose, v));
+        }
+    }
+}
+
 /// The x coordinates of a set, on a line that is not straight to the last bit.
 fn on_a_line(set: &Set) -> Set {
     Set {

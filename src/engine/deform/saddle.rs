@@ -73,8 +73,8 @@ impl Triangle {
     /// Replaces the block beyond the first `head` rows and columns by its Cholesky factor. A pivot that rounding has taken is replaced by
     /// the smallest one that could be told from 0: the system then belongs to a kernel that differs by rounding.
     fn factorise(&mut self, rows: usize, head: usize, cancelled: IsCancelled<'_>) -> Option<()> {
-        let largest = (head..rows).map(|i| self.row(i)[i]).fold(f64::MIN_POSITIVE, f64::max);
-        let least = f64::EPSILON * largest;
+        let largest = self.0.iter().fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()));
+        let least = (f64::EPSILON * largest).max(f64::MIN_POSITIVE);
         for first in (head..rows).step_by(PANEL) {
             if cancelled() {
                 return None;

@@ -1,6 +1,7 @@
 //! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
+use super::setup::FINE_BYTES;
 use super::{Digest, Folds, Image, Plan, Setup, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::Mesh;
@@ -77,6 +78,12 @@ impl Posed {
         let residual = residual(setup.field(), pose, &mesh);
         let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
+    }
+
+    /// Memory of the cells that are halved, bytes.
+    #[must_use]
+    pub fn halved_bytes(&self) -> u64 {
+        (self.mesh.vertices() - self.mesh.grid().len() as u64) * FINE_BYTES
     }
 
     /// The mesh, px.

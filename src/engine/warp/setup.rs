@@ -17,6 +17,8 @@ use crate::pixmap::Extent;
 
 /// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics section 12, step 1).
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
+/// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices that halved cells share.
+pub(super) const FINE_BYTES: u64 = 64;
 /// A mesh has two f32 per vertex.
 const MESH_BYTES_PER_VERTEX: u64 = 8;
 /// Largest number of grid lines per px along each axis (finer cells are smaller than pixels), and the number that a small picture may
@@ -126,15 +128,19 @@ impl Setup {
         self.tolerance
     }
 
-    /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data.
+    /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data; without cells that are halved.
     #[must_use]
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX: u64 = 64;
-        /// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices that halved cells share.
-        const FINE: u64 = 64;
-        let fine = if self.tolerance.is_some() { self.fine_vertices() } else { 0 };
-        self.grid.len() as u64 * VERTEX + fine as u64 * FINE
+        self.grid.len() as u64 * VERTEX
+    }
+
+    /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes; [`Posed::halved_bytes`](super::Posed::halved_bytes)
+    /// is what a pose has used of it.
+    #[must_use]
+    pub fn most_halved_bytes(&self) -> u64 {
+        if self.tolerance.is_some() { self.fine_vertices() as u64 * FINE_BYTES } else { 0 }
     }
 
     /// Most vertices inside cells.

@@ -290,9 +290,13 @@ impl DrawTask {
         let is_cancelled = || self.answer.is_closed();
         let prepare = || {
             let mut reservation = self.app.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
+            // Not in the client's quota: it is given back before the client may read slowly.
+            let halved = if job.is_preview { 0 } else { setup.most_halved_bytes() };
+            let halved = (halved > 0).then(|| self.app.reserve(Purpose::Frame, halved)).transpose()?;
             let pose = || job.pose(&limits, &is_cancelled);
             let (posed, target) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
-            self.app.reserve_more(&mut reservation, target.window_bytes(posed.mesh()))?;
+            drop(halved);
+            self.app.reserve_more(&mut reservation, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
             let warp = Warp::onto(target, &job.image, &posed, &job.output);
             let report = posed.into_report_on(&job.image, &target, &is_cancelled)?;
             self.app.reserve_more(&mut reservation, warp.work_bytes())?;
