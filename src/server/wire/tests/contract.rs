@@ -173,18 +173,23 @@ fn problems_are_valid_documents() {
     assert!(!schema.is_valid(&json!({"code": "internal"})));
 }
 
-fn words<T: EnumName>(place: &str) {
-    let document = document();
+fn names<T: EnumName>(document: &Value, place: &str) -> Vec<&'static str> {
     let node = document["components"]["schemas"].pointer(place).expect(place);
     let here: Vec<&str> = T::ALL.iter().map(|v| v.as_str()).collect();
     assert_eq!(node["enum"], json!(here), "{place}");
-    assert_eq!(node["default"], here[0], "{place}");
+    here
+}
+
+fn words<T: EnumName>(place: &str) {
+    let document = document();
+    let here = names::<T>(&document, place);
+    assert_eq!(document["components"]["schemas"].pointer(place).expect(place)["default"], here[0], "{place}");
 }
 
 #[test]
 fn enums_list_what_this_version_has() {
+    names::<Method>(&document(), "/EffectiveMethod");
     words::<RequestedMethod>("/Method");
-    words::<Method>("/EffectiveMethod");
     words::<Units>("/Units");
     words::<Folds>("/Folds");
     words::<Compression>("/Compression");
@@ -209,7 +214,9 @@ fn without_nulls(value: Value, known: Option<&Value>) -> Value {
 fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     type Parse = fn(&[u8]) -> bool;
-    let parsers: [(&str, Parse, &str); 4] = [
+    let parsers: [(&str, Parse, &str); 6] = [
+        ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
+        ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
         ("Drag", |b| DragObject::parse(b).is_ok(), "\"q\": []"),
         ("Points", |b| PointsObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
@@ -318,6 +325,12 @@ fn schemas_and_parsers_agree_on_a_table() {
         "grid: {\"tolerance\": 4.5}",
         "grid: {\"tolerance\": 1, \"cell\": 5}",
         "method: \"auto\"",
+        "method: \"global_affine\"",
+        "candidates: []",
+        "candidates: [{}]",
+        "candidates: [{\"method\": \"tps\"}]",
+        "candidates: [{\"method\": \"auto\"}]",
+        "candidates: [{\"method\": \"rigid\", \"alpha\": null, \"beta\": 1}]",
         "output: {\"format\": \"tiff\"}",
         "output: {\"canvas\": {\"x\": 0}}",
         "output: \"jpeg\"",

@@ -401,7 +401,7 @@ fn fit_reads_its_fields() {
     let many = format!("{{\"q\": [], \"candidates\": [{}]}}", [r#"{"method": "tps"}"#; 65].join(", "));
     let table: &[Expected] = &[
         ("{\"q\": [], \"candidates\": []}", B, Some("/candidates"), None),
-        ("{\"q\": [], \"candidates\": [{\"alpha\": 1}]}", B, Some("/candidates/0"), None),
+        ("{\"q\": [], \"candidates\": [{\"alpha\": 1}]}", B, Some("/candidates/0/method"), None),
         ("{\"q\": [], \"candidates\": [{\"method\": \"auto\"}]}", B, Some("/candidates/0/method"), None),
         ("{\"q\": [], \"candidates\": [{\"method\": \"tps\", \"smoothing\": \"1\"}]}", B, Some("/candidates/0/smoothing"), None),
         ("{\"q\": [], \"candidates\": [{\"method\": \"tps\", \"grid\": 1}]}", Code::UnknownField, Some("/candidates/0/grid"), None),
