@@ -2,6 +2,7 @@
 // problem document, or a missing response.
 
 import { keyHeaders } from "./access.js";
+import { boxFrom } from "./canvas.js";
 
 export class Problem extends Error {
   constructor(members, status) {
@@ -127,7 +128,7 @@ function reportOf(response, size) {
     if (name) timing[name] = Number(ms);
   }
   const warnings = (response.headers.get("Warp-Warning") ?? "").split(",").map((w) => w.trim()).filter(Boolean);
-  return { timing, size, folds: Number(response.headers.get("Warp-Folds") ?? 0), residual: Number(response.headers.get("Warp-Residual") ?? 0), warnings };
+  return { timing, size, folds: Number(response.headers.get("Warp-Folds") ?? 0), residual: Number(response.headers.get("Warp-Residual") ?? 0), warnings, canvas: boxFrom(response.headers.get("Warp-Canvas")) };
 }
 
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;

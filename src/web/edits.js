@@ -1,6 +1,7 @@
 // Edits of a document: pure functions that return a new document, or the same one if nothing changes. Positions are [x, y] in picture px,
 // rounded to 0.01, so that the table shows the values that are sent.
 
+import { canvasOf } from "./canvas.js";
 import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
@@ -175,7 +176,7 @@ export function keepingFocus(before, after) {
 /** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
-/** The session's part of a warp object. The parameters of the method and outside are always included: an absent field keeps the session's value. */
+/** The session's part of a warp object. The parameters of the method, outside and canvas are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
@@ -184,7 +185,7 @@ export function restOf(document) {
   const point_mass = mass === undefined ? {} : { point_mass: mass };
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
   const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
-  const output = { outside: outsideOf(document) };
+  const output = { outside: outsideOf(document), canvas: canvasOf(document) };
   return { p: wire(document, "p"), ...weights, method, ...parameters, grid: typeof grid === "number" ? { cell: grid } : grid, output };
 }
 
@@ -194,7 +195,9 @@ export function warpOf(document) {
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
-  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(output.outside !== "transparent" && { output }) };
+  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }) };
+  const told = { ...(output.outside !== "transparent" && { outside: output.outside }), ...(output.canvas !== "same" && { canvas: output.canvas }) };
+  if (Object.keys(told).length) chosen.output = told;
   return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
@@ -202,7 +205,7 @@ export function warpOf(document) {
 export function sameRest(object, document) {
   const { p, weights, method, alpha, smoothing, grid, output, point_mass: mass } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.grid.requested, grid], [object.output.outside, output.outside]];
+  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.grid.requested, grid], [object.output.outside, output.outside], [object.output.canvas, output.canvas]];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
   return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));

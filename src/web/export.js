@@ -72,8 +72,9 @@ export class ExportDialog {
   }
 
   get #size() {
-    const { width, height } = this.store.state.picture;
-    return [width, height];
+    const { picture: { width, height }, revision } = this.store.state;
+    const { png } = this.sync;
+    return png?.revision === revision && png.canvas ? png.canvas.slice(2) : [width, height];
   }
 
   show() {

@@ -129,11 +129,19 @@ function documentFrom(warp) {
   demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
   demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
-  const read = { handles, method, alpha, ...(smoothing && { smoothing }), grid: cell, outside };
+  const canvas = given.output?.canvas ?? "same";
+  demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
+  const read = { handles, method, alpha, ...(smoothing && { smoothing }), grid: cell, outside, canvas };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);
   return follows ? read : { ...read, mass };
+}
+
+function isCanvas(canvas) {
+  if (canvas === "same" || canvas === "fit") return true;
+  const { x, y, width, height } = canvas;
+  return [x, y, width, height].every(Number.isInteger) && Math.max(Math.abs(x), Math.abs(y)) <= 1_000_000 && width >= 1 && height >= 1;
 }
 
 /** The server's form of a colour, or null. */

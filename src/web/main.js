@@ -2,6 +2,7 @@
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
+import { CanvasRuler, canvasOf } from "./canvas.js";
 import { outsideOf, takesPinsOnly } from "./edits.js";
 import { ExportDialog } from "./export.js";
 import { chooseMethod } from "./fit.js";
@@ -97,6 +98,7 @@ const does = {
 };
 
 new Panel(store, sync, view, actions, does);
+new CanvasRuler(store, view, sync);
 new StrengthSlider(find("strength"), find("strength-value"), store, actions);
 new Table(find("handle-table"), store, actions);
 new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
@@ -107,6 +109,7 @@ store.subscribe((state, previous) => {
   const { meshShown: lines, compare, compareAt: at, peek } = state;
   if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
   view.setOutside(outsideOf(state.document));
+  view.setCanvas(canvasOf(state.document));
   stage.classList.toggle("armed", Boolean(state.arm || state.draft.length));
 });
 
@@ -131,6 +134,7 @@ function observe() {
     ...steps(state),
     folds: shown.folds,
     zoom: view.zoom,
+    canvas: view.size ? view.box.join() : "",
     pan: view.pan.map((c) => c.toFixed(2)).join(),
     progress: Math.round(state.progress),
     session: sync.session?.id ?? "",

@@ -89,8 +89,8 @@ export class Painter {
     this.#shape = "";
   }
 
-  /** Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`: as in the document. */
-  paint(mesh, { zoom, x, y }, crisp, outside) {
+  /** Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`: as in the document, `box`: of the canvas. */
+  paint(mesh, { zoom, x, y }, crisp, outside, box) {
     const gl = this.#gl;
     if (!this.#texture || gl.isContextLost()) return;
     const { width, height } = gl.canvas;
@@ -101,10 +101,11 @@ export class Painter {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    // Clip to the size of the source, like the server.
-    const [left, bottom] = [Math.round(x), Math.round(height - y - zoom * this.#size[1])];
+    // Clip to the canvas, like the server.
+    const [boxX, boxY] = [x + zoom * box[0], y + zoom * box[1]];
+    const [left, bottom] = [Math.round(boxX), Math.round(height - boxY - zoom * box[3])];
     gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, Math.round(x + zoom * this.#size[0]) - left, Math.round(height - y) - bottom);
+    gl.scissor(left, bottom, Math.round(boxX + zoom * box[2]) - left, Math.round(height - boxY) - bottom);
     gl.uniform4f(this.view, (2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height);
     if (outside === "edge") this.#paintEdge(mesh);
     else if (outside !== "transparent") this.#paintColour(outside);

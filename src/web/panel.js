@@ -1,14 +1,18 @@
 // The controls around the picture: they show the state and change it.
 
+import { boxOf, canvasOf, cutOff } from "./canvas.js";
 import { alphaOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
+import { CANVAS, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
 const press = (id, pressed) => find(id).setAttribute("aria-pressed", pressed);
+
+/** The fields of a box. */
+const BOX = ["x", "y", "width", "height"];
 
 export class Panel {
   #timing = "";
@@ -71,12 +75,27 @@ export class Panel {
     find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
     // The colour field has no alpha: keep the alpha of the current value.
     find("outside-colour").addEventListener("input", ({ target }) => this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"));
+    find("canvas").addEventListener("change", ({ target }) => this.#set({ canvas: target.value === "box" ? this.#box() : target.value }));
+    for (const name of BOX) find(`canvas-${name}`).addEventListener("change", () => this.#setBox());
+    click("canvas-all", () => this.#set({ canvas: "fit" }));
     find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
     this.#holds(find("before"));
   }
 
   #set(what, tag = "") {
     this.actions.edit({ ...this.store.state.document, ...what }, { tag });
+  }
+
+  /** The shown canvas as a box. */
+  #box() {
+    const [x, y, width, height] = this.view.box;
+    return { x, y, width, height };
+  }
+
+  #setBox() {
+    const fields = BOX.map((name) => find(`canvas-${name}`));
+    for (const field of fields) field.setAttribute("aria-invalid", !field.checkValidity());
+    if (fields.every((field) => field.checkValidity())) this.#set({ canvas: Object.fromEntries(BOX.map((name, k) => [name, fields[k].valueAsNumber])) });
   }
 
   #setMethod(method) {
@@ -163,6 +182,25 @@ export class Panel {
     find("outside-colour").hidden = !colour;
     if (colour) find("outside-colour").value = outside.slice(0, 7);
     text("outside-note", OUTSIDE[find("outside").value]);
+    this.#drawCanvas(document);
+  }
+
+  #drawCanvas(document) {
+    const canvas = canvasOf(document);
+    const isBox = typeof canvas === "object";
+    find("canvas").value = isBox ? "box" : canvas;
+    find("canvas-box").hidden = !isBox;
+    if (isBox) {
+      for (const name of BOX) {
+        const field = find(`canvas-${name}`);
+        if (field !== window.document.activeElement || field.checkValidity()) field.value = canvas[name];
+      }
+    }
+    const { size, mesh } = this.view;
+    const cut = size && mesh && canvas !== "fit" ? cutOff(mesh, boxOf(canvas, size, mesh)) : null;
+    const words = cut ? cutWords(cut) : "";
+    text("canvas-note", words || CANVAS[find("canvas").value]);
+    find("canvas-all").hidden = !words;
   }
 
   #drawTools(state) {
@@ -227,8 +265,10 @@ export class Panel {
     text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"}`);
     const { grid } = session ?? {};
     text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
-    const rows = timingRows(shown, this.view.size);
+    const rows = timingRows(shown, this.view.size && this.view.box.slice(2));
     text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
+    // Not during a drag: it is read aloud.
+    if (this.sync.condition === "ready") this.#drawCanvas(this.store.state.document);
     const key = rows.join();
     if (key === this.#timing) return;
     this.#timing = key;

@@ -1,4 +1,4 @@
-// The store: document (handles, method, alpha, grid, outside), selection and history. Reducers are pure functions of state and action.
+// The store: document (handles, method, alpha, grid, outside, canvas), selection and history. Reducers are pure functions of state and action.
 // Views subscribe.
 
 import { settled } from "./strength.js";
@@ -8,7 +8,7 @@ const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent" });
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", canvas: "same" });
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open

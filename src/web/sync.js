@@ -2,6 +2,7 @@
 // rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
 
 import * as api from "./api.js";
+import { boxFrom } from "./canvas.js";
 import { movedApart, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
@@ -200,8 +201,8 @@ export class Sync {
     if (cancel.signal.aborted) return;
     // Another tab, or another user of the link, may have replaced the handles: then this page opens its own session.
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
-    if (!(await this.view.showPng(blob, cancel.signal)) || cancel.signal.aborted) return;
-    this.png = { blob, revision };
+    if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted) return;
+    this.png = { blob, revision, canvas: report.canvas };
     this.#settled = revision;
     const apart = movedApart(document, object.coincident ?? []);
     if (apart.length) this.store.do("apart", { handles: apart });
@@ -241,7 +242,7 @@ export class Sync {
   }
 
   async #liveFrame(blob, revision, report, done) {
-    if (!this.#overtaken(revision) && this.#settled !== revision && (await this.view.showFrame(blob)) && this.#settled !== revision) {
+    if (!this.#overtaken(revision) && this.#settled !== revision && (await this.view.showFrame(blob, boxFrom(report?.canvas))) && this.#settled !== revision) {
       this.#show(revision, "frame", { folds: report?.folds ?? 0, report: report ?? this.shown.report, rate: this.#rate() });
     }
     done();

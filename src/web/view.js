@@ -1,6 +1,7 @@
 // The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview is a canvas of the size of the stage, so
 // that its cost does not depend on the size of the picture.
 
+import { boxOf, boxOfPicture } from "./canvas.js";
 import { drawGrid } from "./grid.js";
 import { Painter } from "./paint.js";
 
@@ -24,6 +25,9 @@ export class View {
   drawn = () => {};
 
   #outside = "transparent";
+  #canvas = "same";
+  #refit = false; // the canvas has changed
+  #drawn = null; // box of the shown picture of the server; null: that of the source
   #folded = [];
   #fitted = true;
   #urls = new Map(); // element to object URL
@@ -53,6 +57,12 @@ export class View {
     return devicePixelRatio || 1;
   }
 
+
+  /** The box that is shown: of the server's picture, or of the canvas around the mesh. */
+  get box() {
+    if (this.source === "mesh" || this.source === "source") return boxOf(this.#canvas, this.size, this.mesh);
+    return this.#drawn ?? boxOfPicture(this.size);
+  }
 
   toStage([x, y]) {
     return [this.pan[0] + this.zoom * x, this.pan[1] + this.zoom * y];
@@ -84,6 +94,7 @@ export class View {
     this.#swap(original);
     this.#swap(picture);
     if (texture) this.painter.setSource(texture, width, height);
+    this.#drawn = null;
     this.source = "source";
     this.#fitted = true;
   }
@@ -126,15 +137,19 @@ export class View {
     this.#urls.delete(image);
   }
 
-  /** Shows the server's PNG after decoding; false if a newer one has replaced it. */
-  async showPng(blob, signal) {
+  /** Shows the server's PNG, which has this box, after decoding; false if a newer one has replaced it. */
+  async showPng(blob, box, signal) {
     const image = await this.#load("picture", blob, "Warped picture");
     if (signal.aborted) {
       this.#release(image);
       return false;
     }
     this.source = "png";
+    this.#drawn = box;
     this.#swap(image);
+    // Not after every pose: the picture would move under the pointer.
+    if (this.#refit && this.#fitted) this.fit();
+    this.#refit = false;
     this.invalidate();
     return true;
   }
@@ -147,11 +162,12 @@ export class View {
   }
 
   /** Shows a preview from the server, for browsers without WebGL. */
-  async showFrame(blob) {
+  async showFrame(blob, box) {
     const frame = await createImageBitmap(blob).catch(() => null);
     if (!frame) return false;
     this.#frame?.close();
     this.#frame = frame;
+    this.#drawn = box;
     this.source = "frame";
     this.invalidate();
     return true;
@@ -177,6 +193,14 @@ export class View {
     this.invalidate();
   }
 
+  /** Sets the canvas of a mesh; pictures from the server say theirs. */
+  setCanvas(canvas) {
+    if (canvas === this.#canvas) return;
+    this.#canvas = canvas;
+    this.#refit = true;
+    this.invalidate();
+  }
+
   /** Sets mesh lines, comparison, and the original while a key is held. */
   show(what) {
     this.#show = { ...this.#show, ...what };
@@ -195,8 +219,9 @@ export class View {
     const [width, height] = this.stageSize;
     const [aside, above] = this.#margins;
     const room = [width - 2 * aside, height - 2 * above];
-    this.zoom = clampZoom(Math.min(room[0] / this.size[0], room[1] / this.size[1], 4));
-    this.pan = [(width - this.zoom * this.size[0]) / 2, (height - this.zoom * this.size[1]) / 2];
+    const [x, y, wide, high] = this.box;
+    this.zoom = clampZoom(Math.min(room[0] / wide, room[1] / high, 4));
+    this.pan = [(width - this.zoom * wide) / 2 - this.zoom * x, (height - this.zoom * high) / 2 - this.zoom * y];
     this.#fitted = true;
     this.#moved();
   }
@@ -227,8 +252,9 @@ export class View {
   /** The sides on which the picture extends beyond the stage. */
   get beyond() {
     if (!this.size) return {};
-    const [left, top] = this.pan;
-    const [right, bottom] = this.toStage(this.size);
+    const [x, y, wide, high] = this.box;
+    const [left, top] = this.toStage([x, y]);
+    const [right, bottom] = this.toStage([x + wide, y + high]);
     const [width, height] = this.stageSize;
     return { left: left < -1, up: top < -1, right: right > width + 1, down: bottom > height + 1 };
   }
@@ -243,7 +269,9 @@ export class View {
   #moved() {
     // Keep a part of the picture in the stage.
     if (this.size) {
-      this.pan = this.pan.map((at, axis) => Math.min(this.stageSize[axis] - 40, Math.max(40 - this.zoom * this.size[axis], at)));
+      const { box } = this;
+      const within = (at, axis) => Math.min(this.stageSize[axis] - 40 - this.zoom * box[axis], Math.max(40 - this.zoom * (box[axis] + box[axis + 2]), at));
+      this.pan = this.pan.map(within);
     }
     this.#place();
     this.invalidate();
@@ -261,16 +289,22 @@ export class View {
     });
   }
 
+  /** The box of the picture element: the server's picture, or the source. */
+  get #pictureBox() {
+    return this.source === "png" && this.#drawn ? this.#drawn : boxOfPicture(this.size);
+  }
+
   /** Layers that the browser transforms. */
   #place() {
     const [width, height] = this.size ?? [0, 0];
     const { compare, at, peek } = this.#show;
     for (const id of ["board", "picture", "original"]) {
       const { style } = this.stage.querySelector(`#${id}`);
-      const [wide, high] = id === "board" ? [width * this.zoom, height * this.zoom] : [width, height];
+      const [x, y, across, down] = this.size && id !== "original" ? (id === "board" ? this.box : this.#pictureBox) : [0, 0, width, height];
+      const [wide, high] = id === "board" ? [across * this.zoom, down * this.zoom] : [across, down];
       style.width = `${wide}px`;
       style.height = `${high}px`;
-      style.transform = `translate(${this.pan[0]}px, ${this.pan[1]}px)${id === "board" ? "" : ` scale(${this.zoom})`}`;
+      style.transform = `translate(${this.pan[0] + this.zoom * x}px, ${this.pan[1] + this.zoom * y}px)${id === "board" ? "" : ` scale(${this.zoom})`}`;
       style.imageRendering = this.zoom >= CRISP ? "pixelated" : "auto";
       if (id !== "board") style.visibility = "visible";
     }
@@ -294,7 +328,7 @@ export class View {
     }
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     const following = this.source === "mesh" || this.source === "frame";
-    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP, this.#outside);
+    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP, this.#outside, this.box);
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
@@ -316,8 +350,9 @@ export class View {
       return;
     }
     const factor = side / width;
-    const [left, top] = [this.pan[0] - x, this.pan[1] - y];
-    context.drawImage(this.stage.querySelector("#picture"), left * factor, top * factor, this.zoom * this.size[0] * factor, this.zoom * this.size[1] * factor);
+    const [atX, atY, wide, high] = this.#pictureBox;
+    const [left, top] = [this.pan[0] + this.zoom * atX - x, this.pan[1] + this.zoom * atY - y];
+    context.drawImage(this.stage.querySelector("#picture"), left * factor, top * factor, this.zoom * wide * factor, this.zoom * high * factor);
   }
 
   #drawFrame({ zoom, x, y }) {
@@ -325,7 +360,8 @@ export class View {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, context.canvas.width, context.canvas.height);
     context.imageSmoothingEnabled = this.zoom < CRISP;
-    if (this.#frame) context.drawImage(this.#frame, x, y, zoom * this.size[0], zoom * this.size[1]);
+    const [left, top, wide, high] = this.box;
+    if (this.#frame) context.drawImage(this.#frame, x + zoom * left, y + zoom * top, zoom * wide, zoom * high);
   }
 }
 

@@ -110,6 +110,18 @@ export function fitWords({ best, candidates, before, outliers, scale }) {
 /** What is known about a pin whose residual is shown. */
 export const residualWords = ([x, y], outlier) => `, ${px(Math.hypot(x, y))} from its prediction${outlier ? ", an outlier" : ""}`;
 
+export const CANVAS = {
+  same: "Shows the area of the picture.",
+  fit: "Shows the whole result, however far it extends.",
+  box: "Shows this box, in px of the picture; x and y may be negative.",
+};
+
+/** What lies outside the canvas; empty if nothing does. */
+export function cutWords({ left, top, right, bottom }) {
+  const sides = [[left, "on the left"], [right, "on the right"], [top, "above"], [bottom, "below"]].filter(([length]) => length > 0);
+  return sides.length ? `Of the result, ${series(sides.map(([length, where]) => `${length} px ${where}`))} lie outside.` : "";
+}
+
 export const OUTSIDE = {
   transparent: "Transparent outside the warped picture.",
   edge: "Extends the edge pixels outside the warped picture.",

@@ -1,0 +1,76 @@
+// The canvas: the part of the posed plane that the result shows. A box is [x, y, width, height], px of the picture.
+
+/** `same`, `fit` or a box { x, y, width, height }. Documents of older pages lack it. */
+export const canvasOf = ({ canvas }) => canvas ?? "same";
+
+/** What is beyond this share of a px is on the next one, as on the server. */
+const STEPS = 256;
+/** The result counts as cut off from this length on, px. */
+const LEAST_CUT = 0.5;
+
+export const boxOfPicture = ([width, height]) => [0, 0, width, height];
+
+/** Left, top, right and bottom edge of a posed grid. */
+export function boundsOf(mesh) {
+  const bounds = [Infinity, Infinity, -Infinity, -Infinity];
+  for (let k = 0; k < mesh.places.length; k += 2) {
+    const [x, y] = [mesh.places[k], mesh.places[k + 1]];
+    if (x < bounds[0]) bounds[0] = x;
+    if (y < bounds[1]) bounds[1] = y;
+    if (x > bounds[2]) bounds[2] = x;
+    if (y > bounds[3]) bounds[3] = y;
+  }
+  return bounds;
+}
+
+/** The box of a canvas around a posed grid on a picture of this size. */
+export function boxOf(canvas, size, mesh) {
+  if (canvas === "same" || !mesh) return boxOfPicture(size);
+  if (canvas !== "fit") return [canvas.x, canvas.y, canvas.width, canvas.height];
+  const [left, top, right, bottom] = boundsOf(mesh).map((edge) => Math.round(edge * STEPS) / STEPS);
+  const [x, y] = [Math.floor(left), Math.floor(top)];
+  return [x, y, Math.max(1, Math.ceil(right) - x), Math.max(1, Math.ceil(bottom) - y)];
+}
+
+/** The box that a response names: the header `Warp-Canvas`, or `canvas` in the report of a frame; null where it is that of the picture. */
+export function boxFrom(told) {
+  if (!told) return null;
+  return typeof told === "string" ? told.split(",").map(Number) : [told.x, told.y, told.width, told.height];
+}
+
+/** How far a posed grid extends beyond a box: { left, top, right, bottom }, px, 0 where it does not. */
+export function cutOff(mesh, [x, y, width, height]) {
+  const [left, top, right, bottom] = boundsOf(mesh);
+  const far = (length) => (length >= LEAST_CUT ? Math.ceil(length) : 0);
+  return { left: far(x - left), top: far(y - top), right: far(right - x - width), bottom: far(bottom - y - height) };
+}
+
+/** The outlines of the picture and of the canvas, with the coordinates of its edges, over the stage. */
+export class CanvasRuler {
+  constructor(store, view, sync) {
+    Object.assign(this, { store, view, sync, ruler: document.getElementById("ruler"), frame: document.getElementById("source-frame") });
+    store.subscribe(() => this.draw());
+    view.subscribe(() => this.draw());
+    sync.subscribe(() => this.draw());
+  }
+
+  draw() {
+    const { picture, document: bent, phase } = this.store.state;
+    const shown = phase === "open" && picture && this.view.size && canvasOf(bent) !== "same";
+    this.ruler.hidden = this.frame.hidden = !shown;
+    if (!shown) return;
+    const box = this.view.box;
+    this.#place(this.ruler, box);
+    this.#place(this.frame, boxOfPicture(this.view.size));
+    const [x, y, width, height] = box;
+    const edges = { left: x, right: x + width, top: y, bottom: y + height };
+    for (const [side, at] of Object.entries(edges)) this.ruler.querySelector(`[data-edge=${side}]`).textContent = at;
+  }
+
+  #place({ style }, [x, y, width, height]) {
+    const [left, top] = this.view.toStage([x, y]);
+    style.transform = `translate(${left}px, ${top}px)`;
+    style.width = `${width * this.view.zoom}px`;
+    style.height = `${height * this.view.zoom}px`;
+  }
+}
