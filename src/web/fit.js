@@ -11,7 +11,7 @@ export const LEAST_PINS = 4;
 const SCALES = [1, 2, 5, 10, 20, 50, 100];
 const LONGEST = 160;
 
-const of = (method) => (candidate) => candidate.method === method.method && (candidate.alpha ?? undefined) === method.alpha && (candidate.smoothing ?? undefined) === method.smoothing;
+const of = (best) => (candidate) => ["method", "alpha", "smoothing"].every((name) => candidate[name] === best[name]);
 
 /** How often arrows are magnified. */
 function scaleOf(residuals, zoom) {

@@ -22,6 +22,7 @@ const PROBLEMS = {
   too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
   unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG or WebP and open that file."],
   bad_landmarks: ["The landmark file cannot be read", "Correct the file at the place that the message names."],
+  nothing_visible: ["Nothing of the picture is left", "The handles make it a line or a point: undo the last step, or choose another canvas."],
   bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
   contradictory_handles: ["Handles contradict each other", "They meet, but are moved apart. Put one of them back, or delete it."],
   degenerate_line: ["A line has no length", "Its points coincide at rest. Move one of them in the table, or delete the line."],

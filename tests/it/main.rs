@@ -40,6 +40,7 @@ mod overload;
 mod page;
 mod problems;
 mod public_path;
+mod real_landmarks;
 mod request_ids;
 mod revisions;
 mod sessions;
