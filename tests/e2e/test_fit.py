@@ -20,6 +20,7 @@ def opened_with(visit, tmp_path, warp):
     path = tmp_path / "landmarks.json"
     path.write_text(json.dumps(warp))
     visit.page.set_input_files("#file", [PHOTOGRAPHS / "astronaut.png", path])
+    visit.body(f"[data-handles='{len(warp['p'])}'][data-state=ready][data-source=png]")
     visit.ready()
     return visit
 

@@ -194,8 +194,9 @@ fn mean(group: &[GroupedPoint], value: impl Fn(usize) -> Vec2) -> Vec2 {
 fn firsts(points: &[Point], distance: f64, cancelled: &dyn Fn() -> bool) -> Result<Vec<usize>, DeformError> {
     let mut sets: Vec<usize> = (0..points.len()).collect();
     let mut cells: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
+    let origin = points.iter().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, p| Point::new(o.x.min(p.x), o.y.min(p.y)));
     for (index, p) in points.iter().enumerate() {
-        let cell = cells.entry(cell(*p, CELL * distance)).or_default();
+        let cell = cells.entry(cell(*p - origin, CELL * distance)).or_default();
         if let Some(first) = cell.first() {
             join(&mut sets, *first, index);
         }
@@ -249,9 +250,9 @@ fn root(sets: &mut [usize], mut index: usize) -> usize {
     index
 }
 
-/// Coordinates are at most 1e6 px, and the distance is at least 1e-9 of the extent or 2e-6 px.
-#[expect(clippy::cast_possible_truncation, reason = "a number beyond the range of i64 becomes its end, which only joins cells too rarely")]
-fn cell(p: Point, side: f64) -> [i64; 2] {
+/// The cell of a position relative to the least one of the set: the distance is at least 1e-9 of the set's extent, so there are few cells.
+#[expect(clippy::cast_possible_truncation, reason = "at most 1e10")]
+fn cell(p: Vec2, side: f64) -> [i64; 2] {
     [(p.x / side).floor() as i64, (p.y / side).floor() as i64]
 }
 
@@ -304,6 +305,17 @@ mod tests {
         groups.add_contradictions(&mut found, &grouped, &d, &mean, 1e-6);
         let Contradictory { listed, total, .. } = found.finish();
         assert_eq!((total, listed[0].handles.as_slice(), listed[0].spread), (1, &[0, 3][..], 3.0));
+    }
+
+    #[test]
+    fn sets_as_small_as_a_point_are_grouped_far_from_the_origin() {
+        for (apart, extent) in [(2e-6, 3e-6), (1e-9, 2e-6), (1.0, 1e6)] {
+            let points = [Point::new(999_999.0, -999_000.0), Point::new(999_999.0 + apart, -999_000.0)];
+            for distance in [1e-9 * extent, 0.4 * apart, 2.0 * apart] {
+                let joined = points[0].distance(points[1]) <= distance;
+                assert_eq!(firsts(&points, distance, NEVER).unwrap(), if joined { [0, 0] } else { [0, 1] }, "{apart} {distance}");
+            }
+        }
     }
 
     #[test]

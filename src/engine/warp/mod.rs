@@ -27,5 +27,5 @@ pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
-pub use self::target::{CanvasSpec, Target};
+pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
 pub use crate::codec::Limits as ImageLimits;

@@ -8,6 +8,8 @@ use crate::render::{Canvas, window_count};
 
 /// Positions are drawn to 1/256 px; what is nearer to a whole px is on it.
 const STEPS: f64 = 256.0;
+/// The farthest edge of a canvas from the origin, px, as of handles.
+pub const FARTHEST: i32 = 1_000_000;
 /// Memory of a window that is drawn, bytes per vertex of the posed grid.
 const WINDOW_BYTES_PER_VERTEX: u64 = 48;
 
@@ -24,24 +26,31 @@ pub enum CanvasSpec {
 }
 
 impl CanvasSpec {
-    /// The box that is drawn; `None` if the posed picture of `fit` has no area.
+    /// The box that is drawn; `None` if the posed picture of `fit` has no area or extends too far.
     #[must_use]
     pub fn of(self, source: Extent, mesh: &Mesh) -> Option<Canvas> {
         match self {
             Self::Same => Some(Canvas::of(source)),
-            Self::Fit => fit(mesh),
+            Self::Fit => fit(mesh).ok(),
             Self::Box(canvas) => Some(canvas),
         }
     }
 }
 
-fn fit(mesh: &Mesh) -> Option<Canvas> {
+/// Errors: A result without area, or one that extends beyond [`FARTHEST`].
+fn fit(mesh: &Mesh) -> Result<Canvas, WarpError> {
     let [left, top, right, bottom] = mesh.bounds().map(|edge| (edge * STEPS).round() / STEPS);
-    #[expect(clippy::cast_possible_truncation, reason = "float to integer saturates")]
-    let canvas = |extent| Canvas { x: left.floor() as i32, y: top.floor() as i32, extent };
+    let farthest = [left, top, right, bottom].into_iter().fold(0.0, |far: f64, edge| far.max(edge.abs()));
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+    if farthest > f64::from(FARTHEST) {
+        let longest = (right - left).max(bottom - top).ceil() as u64;
+        return Err(WarpError::TooLarge { what: "canvas_side", limit: 2 * u64::from(FARTHEST.unsigned_abs()), actual: longest });
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "at most the farthest edge")]
+    let (x, y) = (left.floor() as i32, top.floor() as i32);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most twice the farthest edge")]
     let side = |low: f64, high: f64| if high > low { (high.ceil() - low.floor()) as u32 } else { 0 };
-    Extent::new(side(left, right), side(top, bottom)).map(canvas)
+    Extent::new(side(left, right), side(top, bottom)).map(|extent| Canvas { x, y, extent }).ok_or(WarpError::NothingVisible)
 }
 
 /// The part of the posed plane that a target picture shows, and the size of the picture.
@@ -80,7 +89,11 @@ impl OutputSpec {
     /// # Errors
     /// Over the limits; nothing to show.
     pub fn target(&self, source: Extent, mesh: &Mesh, limits: &Limits) -> Result<Target, WarpError> {
-        let canvas = self.canvas.of(source, mesh).ok_or(WarpError::NothingVisible)?;
+        let canvas = match self.canvas {
+            CanvasSpec::Same => Canvas::of(source),
+            CanvasSpec::Fit => fit(mesh)?,
+            CanvasSpec::Box(canvas) => canvas,
+        };
         let extent = self.extent_of(canvas, limits)?;
         Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent })
     }
@@ -99,8 +112,9 @@ impl OutputSpec {
             }
             return Ok(canvas.extent);
         };
+        at_most("output_side", max_side, width.into())?;
         let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
-        at_most("output_side", max_side, height.max(width.into()))?;
+        at_most("output_side", max_side, height)?;
         at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
         let height = u32::try_from(height).expect("at most max_side");
         Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })

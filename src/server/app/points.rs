@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::geometry::Point;
-use mlswarp::warp::{GridSpec, Setup, Warning};
+use mlswarp::warp::{GridSpec, OutputSpec, Setup, Warning};
 use serde::Serialize;
 
 use super::App;
@@ -47,6 +47,8 @@ impl App {
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         // The exact deformation needs no grid; this one is within all limits.
         warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
+        // Nothing is drawn.
+        warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;

@@ -4,7 +4,7 @@ use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{CanvasSpec, OutputSpec};
+use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, OutputSpec};
 
 use super::enum_name::{enum_name, unknown_name};
 use super::fields;
@@ -15,8 +15,8 @@ use crate::problem::words::{did_you_mean, quote};
 use crate::problem::{Code, Problem};
 
 const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
-/// The farthest corner of a canvas, as of handles, px.
-const FARTHEST: i32 = 1_000_000;
+/// The longest side of a canvas: from one farthest edge to the other.
+const LONGEST: u32 = 2 * FARTHEST.unsigned_abs();
 const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
 
 /// The fields that a request gives.
@@ -74,7 +74,11 @@ fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
                 return Err(node.problem(Code::BadValue, format!("expected `x`, `y`, `width` and `height`; a canvas is one of {CANVAS}")));
             };
             let place = |node: &Node<'_, '_>| integer(node, FARTHEST, "a whole number of pixels");
-            let side = |node: &Node<'_, '_>| count(node, 1, "a whole number of pixels, at least 1");
+            let side = |node: &Node<'_, '_>| {
+                let expected = format!("a whole number of pixels, 1 to {LONGEST}");
+                let side = count(node, 1, &expected)?;
+                if side <= LONGEST { Ok(side) } else { Err(node.unexpected(&expected, side).actual(side)) }
+            };
             let extent = Extent::new(side(&width)?, side(&height)?).expect("at least 1");
             Ok(CanvasSpec::Box(Canvas { x: place(&x)?, y: place(&y)?, extent }))
         }
@@ -87,14 +91,14 @@ fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
 pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
     let numbers: Option<Vec<i64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
     let place = |place: i64| i32::try_from(place).ok().filter(|place| place.abs() <= FARTHEST);
-    let side = |side: i64| u32::try_from(side).ok();
+    let side = |side: i64| u32::try_from(side).ok().filter(|side| *side <= LONGEST);
     match (text, numbers.as_deref()) {
         ("same", _) => Ok(CanvasSpec::Same),
         ("fit", _) => Ok(CanvasSpec::Fit),
         (_, Some(&[x, y, width, height])) => {
             let extent = side(width).zip(side(height)).and_then(|(width, height)| Extent::new(width, height));
             let canvas = place(x).zip(place(y)).zip(extent).map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
-            canvas.ok_or_else(|| format!("x and y must lie between -{FARTHEST} and {FARTHEST}, width and height must be at least 1"))
+            canvas.ok_or_else(|| format!("x and y must lie between -{FARTHEST} and {FARTHEST}, width and height between 1 and {LONGEST}"))
         }
         _ => Err("expected `same`, `fit`, or four whole numbers: x,y,width,height".to_owned()),
     }

@@ -599,7 +599,11 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         },
     );
     let place = || -1_000_000..=1_000_000;
-    let boxes = (place(), place(), 1_u32.., 1_u32..).prop_map(|(x, y, w, h)| Canvas { x, y, extent: Extent::new(w, h).unwrap() });
+    let boxes = (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
+        x,
+        y,
+        extent: Extent::new(w, h).unwrap(),
+    });
     let canvas = prop_oneof![Just(CanvasSpec::Same), Just(CanvasSpec::Fit), boxes.prop_map(CanvasSpec::Box)];
     let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside, canvas);
     let output = output.prop_map(|(format, quality, compression, width, filter, outside, canvas)| OutputSpec {
