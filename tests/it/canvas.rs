@@ -105,6 +105,16 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         assert_eq!((&problem["limit_name"], &problem["pointer"]), (&json!(name), &json!("/output/canvas")), "{problem}");
         assert!(actual.is_none_or(|actual| problem["actual"] == actual), "{problem}");
     }
+    // Numbers that would overflow, and a result farther away than a canvas may be.
+    let huge = json!({"width": 4_294_967_295_u32, "canvas": {"x": 0, "y": 0, "width": 2_000_000, "height": 2_000_000}});
+    problem(upload(rest.clone(), huge).await, 413, "too_large").await;
+    let beyond = json!({"p": [[10, 10], [10.001, 10]], "q": [[10, 10], [1_000_000, 10]], "method": "similarity",
+        "output": {"canvas": "fit", "width": 100}});
+    let refused = problem(server.upload("/warp", &image, &beyond).await, 413, "too_large").await;
+    assert!(refused["actual"].as_f64().unwrap() > 1e10, "{refused}");
+    // A session that could never be drawn is not stored.
+    let never = json!({"p": rest, "output": {"canvas": {"x": 0, "y": 0, "width": 2001, "height": 3}}});
+    problem(server.upload("/sessions", &image, &never).await, 413, "too_large").await;
     // `width` says how large the result is.
     let small = json!({"canvas": "fit", "width": 50});
     assert_eq!(upload(far, small).await.status(), 200);

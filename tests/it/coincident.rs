@@ -117,6 +117,14 @@ fn groups_that_meet_only_at_their_means_are_handles_of_one_position() {
 }
 
 #[tokio::test]
+async fn points_of_a_tiny_set_far_from_the_origin_are_two() {
+    let server = Server::start(&[]).await;
+    let warp = json!({"p": [[999_999, 0], [999_999.000_002, 0]], "q": [[999_999, 0], [999_999.000_01, 5]]});
+    let answer = server.upload("/warp", &photo(20, 10), &warp).await;
+    assert_eq!(answer.status(), 200, "{:?}", answer.text().await);
+}
+
+#[tokio::test]
 async fn landmarks_that_were_rounded_are_warped_and_the_groups_are_named() {
     let server = Server::start(&[]).await;
     let image = photo(120, 90);
