@@ -27,7 +27,7 @@ const LINES_PER_PX: f64 = 4.0;
 const LINES_ALWAYS: f64 = 4096.0;
 /// The rasteriser's share of a tolerance: at most its own accuracy, px of the source, or half.
 const DRAWN_WITHIN: f64 = 1.0 / 16.0;
-/// Most vertices inside the cells of a grid: this many for each of its own, and so many in any case.
+/// Most vertices inside the cells of a grid: a number for each of its own, and a number in any case.
 const FINE_PER_VERTEX: usize = 4;
 const FINE_ALWAYS: usize = 1 << 16;
 /// Most vertices inside a cell of the size of `grid: auto`.
