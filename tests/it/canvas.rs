@@ -26,7 +26,10 @@ async fn tiles_of_a_canvas_make_up_the_whole() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(400, 300), &turned()).await;
     for outside in ["transparent", "edge"] {
-        let tile = |x: u32, y: u32, width: u32, height: u32| json!({"outside": outside, "canvas": {"x": x.cast_signed() - 60, "y": y.cast_signed() - 50, "width": width, "height": height}});
+        let tile = |x: u32, y: u32, width: u32, height: u32| {
+            let canvas = json!({"x": x.cast_signed() - 60, "y": y.cast_signed() - 50, "width": width, "height": height});
+            json!({"outside": outside, "canvas": canvas})
+        };
         let (whole, canvas) = drawn(&server, &id, tile(0, 0, 520, 440)).await;
         assert_eq!((whole.dimensions(), canvas.as_deref()), ((520, 440), Some("-60,-50,520,440")));
         for y in [0, 110, 220, 330] {

@@ -32,7 +32,9 @@ fn sample(name: &str) -> Value {
         "rows" => json!(7),
         "folds" => json!("report"),
         "output" => {
-            json!({"format": "png", "quality": 80, "compression": "best", "width": 20, "filter": "nearest", "outside": "edge", "canvas": "fit"})
+            json!({
+                "format": "png", "quality": 80, "compression": "best", "width": 20, "filter": "nearest", "outside": "edge", "canvas": "fit"
+            })
         }
         "seq" => json!(3),
         "extent" => json!([16, 12]),

@@ -39,7 +39,8 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     child.stdin.take().unwrap().write_all(&image).unwrap();
     assert_eq!(child.wait_with_output().unwrap().stdout, answer);
 
-    let boxed = json!({"p": warp["p"], "q": warp["q"], "method": "similarity", "output": {"canvas": {"x": -20, "y": 10, "width": 450, "height": 300}}});
+    let canvas = json!({"x": -20, "y": 10, "width": 450, "height": 300});
+    let boxed = json!({"p": warp["p"], "q": warp["q"], "method": "similarity", "output": {"canvas": canvas}});
     let answer = png(server.upload("/warp", &image, &boxed).await).await;
     let output =
         mlswarp(&["warp", &path("in.png"), &path("warp.json"), "--canvas", "-20,10,450,300", "-o", &path("box.png")]).output().unwrap();

@@ -113,7 +113,12 @@ fn files(Set { p, q, size, .. }: &Set) -> Vec<(&'static str, &'static str, File)
             lines(p, |k, [x, y]| format!("{}.5,48{k},{x},{},1,0,0,0\n", 1000 + k, -y))
         )
     };
-    let document = |shapes: Value| json!({"version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": "a.png", "imageData": null, "imageHeight": size[1], "imageWidth": size[0]});
+    let document = |shapes: Value| {
+        json!({
+            "version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": "a.png", "imageData": null, "imageHeight": size[1],
+            "imageWidth": size[0]
+        })
+    };
     vec![
         ("csv", "bare", one(rows(",", "\n"))),
         ("csv", "header", one(format!("x,y\n{}", rows(",", "\n")))),

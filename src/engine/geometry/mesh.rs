@@ -146,8 +146,8 @@ impl Mesh {
         (self.grid.len() + refined) as u64
     }
 
-    /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom); touching its border is not enough. A cell counts as the
-    /// convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell; `None` when
+    /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom); touching its border is not enough. A
+    /// cell counts as the convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell; `None` when
     /// cancelled, which is checked for each row.
     #[must_use]
     pub fn intersects(&self, rectangle: [f64; 4], cancelled: &dyn Fn() -> bool) -> Option<bool> {

@@ -53,8 +53,8 @@ impl Border {
         self.vertices.windows(2).map(|pair| (pair[0], pair[1]))
     }
 
-    /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets the rectangle of the centres, and the polygon winds
-    /// around it. The picture's map then has the same non-zero degree on the whole rectangle, so every centre is covered.
+    /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets the rectangle of the centres, and the
+    /// polygon winds around it. The picture's map then has the same non-zero degree on the whole rectangle, so every centre is covered.
     pub(super) fn surrounds(&self, columns: &Range<usize>, rows: &Range<u32>) -> bool {
         let centre = |pixel: i64| pixel * i64::from(ONE) + i64::from(HALF);
         #[expect(clippy::cast_possible_wrap, reason = "a window has few columns")]

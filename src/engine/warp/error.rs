@@ -34,8 +34,8 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`, `output_pixels`,
-        /// `canvas_side`, `canvas_pixels`.
+        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
+        /// `output_pixels`, `canvas_side`, `canvas_pixels`.
         what: &'static str,
         /// The limit.
         limit: u64,
