@@ -103,9 +103,11 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         (&rest, large, "canvas_side", Some(2001)),
         (&rest, wide, "canvas_pixels", Some(1_999_000)),
         (&far, json!({"canvas": "fit"}), "canvas_side", None),
+        (&rest, json!({"canvas": {"x": 0, "y": 0, "width": 1, "height": 1}, "width": 1900}), "output_pixels", Some(3_610_000)),
     ] {
         let problem = problem(upload(q.clone(), output).await, 413, "too_large").await;
-        assert_eq!((&problem["limit_name"], &problem["pointer"]), (&json!(name), &json!("/output/canvas")), "{problem}");
+        let pointer = if name == "output_pixels" { "/output/width" } else { "/output/canvas" };
+        assert_eq!((&problem["limit_name"], &problem["pointer"]), (&json!(name), &json!(pointer)), "{problem}");
         assert!(actual.is_none_or(|actual| problem["actual"] == actual), "{problem}");
     }
     // Numbers that would overflow, and a result farther away than a canvas may be.
@@ -115,6 +117,12 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         "output": {"canvas": "fit", "width": 100}});
     let refused = problem(server.upload("/warp", &image, &beyond).await, 413, "too_large").await;
     assert!(refused["actual"].as_f64().unwrap() > 1e10, "{refused}");
+    // A zoom at which single cells would be longer than the rasteriser's numbers.
+    let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": {"x": 3, "y": 3, "width": 1, "height": 1}, "width": width}});
+    let long = photo(1200, 10);
+    let refused = problem(server.upload("/warp", &long, &zoom(990)).await, 413, "too_large").await;
+    assert_eq!((&refused["limit_name"], &refused["actual"]), (&json!("scaled_source_side"), &json!(1_188_000)), "{refused}");
+    assert_eq!(server.upload("/warp", &long, &zoom(870)).await.status(), 200);
     // A session that could never be drawn is not stored.
     let never = json!({"p": rest, "output": {"canvas": {"x": 0, "y": 0, "width": 2001, "height": 3}}});
     problem(server.upload("/sessions", &image, &never).await, 413, "too_large").await;
@@ -147,4 +155,26 @@ async fn a_session_keeps_its_canvas_and_a_drag_may_give_another() {
     assert_eq!((&report["canvas"], &report["width"], &report["height"]), (&canvas, &json!(300), &json!(200)), "{report}");
     let (_, frame) = drag.frame().await;
     assert_eq!(decoded(&frame).dimensions(), (300, 200));
+}
+
+/// The width of `fit` depends on the pose, so it may be narrower or wider than any preview.
+#[tokio::test]
+async fn a_drag_with_fit_ends_with_the_picture_of_a_request() {
+    let server = Server::start(&[]).await;
+    let warp = json!({"p": [[0, 0], [400, 0]], "method": "similarity", "output": {"canvas": "fit"}});
+    let id = server.session(&photo(400, 300), &warp).await;
+    for (width, to, posed) in [("400", 800, 800), ("auto", 100, 100), ("500", 300, 300), ("1000", 800, 800)] {
+        let q = json!([[0, 0], [to, 0]]);
+        let mut drag = DragClient::open(server.address, &id, &format!("?report=true&width={width}")).await;
+        drag.pose(1, &q).await;
+        let preview = drag.text().await;
+        let (_, frame) = drag.frame().await;
+        let least = width.parse().unwrap_or(400).min(posed);
+        assert_eq!((decoded(&frame).width(), &preview["full"]), (least, &json!(false)), "{width}: {preview}");
+        drag.ack(1).await;
+        let report = drag.text().await;
+        assert_eq!((&report["seq"], &report["full"], &report["width"]), (&json!(1), &json!(true), &json!(posed)), "{width}: {report}");
+        let (_, frame) = drag.frame().await;
+        assert!(frame == png(server.drag(&id, &json!({"q": q})).await).await, "{width}");
+    }
 }

@@ -169,3 +169,23 @@ async fn a_distance_that_joins_everything_takes_no_list_of_pairs() {
     let response = server.upload("/warp", &image, &warp).await;
     assert_eq!((response.status().as_u16(), &response.headers()["warp-warning"]), (200, &"translation_only".parse().unwrap()));
 }
+
+/// f takes the mean of grouped points to the mean of their targets; how far it misses them at their own positions is reported.
+#[tokio::test]
+async fn the_residual_counts_grouped_points_where_they_are() {
+    let server = Server::start(&[]).await;
+    let p = [(60.0, 60.0), (80.0, 60.0), (70.0, 110.0), (150.0, 60.0)];
+    let q = [(60.0, 70.0), (80.0, 70.0), (70.0, 100.0), (150.0, 60.0)];
+    let dots = |at: &[(f64, f64)]| at.iter().map(|&(x, y)| dot(x, y)).collect::<Vec<_>>();
+    let field = field(dots(&p), None, 25.0, Method::Rigid, 1.0).unwrap();
+    let pose = field.pose(&dots(&q)).unwrap();
+    let miss = |(p, q): (&(f64, f64), &(f64, f64))| field.map(&pose, Point::new(p.0, p.1)).distance(Point::new(q.0, q.1));
+    let want = p.iter().zip(&q).map(miss).fold(0.0, f64::max);
+    assert!(want > 1.0, "{want}");
+    let warp = json!({"p": p, "q": q, "coincident": {"within": 25}});
+    let answer = server.upload("/warp", &photo(200, 150), &warp).await;
+    let header = |name: &str| answer.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
+    let residual: f64 = header("warp-residual").unwrap().parse().unwrap();
+    assert!((residual - want).abs() <= 0.25, "{residual} {want}");
+    assert_eq!(header("warp-warning"), None, "the targets agree");
+}

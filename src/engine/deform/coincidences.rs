@@ -6,7 +6,7 @@
 //! with more pairs than [`MOST_WORK`] allows is refused; at the default limit of columns that takes a million pairs of segments of which
 //! neither lies beside the other.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::DeformError;
 use super::columns::{Element, ONE_PLACE, Segment};
@@ -114,10 +114,13 @@ impl Coincidences {
         if found.is_empty() {
             return;
         }
-        // Handles that agree with each other belong to the group too.
+        // Handles that agree with each other belong to the group too; each element once, because it may be a group of many points.
+        let mut added = HashSet::new();
         for on in self.touching.iter().flat_map(|(x, y)| [*x, *y]) {
             let (position, displacement) = at(on);
-            members(on.0, displacement).into_iter().for_each(|member| found.add_member(position, member));
+            if found.listed(position).is_some_and(|group| added.insert((group, on.0))) {
+                found.add_members(position, members(on.0, displacement));
+            }
         }
     }
 
@@ -546,6 +549,24 @@ mod tests {
             assert!(search.compared <= n * (9 + 25) * CROWD as u64, "{name}: {}", search.compared);
             assert!(search.work <= MOST_WORK + 2 * COMPARISON, "{name}: {}", search.work);
         }
+    }
+
+    /// A point may be a group of thousands.
+    #[test]
+    fn the_members_of_an_element_are_listed_once_for_a_position() {
+        let lines = (0..300)
+            .map(|k| f64::from(k).sin_cos())
+            .map(|(s, c)| line((50.0 - 40.0 * s, 50.0 - 40.0 * c), (50.0 + 40.0 * s, 50.0 + 40.0 * c)));
+        let (elements, extent) = elements_of([dot(50.0, 50.0)].into_iter().chain(lines).collect());
+        let coincidences = Coincidences::find(&elements, extent, NEVER).unwrap();
+        assert!(coincidences.touching.len() > 40_000, "{}", coincidences.touching.len());
+        let displacements: Vec<Vec2> = (0..601).map(|k| Vec2::new(f64::from(k % 7), 0.0)).collect();
+        let (mut found, listed) = (Contradictions::new(coincidences.tolerance()), Cell::new(0));
+        coincidences.add_contradictions(&mut found, &elements, &displacements, |element, displacement| {
+            listed.set(listed.get() + 1);
+            [Member { element, handle: element, weight: 1.0, displacement }]
+        });
+        assert_eq!((listed.get(), found.finish().listed[0].total), (301, 301));
     }
 
     #[test]

@@ -164,10 +164,16 @@ impl Contradictions {
         self.tears.push((position, apart));
     }
 
-    /// Adds an element at a position, if it is one of the groups that are listed.
-    pub(super) fn add_member(&mut self, position: Point, member: Member) {
-        let Some((_, members)) = self.positions.find(position).and_then(|index| self.groups.get_mut(index)) else { return };
-        members.push(member);
+    /// The index of the group at a position, if it is one that is listed.
+    pub(super) fn listed(&self, position: Point) -> Option<usize> {
+        self.positions.find(position).filter(|index| *index < self.groups.len())
+    }
+
+    /// Adds elements at a position, if it is one of the groups that are listed.
+    pub(super) fn add_members(&mut self, position: Point, members: impl IntoIterator<Item = Member>) {
+        if let Some(index) = self.listed(position) {
+            self.groups[index].1.extend(members);
+        }
     }
 
     /// The groups in the order of their first position.
@@ -210,7 +216,7 @@ mod tests {
     fn groups(members: &[(Point, Member)], wrong: &[Point]) -> (Vec<Contradiction>, usize) {
         let mut found = Contradictions::new(1e-3);
         wrong.iter().for_each(|position| found.add_position(*position));
-        members.iter().for_each(|(position, member)| found.add_member(*position, *member));
+        members.iter().for_each(|(position, member)| found.add_members(*position, [*member]));
         let Contradictory { listed, total, .. } = found.finish();
         (listed, total)
     }

@@ -370,6 +370,21 @@ impl Field {
         }
     }
 
+    /// Calls `look` with the client's points that are one handle with others, where they agree with them: their own positions, at which f
+    /// is only approximately known, and their displacements, px.
+    pub fn look_at_grouped_points(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
+        let Some((given, groups)) = self.grouped.as_deref() else { return };
+        let approximated = self.approximated(pose);
+        let d = approximated.as_deref().unwrap_or(pose.displacements());
+        for element in &self.elements {
+            if let Element::Point { p, column, .. } = element
+                && !pose.contradictions().contains(*p)
+            {
+                groups.handles_of(*column).for_each(|handle| look(given.handles()[handle].places()[0], d[*column]));
+            }
+        }
+    }
+
     /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
     #[must_use]
     pub fn approximated(&self, pose: &Pose) -> Option<Vec<Vec2>> {

@@ -141,19 +141,27 @@ impl Groups {
 
     /// The grouped column of each of the client's columns.
     pub(super) fn columns(&self) -> Vec<usize> {
-        let of = |origin: &Origin| match *origin {
-            Origin::Column(column) => vec![column],
-            Origin::Group(group) => self.groups[group].iter().map(|point| point.column).collect(),
+        let given = |origin: &Origin| match origin {
+            Origin::Column(_) => 1,
+            Origin::Group(group) => self.groups[*group].len(),
         };
-        let pairs: Vec<(usize, usize)> = self
-            .origins
-            .iter()
-            .enumerate()
-            .flat_map(|(grouped, origin)| of(origin).into_iter().map(move |given| (given, grouped)))
-            .collect();
-        let mut columns = vec![0; pairs.len()];
-        pairs.into_iter().for_each(|(given, grouped)| columns[given] = grouped);
+        let mut columns = vec![0; self.origins.iter().map(given).sum()];
+        for (grouped, origin) in self.origins.iter().enumerate() {
+            match *origin {
+                Origin::Column(column) => columns[column] = grouped,
+                Origin::Group(group) => self.groups[group].iter().for_each(|point| columns[point.column] = grouped),
+            }
+        }
         columns
+    }
+
+    /// The client's handles of the group that is this column; none if it is no group.
+    pub(super) fn handles_of(&self, column: usize) -> impl Iterator<Item = usize> + '_ {
+        let group = match self.origins[column] {
+            Origin::Group(group) => &self.groups[group][..],
+            Origin::Column(_) => &[],
+        };
+        group.iter().map(|point| point.handle)
     }
 
     /// Adds the position of each group whose displacements differ from their mean by more than `tolerance`.
@@ -165,7 +173,7 @@ impl Groups {
                 && self.groups[group].iter().any(|point| (given[point.column] - *mean).norm() > tolerance)
             {
                 found.add_position(*p);
-                self.groups[group].iter().for_each(|point| found.add_member(*p, member(point, given)));
+                found.add_members(*p, self.groups[group].iter().map(|point| member(point, given)));
             }
             columns.by_ref().take(handle.columns() - 1).for_each(drop);
         }

@@ -35,7 +35,7 @@ pub enum WarpError {
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_pixels`.
+        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `scaled_source_side`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -139,6 +139,7 @@ fn measured(what: &str, actual: u64) -> String {
         "grid_rows" => format!("the grid would have {actual} rows"),
         "output_side" => format!("the longer side of the output would be {actual} px"),
         "output_pixels" => format!("the output would have {actual} pixels"),
+        "scaled_source_side" => format!("at this scale the longer side of the whole source would be {actual} px"),
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => format!("{what}: {actual}"),

@@ -4,7 +4,7 @@ use super::digest::Collector;
 use super::setup::FINE_BYTES;
 use super::{Digest, Folds, Image, Plan, Setup, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
-use crate::geometry::Mesh;
+use crate::geometry::{Mesh, Point, Vec2};
 use crate::render::Canvas;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -19,7 +19,8 @@ pub struct Report {
     pub folds: u64,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
     /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
-    /// the distance from where it takes them.
+    /// the distance from where it takes them. Points that are one handle because they lie within a distance of each other count at their
+    /// own positions.
     pub residual: f64,
     /// Cells of the grid that are farther than the tolerance from the exact map.
     pub exceeded: u64,
@@ -171,11 +172,13 @@ impl Posed {
 /// Largest distance between a handle under f and its position in the mesh.
 fn residual(field: &Field, pose: &Pose, mesh: &Mesh) -> f64 {
     let mut worst = 0.0f64;
-    field.look_at_handles(pose, |p, displacement| {
+    let mut look = |p: Point, displacement: Vec2| {
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }
-    });
+    };
+    field.look_at_handles(pose, &mut look);
+    field.look_at_grouped_points(pose, &mut look);
     worst
 }
 

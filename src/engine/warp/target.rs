@@ -10,6 +10,8 @@ use crate::render::{Canvas, window_count};
 const STEPS: f64 = 256.0;
 /// The farthest edge of a canvas from the origin, px, as of handles.
 pub const FARTHEST: i32 = 1_000_000;
+/// The longest side of the whole source at the scale of a target, px: the rasteriser holds positions up to twice as far from a window.
+const LONGEST_SCALED_SOURCE: u64 = 1 << 20;
 /// Memory of a window that is drawn, bytes per vertex of the posed grid.
 const WINDOW_BYTES_PER_VERTEX: u64 = 48;
 
@@ -78,8 +80,8 @@ impl OutputSpec {
     /// Over the limits.
     pub fn check(&self, source: Extent, limits: &Limits) -> Result<(), WarpError> {
         match self.canvas {
-            CanvasSpec::Same => self.extent_of(Canvas::of(source), limits).map(drop),
-            CanvasSpec::Box(canvas) => self.extent_of(canvas, limits).map(drop),
+            CanvasSpec::Same => self.extent_of(Canvas::of(source), source, limits).map(drop),
+            CanvasSpec::Box(canvas) => self.extent_of(canvas, source, limits).map(drop),
             CanvasSpec::Fit => Ok(()),
         }
     }
@@ -94,12 +96,12 @@ impl OutputSpec {
             CanvasSpec::Fit => fit(mesh)?,
             CanvasSpec::Box(canvas) => canvas,
         };
-        let extent = self.extent_of(canvas, limits)?;
+        let extent = self.extent_of(canvas, source, limits)?;
         Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent })
     }
 
     /// The size of the target: `width` with the height that keeps the proportions, max(1, round(H w / W)).
-    fn extent_of(&self, canvas: Canvas, limits: &Limits) -> Result<Extent, WarpError> {
+    fn extent_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
         let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
         let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
         let Some(width) = self.width else {
@@ -116,6 +118,7 @@ impl OutputSpec {
         let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
         at_most("output_side", max_side, height)?;
         at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+        at_most("scaled_source_side", LONGEST_SCALED_SOURCE, u64::from(source.width().max(source.height())) * u64::from(width) / w)?;
         let height = u32::try_from(height).expect("at most max_side");
         Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
     }

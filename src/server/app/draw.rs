@@ -75,19 +75,25 @@ pub(crate) struct DrawJob {
     pub(crate) q: Vec<Handle>,
     pub(crate) folds: Folds,
     pub(crate) output: OutputSpec,
-    /// A preview is drawn on the grid as it is, whatever its tolerance.
-    pub(crate) is_preview: bool,
+    /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its tolerance.
+    pub(crate) preview: Option<u32>,
     /// The client's quota of memory for responses.
     pub(crate) quota: ClientQuota,
 }
 
 impl DrawJob {
     fn pose(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Posed, Target), WarpError> {
-        let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, is_preview, .. } = self;
+        let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, preview, .. } = self;
         output.check(image.extent(), limits)?;
-        let pose_as = if *is_preview { Posed::coarse } else { Posed::new };
+        let pose_as = if preview.is_some() { Posed::coarse } else { Posed::new };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
         let target = output.target(image.extent(), posed.mesh(), limits)?;
+        let target = match *preview {
+            Some(width) if width < target.extent.width() => {
+                OutputSpec { width: Some(width), ..*output }.target(image.extent(), posed.mesh(), limits)?
+            }
+            _ => target,
+        };
         Ok((posed, target))
     }
 }
@@ -291,7 +297,7 @@ impl DrawTask {
         let prepare = || {
             let mut reservation = self.app.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
             // Not in the client's quota: it is given back before the client may read slowly.
-            let halved = if job.is_preview { 0 } else { setup.most_halved_bytes() };
+            let halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
             let halved = (halved > 0).then(|| self.app.reserve(Purpose::Frame, halved)).transpose()?;
             let pose = || job.pose(&limits, &is_cancelled);
             let (posed, target) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;

@@ -102,7 +102,7 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        self.draw(ticket, DrawJob { image, planned, q: drag.q, folds, output, is_preview: false, quota }).await
+        self.draw(ticket, DrawJob { image, planned, q: drag.q, folds, output, preview: None, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.

@@ -159,6 +159,7 @@ mod tests {
             ("grid_vertices", Some("/grid")),
             ("output_side", Some("/output/width")),
             ("output_pixels", Some("/output/width")),
+            ("scaled_source_side", Some("/output/width")),
             ("other", None),
         ] {
             let problem = expect(WarpError::TooLarge { what, limit: 1, actual: 2 }, Code::TooLarge, pointer, None);

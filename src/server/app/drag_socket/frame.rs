@@ -46,22 +46,23 @@ pub(crate) struct Frame {
     pub(crate) report: String,
 }
 
-/// The full width of the session's images; with the canvas `fit`, a typical one.
-pub(crate) fn full_width(record: &Record) -> u32 {
-    record.output.width.unwrap_or_else(|| match record.output.canvas {
-        CanvasSpec::Box(canvas) => canvas.extent.width(),
-        CanvasSpec::Same | CanvasSpec::Fit => record.extent.width(),
+/// The full width of the session's images; with the canvas `fit` it depends on the pose.
+pub(crate) fn full_width(record: &Record) -> Option<u32> {
+    record.output.width.or(match record.output.canvas {
+        CanvasSpec::Same => Some(record.extent.width()),
+        CanvasSpec::Box(canvas) => Some(canvas.extent.width()),
+        CanvasSpec::Fit => None,
     })
 }
 
-/// The output of a frame of this width. Previews are compressed fast.
-fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> OutputSpec {
-    let full = full_width(record);
+/// The output of a frame of this width, and the largest width of a preview. Previews are compressed fast.
+fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> (OutputSpec, Option<u32>) {
     let output = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
-    match width {
-        Some(width) if width < full => OutputSpec { width: Some(width), compression: Compression::Fast, ..output },
-        Some(width) if width > full => OutputSpec { width: Some(width), ..output },
-        _ => output,
+    match (width, full_width(record)) {
+        (None, _) => (output, None),
+        (Some(width), Some(full)) if width == full => (output, None),
+        (Some(width), Some(full)) if width > full => (OutputSpec { width: Some(width), ..output }, None),
+        (Some(width), _) => (OutputSpec { compression: Compression::Fast, ..output }, Some(width)),
     }
 }
 
@@ -100,14 +101,13 @@ async fn try_draw_frame(
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
             let shape = plan.shape(record.extent);
-            let output = output(&record, format, request.width);
-            let is_full = request.width.is_none_or(|width| width >= full_width(&record));
+            let (output, preview) = output(&record, format, request.width);
             let AdmittedPlan { ticket, planned } = plan;
-            let job = DrawJob { image, planned, q, folds: record.folds, output, is_preview: !is_full, quota };
+            let job = DrawJob { image, planned, q, folds: record.folds, output, preview, quota };
             let drawn = app.draw(ticket, job).await?;
             let Drawn { report, target, timing, picture, .. } = drawn;
             let (pieces, cost) = collect(picture).await?;
-            let report = report_json(seq, target, is_full, &report, timing, cost);
+            let report = report_json(seq, target, preview.is_none(), &report, timing, cost);
             Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh => {

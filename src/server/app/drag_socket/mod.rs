@@ -123,7 +123,7 @@ fn shape_message(shape: &MeshShape) -> Outgoing {
 const MESH: u32 = 1;
 
 fn previews(options: DragOptions, record: &Record) -> PreviewController {
-    let width = full_width(record);
+    let width = full_width(record).unwrap_or(record.extent.width());
     let (w, h) = (u64::from(record.extent.width()), u64::from(record.extent.height()));
     let height = u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1);
     match (options.form, options.width) {
@@ -134,7 +134,8 @@ fn previews(options: DragOptions, record: &Record) -> PreviewController {
 }
 
 fn full(options: DragOptions, record: &Record) -> u32 {
-    if options.form == Form::Mesh { MESH } else { full_width(record) }
+    // Unless the full width is known, every picture is a preview.
+    if options.form == Form::Mesh { MESH } else { full_width(record).unwrap_or(u32::MAX) }
 }
 
 impl Drag {
