@@ -1,95 +1,288 @@
-//! The vertices that halving a cell adds, interpolated from the posed grid by tensor cubics through four vertices (mathematics section 12,
-//! step 2), where fourth differences show that the grid resolves f. This takes a few taps instead of a row of coefficients.
+//! The vertices that halving a cell once or twice adds, interpolated from the posed grid by tensor quintics through six vertices along each
+//! axis (mathematics section 12, step 2), where differences show that the grid resolves f. This takes a few taps instead of a row of
+//! coefficients.
 
-use crate::geometry::Mesh;
+use crate::geometry::{Grid, Mesh};
 
-/// Vertices used along each axis: four of a cubic, and one more at each end for fourth differences.
-const TAPS: usize = 6;
+/// Vertices of a quintic.
+const NODES: usize = 6;
+/// Vertices used along each axis: two sixth differences.
+const STENCIL: usize = 8;
+/// Positions of a cell among the nodes of a quintic; the third is the middle.
+const POSITIONS: usize = NODES - 1;
+const MIDDLE: usize = 2;
+/// The weights of the nodes for the quarters of a cell.
+const WEIGHTS: [[[f32; NODES]; 3]; POSITIONS] = weights();
+/// The error of a quintic in a cell is at most about this share of the sixth differences, and that of a cubic of the fourth.
+const OF_SIXTH: [f32; POSITIONS] = shares();
+const OF_FOURTH: f32 = 3.0 / 128.0;
+/// The next order adds to the error where differences fall slowly; where they hardly fall, the grid does not resolve f.
+const NEXT_ORDER: f32 = 2.0;
+const SLOWEST: f32 = 0.6;
 
-/// A halved cell.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Interpolated {
-    /// Displacements in the order of [`group`](super::exact_rows::group), px.
-    pub(super) vertices: [[f32; 2]; 5],
-    /// How far they may be from f, px.
-    pub(super) off: f32,
-    /// The largest distance between them and the patch of the cell, px.
-    pub(super) error: f32,
+/// Lagrange's polynomials at the quarters of each cell.
+#[expect(clippy::cast_possible_truncation, reason = "weights of f32 displacements")]
+const fn weights() -> [[[f32; NODES]; 3]; POSITIONS] {
+    let mut weights = [[[0.0; NODES]; 3]; POSITIONS];
+    let mut at = 0;
+    while at < POSITIONS * 3 * NODES {
+        let (position, quarter, node) = (at / NODES / 3, at / NODES % 3, at % NODES);
+        let x = position as f64 + 0.25 * (quarter + 1) as f64;
+        let (mut weight, mut other) = (1.0, 0);
+        while other < NODES {
+            if other != node {
+                weight *= (x - other as f64) / (node as f64 - other as f64);
+            }
+            other += 1;
+        }
+        weights[position][quarter][node] = weight as f32;
+        at += 1;
+    }
+    weights
 }
 
-impl Interpolated {
-    /// The cell at a column and row; `None` near the border, where the stencil has no room or lines may be nearer to each other.
-    pub(super) fn new(mesh: &Mesh, i: u32, j: u32) -> Option<Self> {
-        let grid = mesh.grid();
-        if i < 2 || j < 2 || i + 5 > grid.columns() || j + 5 > grid.rows() {
-            return None;
+/// The largest error of a quintic at the quarters of each cell, per sixth difference, and by how much more than in the middle it increases
+/// the errors of the values that it interpolates.
+#[expect(clippy::cast_possible_truncation, reason = "an estimate")]
+const fn shares() -> [f32; POSITIONS] {
+    /// 6!
+    const FACTORIAL: f64 = 720.0;
+    let mut shares = [0.0; POSITIONS];
+    let mut at = 0;
+    while at < POSITIONS * 3 {
+        let x = (at / 3) as f64 + 0.25 * (at % 3 + 1) as f64;
+        let (mut product, mut sum, mut of_middle, mut node) = (1.0 / FACTORIAL, 0.0, 0.0, 0);
+        while node < NODES {
+            product *= (x - node as f64).abs();
+            sum += WEIGHTS[at / 3][at % 3][node].abs();
+            of_middle += WEIGHTS[MIDDLE][at % 3][node].abs();
+            node += 1;
         }
-        let (columns, i, j) = (grid.columns() as usize, i as usize, j as usize);
-        let d = mesh.displacement();
-        let lines: [&[[f32; 2]]; TAPS] = std::array::from_fn(|k| &d[(j + k - 2) * columns + i - 2..][..TAPS]);
-        let at = |a: usize, b: usize| lines[b][a];
-        let across = |b: usize| middle([at(1, b), at(2, b), at(3, b), at(4, b)]);
-        let down = |a: usize| middle([at(a, 1), at(a, 2), at(a, 3), at(a, 4)]);
-        let (top, bottom) = (across(2), across(3));
-        let centre = middle([across(1), top, bottom, across(4)]);
-        let (left, right) = (down(2), down(3));
-        let (mut off, mut error) = (0.0_f32, 0.0_f32);
-        for (a, b) in [(2, 2), (3, 2), (2, 3), (3, 3)] {
-            let x = fourth([at(a - 2, b), at(a - 1, b), at(a, b), at(a + 1, b), at(a + 2, b)]);
-            let y = fourth([at(a, b - 2), at(a, b - 1), at(a, b), at(a, b + 1), at(a, b + 2)]);
-            off = off.max(x + y);
+        let share = product as f32 * sum / of_middle;
+        if share > shares[at / 3] {
+            shares[at / 3] = share;
         }
-        let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
-        let (above, below) = (mean(at(2, 2), at(3, 2)), mean(at(2, 3), at(3, 3)));
-        let patch = [above, mean(at(2, 2), at(2, 3)), mean(above, below), mean(at(3, 2), at(3, 3)), below];
-        let vertices = [top, left, centre, right, bottom];
-        for (a, b) in vertices.iter().zip(patch) {
-            let (x, y) = (a[0] - b[0], a[1] - b[1]);
-            error = error.max(x * x + y * y);
-        }
-        Some(Self { vertices, off: off * (3.0 / 128.0), error: error.sqrt() })
+        at += 1;
+    }
+    shares
+}
+
+/// A place along one axis of the grid: the vertices used for a cell.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    /// The first of the vertices.
+    first: usize,
+    /// The first node among them.
+    nodes: usize,
+    /// The position of the cell among the nodes.
+    position: usize,
+}
+
+impl Axis {
+    /// `lines`: grid lines at equal distances, from the first. `None` if there are too few for this cell.
+    fn new(cell: usize, lines: usize) -> Option<Self> {
+        let first = cell.saturating_sub(3).min(lines.checked_sub(STENCIL)?);
+        let cell = cell - first;
+        let nodes = cell.saturating_sub(MIDDLE).min(STENCIL - NODES);
+        (cell + 1 < STENCIL).then_some(Self { first, nodes, position: cell - nodes })
     }
 }
 
-/// The value in the middle of four at equal distances, by their cubic.
-fn middle([a, b, c, d]: [[f32; 2]; 4]) -> [f32; 2] {
-    [0, 1].map(|k| (9.0 * (b[k] + c[k]) - (a[k] + d[k])) * (1.0 / 16.0))
+/// The grid lines along each axis that are at equal distances from their neighbours: all, or all but the last.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EvenLines {
+    columns: usize,
+    rows: usize,
 }
 
-/// The length of a fourth difference.
-fn fourth([a, b, c, d, e]: [[f32; 2]; 5]) -> f32 {
-    let [x, y] = [0, 1].map(|k| 6.0 * c[k] - 4.0 * (b[k] + d[k]) + (a[k] + e[k]));
-    (x * x + y * y).sqrt()
+impl EvenLines {
+    pub(super) fn of(grid: &Grid) -> Self {
+        /// Distances that differ by a smaller share of a cell are equal.
+        const EQUAL: f64 = 1e-6;
+        let even = |count: u32, at: &dyn Fn(u32) -> f64, cell: f64| {
+            let is_even = count > 1 && (at(count - 1) - at(count - 2) - cell).abs() < EQUAL * cell;
+            count as usize - usize::from(!is_even)
+        };
+        Self { columns: even(grid.columns(), &|i| grid.x(i), grid.cell().0), rows: even(grid.rows(), &|j| grid.y(j), grid.cell().1) }
+    }
+}
+
+/// A cell whose vertices are interpolated.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Interpolated<'a> {
+    lines: [&'a [[f32; 2]; STENCIL]; STENCIL],
+    x: Axis,
+    y: Axis,
+}
+
+impl<'a> Interpolated<'a> {
+    /// The cell at a column and row; `None` if too few lines are at equal distances.
+    pub(super) fn new(mesh: &'a Mesh, even: EvenLines, i: u32, j: u32) -> Option<Self> {
+        let (x, y) = (Axis::new(i as usize, even.columns)?, Axis::new(j as usize, even.rows)?);
+        let (d, columns) = (mesh.displacement(), mesh.grid().columns() as usize);
+        let line = |k: usize| d[(y.first + k) * columns + x.first..].first_chunk().expect("a stencil");
+        Some(Self { lines: std::array::from_fn(line), x, y })
+    }
+
+    /// The vertices that the first halving adds, in the order of [`group`](super::exact_rows::group), px.
+    pub(super) fn halves(&self) -> [[f32; 2]; 5] {
+        let [above, middle, below] = [0, 2, 4].map(|quarter| self.line(quarter));
+        [self.at(2, &above), self.at(0, &middle), self.at(2, &middle), self.at(4, &middle), self.at(2, &below)]
+    }
+
+    /// The vertices that the second halving adds, in the same order.
+    pub(super) fn quarters(&self) -> [[f32; 2]; 16] {
+        let lines: [_; 5] = std::array::from_fn(|quarter| self.line(quarter));
+        let mut added = super::exact_rows::group(2).map(|(a, b)| self.at(a as usize, &lines[b as usize]));
+        std::array::from_fn(|_| added.next().expect("sixteen"))
+    }
+
+    /// The nodes of all columns at a quarter of the cell's height.
+    fn line(&self, quarter: usize) -> [[f32; 2]; NODES] {
+        let Axis { nodes, position, .. } = self.y;
+        let columns = |line: &'a [[f32; 2]; STENCIL]| -> &'a [[f32; 2]; NODES] { line[self.x.nodes..].first_chunk().expect("the nodes") };
+        match quarter {
+            0 => *columns(self.lines[nodes + position]),
+            4 => *columns(self.lines[nodes + position + 1]),
+            _ => {
+                let mut sum = [[0.0; 2]; NODES];
+                for (weight, line) in WEIGHTS[position][quarter - 1].iter().zip(&self.lines[nodes..]) {
+                    for (sum, d) in sum.as_flattened_mut().iter_mut().zip(columns(line).as_flattened()) {
+                        *sum += weight * d;
+                    }
+                }
+                sum
+            }
+        }
+    }
+
+    /// The displacement at a quarter of the cell's width.
+    fn at(&self, quarter: usize, line: &[[f32; 2]; NODES]) -> [f32; 2] {
+        let Axis { position, .. } = self.x;
+        match quarter {
+            0 => line[position],
+            4 => line[position + 1],
+            _ => {
+                let weights = &WEIGHTS[position][quarter - 1];
+                weights.iter().zip(line).fold([0.0; 2], |[x, y], (weight, d)| [x + weight * d[0], y + weight * d[1]])
+            }
+        }
+    }
+
+    /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve it.
+    pub(super) fn off(&self) -> f32 {
+        let (left, top) = (self.x.nodes + self.x.position, self.y.nodes + self.y.position);
+        let across = |b: usize| *self.lines[b];
+        let down = |a: usize| std::array::from_fn(|b| self.lines[b][a]);
+        let larger = |[a, b]: [[[f32; 2]; STENCIL]; 2]| {
+            let ((fourth, sixth), (other_fourth, other_sixth)) = (differences(&a), differences(&b));
+            (fourth.max(other_fourth).sqrt(), sixth.max(other_sixth).sqrt())
+        };
+        let (fourth_x, sixth_x) = larger([across(top), across(top + 1)]);
+        let (fourth_y, sixth_y) = larger([down(left), down(left + 1)]);
+        let (cubic, quintic) = (OF_FOURTH * (fourth_x + fourth_y), OF_SIXTH[MIDDLE] * (sixth_x + sixth_y));
+        if quintic > SLOWEST * cubic {
+            return f32::INFINITY;
+        }
+        let off = OF_SIXTH[self.x.position] * sixth_x + OF_SIXTH[self.y.position] * sixth_y;
+        off * (1.0 + NEXT_ORDER * quintic / cubic.max(f32::MIN_POSITIVE))
+    }
+
+    /// The largest distance between vertices of the first halving and the patch of the cell, px.
+    pub(super) fn error(corners: [[f32; 2]; 4], halves: &[[f32; 2]; 5]) -> f32 {
+        let [a, b, c, d] = corners;
+        let mean = |a: [f32; 2], b: [f32; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
+        let (above, below) = (mean(a, b), mean(c, d));
+        let patch = [above, mean(a, c), mean(above, below), mean(b, d), below];
+        let off = |(a, b): (&[f32; 2], [f32; 2])| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
+        halves.iter().zip(patch).map(off).fold(0.0_f32, f32::max).sqrt()
+    }
+}
+
+/// The largest squared fourth and sixth difference of eight values, in their middle.
+fn differences(d: &[[f32; 2]; STENCIL]) -> (f32, f32) {
+    let square = |[x, y]: [f32; 2]| x * x + y * y;
+    let second: [[f32; 2]; 6] = std::array::from_fn(|k| [0, 1].map(|c| d[k][c] - 2.0 * d[k + 1][c] + d[k + 2][c]));
+    let fourth: [[f32; 2]; 4] = std::array::from_fn(|k| [0, 1].map(|c| second[k][c] - 2.0 * second[k + 1][c] + second[k + 2][c]));
+    let sixth = |k: usize| square([0, 1].map(|c| fourth[k][c] - 2.0 * fourth[k + 1][c] + fourth[k + 2][c]));
+    (square(fourth[1]).max(square(fourth[2])), sixth(0).max(sixth(1)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Grid;
+    use crate::deform::exact_rows::group;
+
+    fn mesh(f: impl Fn(f32, f32) -> [f32; 2]) -> (Mesh, EvenLines) {
+        let grid = Grid::with_counts(120.0, 100.0, 13, 11);
+        let vertices = (0..11_u8).flat_map(|j| (0..13_u8).map(move |i| (i, j)));
+        let mesh = Mesh::new(grid, vertices.map(|(i, j)| f(f32::from(i), f32::from(j))).collect());
+        let even = EvenLines::of(mesh.grid());
+        (mesh, even)
+    }
+
+    /// The largest distance between the vertices of a cell and a function of its lines.
+    fn worst(cell: &Interpolated<'_>, (i, j): (u32, u32), f: impl Fn(f32, f32) -> [f32; 2]) -> f32 {
+        let vertices = [cell.halves().to_vec(), cell.quarters().to_vec()];
+        let levels = (1..=2).zip(&vertices).flat_map(|(level, vertices)| group(level).map(move |at| (level, at)).zip(vertices));
+        levels.fold(0.0, |worst, ((level, (a, b)), vertex)| {
+            let share = |k: u32| k as f32 / f32::from(1_u8 << level);
+            let want = f(i as f32 + share(a), j as f32 + share(b));
+            worst.max((vertex[0] - want[0]).hypot(vertex[1] - want[1]))
+        })
+    }
 
     #[test]
-    fn cubics_are_interpolated_exactly_and_the_rest_is_bounded() {
-        let grid = Grid::with_counts(100.0, 80.0, 11, 9);
-        let mesh = |f: &dyn Fn(f32, f32) -> [f32; 2]| {
-            let vertices = (0..9_u8).flat_map(|j| (0..11_u8).map(move |i| (i, j)));
-            Mesh::new(grid, vertices.map(|(i, j)| f(f32::from(i), f32::from(j))).collect())
+    fn quintics_are_interpolated_exactly() {
+        let quintic = |x: f32, y: f32| {
+            let (x, y) = (x / 6.0, y / 6.0);
+            [x.powi(5) - y * y + x * y, 2.0 * y.powi(5) - x.powi(3) * y]
         };
-        let places = [(4.5, 3.0), (4.0, 3.5), (4.5, 3.5), (5.0, 3.5), (4.5, 4.0)];
-        let cubic = |x: f32, y: f32| [x * x * x - y * y + x * y, 2.0 * y * y * y - x * x * y];
-        let found = Interpolated::new(&mesh(&cubic), 4, 3).unwrap();
-        for (vertex, (x, y)) in found.vertices.iter().zip(places) {
-            let want = cubic(x, y);
-            assert!((vertex[0] - want[0]).hypot(vertex[1] - want[1]) < 1e-3, "{vertex:?} {want:?}");
+        let (mesh, even) = mesh(quintic);
+        for (i, j) in (0..10).flat_map(|j| (0..12).map(move |i| (i, j))) {
+            let cell = Interpolated::new(&mesh, even, i, j).unwrap();
+            assert!(worst(&cell, (i, j), quintic) < 2e-4, "{i} {j}: {}", worst(&cell, (i, j), quintic));
+            assert!(cell.off() < 2e-4, "{i} {j}: {}", cell.off());
         }
-        assert!(found.off < 1e-3 && found.error > 0.1, "{found:?}");
+    }
+
+    #[test]
+    fn what_else_is_off_is_bounded_and_what_is_not_resolved_is_infinite() {
         let wave = |x: f32, y: f32| [(0.7 * x + 0.2 * y).sin(), (0.3 * x - 0.9 * y).cos()];
-        let found = Interpolated::new(&mesh(&wave), 4, 3).unwrap();
-        let off = |vertex: &[f32; 2], (x, y)| (vertex[0] - wave(x, y)[0]).hypot(vertex[1] - wave(x, y)[1]);
-        let worst = found.vertices.iter().zip(places).map(|(vertex, place)| off(vertex, place)).fold(0.0, f32::max);
-        assert!(worst <= found.off && found.off < 4.0 * worst, "{worst} {found:?}");
-        for (i, j) in [(1, 3), (4, 1), (7, 3), (4, 5)] {
-            assert!(Interpolated::new(&mesh(&wave), i, j).is_none(), "{i} {j}");
+        let (smooth, even) = mesh(wave);
+        for (i, j) in (0..10).flat_map(|j| (0..12).map(move |i| (i, j))) {
+            let cell = Interpolated::new(&smooth, even, i, j).unwrap();
+            let worst = worst(&cell, (i, j), wave);
+            assert!(worst <= cell.off() && cell.off() < 20.0 * worst, "{i} {j}: {worst} {}", cell.off());
         }
-        assert!(Interpolated::new(&mesh(&wave), 6, 4).is_some());
+        let steep = mesh(|x, y| [(2.5 * x).sin(), (2.9 * y).cos()]).0;
+        assert!(Interpolated::new(&steep, even, 5, 4).unwrap().off().is_infinite());
+    }
+
+    #[test]
+    fn the_last_line_is_left_out_if_it_is_nearer() {
+        for (width, columns) in [(120.0, 25), (118.0, 24)] {
+            let grid = Grid::with_cell(width, 60.0, 5.0);
+            let even = EvenLines::of(&grid);
+            assert_eq!((even.columns, even.rows), (columns, 13));
+            let mesh = Mesh::new(grid, vec![[1.0, 2.0]; grid.len()]);
+            let cell = |i: u32| Interpolated::new(&mesh, even, i, 3);
+            assert!(cell(22).is_some());
+            assert_eq!(cell(23).is_some(), columns == 25);
+            assert_eq!(cell(22).unwrap().halves(), [[1.0, 2.0]; 5]);
+        }
+        let few = Grid::with_counts(50.0, 50.0, 7, 30);
+        let mesh = Mesh::new(few, vec![[0.0; 2]; few.len()]);
+        assert!(Interpolated::new(&mesh, EvenLines::of(&few), 3, 3).is_none());
+    }
+
+    #[test]
+    fn the_error_of_a_patch_is_that_of_its_worst_vertex() {
+        let corners = [[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]];
+        let flat = [[2.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4.0, 2.0], [2.0, 4.0]];
+        assert_eq!(Interpolated::error(corners, &flat), 0.0);
+        let mut bent = flat;
+        bent[3] = [7.0, 6.0];
+        assert_eq!(Interpolated::error(corners, &bent), 5.0);
     }
 }

@@ -140,16 +140,19 @@ pub(super) fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Cow<'_,
     (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
 }
 
+/// The index of a vertex on an edge (top, right, bottom, left) of a lattice, from left to right or from top to bottom.
+pub(super) const fn on_edge(k: usize, side: usize, edge: usize) -> usize {
+    match edge {
+        0 => k,
+        1 => k * side + side - 1,
+        2 => (side - 1) * side + k,
+        _ => k * side,
+    }
+}
+
 /// The fewest halvings with which an edge meets the tolerance.
 pub(super) fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolerance: f32) -> u8 {
-    let line = |k: usize| {
-        vertices[match edge {
-            0 => k,
-            1 => k * side + side - 1,
-            2 => (side - 1) * side + k,
-            _ => k * side,
-        }]
-    };
+    let line = |k: usize| vertices[on_edge(k, side, edge)];
     let last = u8::try_from((side - 1).ilog2()).expect("a few levels");
     let is_within = |level: &u8| {
         let step = (side - 1) >> level;

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group_len};
-use super::interpolated::Interpolated;
-use super::measured::{Cells, LEVELS, Measured, at_level, edge_level, split_error};
+use super::interpolated::{EvenLines, Interpolated};
+use super::measured::{Cells, LEVELS, Measured, at_level, edge_level, on_edge, split_error};
 use super::plan::{IsCancelled, Plan, to_f32};
 use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
@@ -90,6 +90,7 @@ impl Refiner<'_> {
         let mut work = Work {
             refiner: self,
             mesh,
+            even: EvenLines::of(grid),
             samples,
             cells: Cells::new(grid.len()),
             left: self.vertices,
@@ -129,6 +130,7 @@ fn samples(field: &Field, grid: &Grid, pose: &Pose) -> BTreeMap<u32, Vec<Sample>
 struct Work<'a> {
     refiner: &'a Refiner<'a>,
     mesh: &'a Mesh,
+    even: EvenLines,
     samples: BTreeMap<u32, Vec<Sample>>,
     cells: Cells,
     /// Vertices that may still be computed.
@@ -195,7 +197,7 @@ impl Work<'_> {
         Some(())
     }
 
-    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than once. If not, its vertices will be exact.
+    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than twice. If not, its vertices will be exact.
     fn interpolate(&mut self, cell: u32) -> bool {
         let corners = self.corners(cell);
         if let Some(known) = self.cells.get_mut(cell) {
@@ -211,25 +213,37 @@ impl Work<'_> {
         let (tolerance, size) = (self.tolerance(), self.size(cell));
         let columns = self.mesh.grid().columns() - 1;
         let is_open = self.is_smooth && !self.samples.contains_key(&cell) && split_error(&corners, 2, size) == 0.0;
-        let halved = if is_open { Interpolated::new(self.mesh, cell % columns, cell / columns) } else { None };
-        let halved = halved.filter(|halved| halved.off <= INTERPOLATED * tolerance && self.left >= group_len(1));
-        let is_known = self.cells.get(&cell).is_some();
-        if let Some(Interpolated { vertices, off, error }) = halved {
-            if !is_known && (error + off) * BETWEEN_SMOOTH <= tolerance {
+        let halved = if is_open { Interpolated::new(self.mesh, self.even, cell % columns, cell / columns) } else { None };
+        let halved = halved.map(|halved| (halved, halved.off())).filter(|(_, off)| *off <= INTERPOLATED * tolerance);
+        if let Some((halved, off)) = halved {
+            let halves = halved.halves();
+            if self.cells.get(&cell).is_none() && (Interpolated::error(corners, &halves) + off) * BETWEEN_SMOOTH <= tolerance {
                 return true;
             }
-            let known = self.cells.get_or_insert(cell, corners);
-            known.deepen(&vertices, size);
-            known.errors[0] += off / HALVED;
-            let known = self.cells.get(&cell).expect("is there");
-            if let Decision::Draw(_) = self.decide(cell, known) {
-                self.left -= group_len(1);
+            if self.deepen_by(cell, &halves, off) || self.deepen_by(cell, &halved.quarters(), off) {
                 return true;
             }
         }
         let known = self.cells.get_or_insert(cell, corners);
         *known = Measured { least: known.least, is_exact: true, ..Measured::new(corners) };
         false
+    }
+
+    /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f. Whether they suffice.
+    fn deepen_by(&mut self, cell: u32, vertices: &[[f32; 2]], off: f32) -> bool {
+        let (corners, size) = (self.corners(cell), self.size(cell));
+        let known = self.cells.get_or_insert(cell, corners);
+        if known.depth >= self.deepest || vertices.len() > self.left {
+            return false;
+        }
+        known.deepen(vertices, size);
+        known.errors[usize::from(known.depth) - 1] += off / HALVED;
+        let known = self.cells.get(&cell).expect("is there");
+        let suffices = matches!(self.decide(cell, known), Decision::Draw(_));
+        if suffices {
+            self.left -= known.vertices.len() - corners.len();
+        }
+        suffices
     }
 
     /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
@@ -380,7 +394,7 @@ impl Work<'_> {
                 let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
                 let mut vertices = known.at_level(level);
                 if !known.is_exact {
-                    self.take_exact_edges(cell, vertices.to_mut());
+                    self.take_exact_edges(cell, level, vertices.to_mut());
                 }
                 refinement.push(i, j, level, &vertices);
             }
@@ -401,13 +415,16 @@ impl Work<'_> {
         Refined { refinement, exceeded }
     }
 
-    /// Gives a cell that is halved once by interpolation the vertices that neighbours compute exactly.
-    fn take_exact_edges(&self, cell: u32, vertices: &mut [[f32; 2]]) {
-        // The middles of the edges on [3][3], and of the same edges in the neighbours.
-        let middles = [(1, 7), (5, 3), (7, 1), (3, 5)];
-        for (other, (here, there)) in self.beside(cell).into_iter().zip(middles) {
-            if let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) {
-                vertices[here] = known.at_level(1)[there];
+    /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours compute exactly.
+    fn take_exact_edges(&self, cell: u32, level: u8, vertices: &mut [[f32; 2]]) {
+        for (edge, other) in self.beside(cell).into_iter().enumerate() {
+            let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) else {
+                continue;
+            };
+            let common = level.min(known.depth);
+            let (theirs, side) = (known.at_level(common), (1 << common) + 1);
+            for k in 1..side - 1 {
+                vertices[on_edge(k << (level - common), (1 << level) + 1, edge)] = theirs[on_edge(k, side, (edge + 2) % 4)];
             }
         }
     }
