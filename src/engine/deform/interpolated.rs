@@ -172,14 +172,15 @@ impl<'a> Interpolated<'a> {
     /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve it.
     pub(super) fn off(&self) -> f32 {
         let (left, top) = (self.x.nodes + self.x.position, self.y.nodes + self.y.position);
-        let across = |b: usize| *self.lines[b];
-        let down = |a: usize| std::array::from_fn(|b| self.lines[b][a]);
-        let larger = |[a, b]: [[[f32; 2]; STENCIL]; 2]| {
-            let ((fourth, sixth), (other_fourth, other_sixth)) = (differences(&a), differences(&b));
-            (fourth.max(other_fourth).sqrt(), sixth.max(other_sixth).sqrt())
-        };
-        let (fourth_x, sixth_x) = larger([across(top), across(top + 1)]);
-        let (fourth_y, sixth_y) = larger([down(left), down(left + 1)]);
+        let rows = [top, top + 1].map(|b| differences::<2, 16>(self.lines[b].as_flattened()));
+        let (fourth_x, sixth_x) = (largest(rows.iter().flat_map(|row| &row.0[2..6])), largest(rows.iter().flat_map(|row| &row.1[..4])));
+        // Both columns, one behind the other.
+        let mut columns = [0.0; 32];
+        for (column, line) in columns.chunks_exact_mut(4).zip(self.lines) {
+            column.copy_from_slice(line[left..left + 2].as_flattened());
+        }
+        let columns = differences::<4, 32>(&columns);
+        let (fourth_y, sixth_y) = (largest(&columns.0[4..12]), largest(&columns.1[..8]));
         let (cubic, quintic) = (OF_FOURTH * (fourth_x + fourth_y), OF_SIXTH[MIDDLE] * (sixth_x + sixth_y));
         if quintic > SLOWEST * cubic {
             return f32::INFINITY;
@@ -199,13 +200,27 @@ impl<'a> Interpolated<'a> {
     }
 }
 
-/// The largest squared fourth and sixth difference of eight values, in their middle.
-fn differences(d: &[[f32; 2]; STENCIL]) -> (f32, f32) {
-    let square = |[x, y]: [f32; 2]| x * x + y * y;
-    let second: [[f32; 2]; 6] = std::array::from_fn(|k| [0, 1].map(|c| d[k][c] - 2.0 * d[k + 1][c] + d[k + 2][c]));
-    let fourth: [[f32; 2]; 4] = std::array::from_fn(|k| [0, 1].map(|c| second[k][c] - 2.0 * second[k + 1][c] + second[k + 2][c]));
-    let sixth = |k: usize| square([0, 1].map(|c| fourth[k][c] - 2.0 * fourth[k + 1][c] + fourth[k + 2][c]));
-    (square(fourth[1]).max(square(fourth[2])), sixth(0).max(sixth(1)))
+/// The fourth and sixth differences of eight values of `COMPONENTS` numbers each; what lies beyond them is meaningless.
+fn differences<const COMPONENTS: usize, const N: usize>(values: &[f32]) -> ([f32; N], [f32; N]) {
+    let second = |of: &[f32; N], len: usize| {
+        let mut out = [0.0; N];
+        for k in 0..len * COMPONENTS {
+            out[k] = of[k] - 2.0 * of[k + COMPONENTS] + of[k + 2 * COMPONENTS];
+        }
+        out
+    };
+    let fourth = second(&second(values.try_into().expect("eight values"), STENCIL - 2), STENCIL - 4);
+    let sixth = second(&fourth, STENCIL - 6);
+    (fourth, sixth)
+}
+
+/// The length of the largest vector of a list of x and y.
+fn largest<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> f32 {
+    let (mut numbers, mut largest) = (numbers.into_iter(), 0.0_f32);
+    while let (Some(x), Some(y)) = (numbers.next(), numbers.next()) {
+        largest = largest.max(x * x + y * y);
+    }
+    largest.sqrt()
 }
 
 #[cfg(test)]
