@@ -10,9 +10,11 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use rayon::prelude::*;
 
-use super::field::{Deformation, Field, Workspace};
+use super::deformation::Deformation;
+use super::field::Field;
 use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
 use super::plan::{IsCancelled, gather, store, to_f32};
+use super::span::Workspace;
 use crate::geometry::{Grid, Point, Vec2};
 
 /// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the counters of its unit.

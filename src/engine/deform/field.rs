@@ -1,29 +1,25 @@
 //! The deformation f of one set of handles at rest: exact at any position, for any pose. Everything that does not depend on a position is
 //! decided once here: degenerate sets, coincidences, the effective family.
 
-use std::cell::RefCell;
 use std::sync::Arc;
 
 use super::coincidences::Coincidences;
-use super::columns::{Element, Rank, Segment, Sources, elements, rank};
+use super::columns::{Element, Rank, Sources, elements, rank};
 use super::contradictions::{Contradictions, Member};
 use super::falloff::Falloff;
-use super::family::{displacement, rotation};
 use super::global_affine::GlobalAffine;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::kernel;
 use super::lanes::{Rows, Vertices};
 use super::row::RowInputs;
-use super::span::Scratch;
-use super::spline::{PosedSpline, Sites, Spline};
+use super::span::Workspace;
+use super::spline::{Sites, Spline};
 use super::{Contradictory, DeformError, Handle, IsCancelled, Method, Pose, Warning};
-use crate::geometry::{Point, Vec2};
+use crate::geometry::Vec2;
 
 /// Masses outside of this range would overflow or underflow the ratios in f64, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
-/// Positions along a segment at which f is compared with the drawn map.
-const SEGMENT_SAMPLES: u32 = 5;
 /// Smoothing of a spline.
 const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 
@@ -39,7 +35,7 @@ pub struct Field {
     /// The family whose rows are used: affine on a line falls back to similarity; the rows of a spline are real, on a line complex.
     pub(super) family: Method,
     pub(super) rank: Rank,
-    elements: Vec<Element>,
+    pub(super) elements: Vec<Element>,
     pub(super) sources: Sources,
     /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
@@ -56,27 +52,6 @@ pub(super) enum Model {
     ThinPlateSpline { smoothing: f64, spline: Option<Arc<Spline>> },
     /// One affine map; none is needed for handles at one position.
     GlobalAffine { point_mass: f64, map: Option<Arc<GlobalAffine>> },
-}
-
-/// f of one pose: what does not depend on the position is computed once.
-#[derive(Debug)]
-pub struct Deformation<'a> {
-    field: &'a Field,
-    pose: &'a Pose,
-    spline: Option<PosedSpline<'a>>,
-}
-
-/// Rows and scratch, reused while many positions are mapped, N at once.
-#[derive(Debug)]
-pub(super) struct Workspace<const N: usize> {
-    pub(super) rows: Rows<N>,
-    pub(super) scratch: Scratch<N>,
-}
-
-impl<const N: usize> Workspace<N> {
-    pub(super) fn new(columns: usize) -> Self {
-        Self { rows: Rows::zeroed(columns), scratch: Scratch::default() }
-    }
 }
 
 /// Handles whose coincident points are one.
@@ -331,79 +306,6 @@ impl Field {
         warnings
     }
 
-    /// f of a pose, for many positions.
-    #[must_use]
-    pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
-        Deformation { field: self, pose, spline: self.solved().map(|spline| spline.posed(pose.displacements())) }
-    }
-
-    /// f at a position; [`Field::deformation`] is for many.
-    #[must_use]
-    pub fn map(&self, pose: &Pose, place: Point) -> Point {
-        self.deformation(pose).map(place)
-    }
-
-    /// Calls `look` with positions at which f is known, and their displacements, px: those of points, and a few of each segment. Positions
-    /// at which handles contradict each other are left out.
-    pub fn look_at_handles(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
-        let approximated = self.approximated(pose);
-        let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
-        let mut next = || d.next().expect("one column a point, two a segment");
-        let mut look = |p: Point, displacement: Vec2| {
-            if !pose.contradictions().contains(p) {
-                look(p, displacement);
-            }
-        };
-        for handle in self.handles.handles() {
-            match handle {
-                Handle::Point(p) => look(*p, next()),
-                Handle::Polyline(places) => {
-                    for ab in places.windows(2) {
-                        let (da, db) = (next(), next());
-                        for k in 0..SEGMENT_SAMPLES {
-                            let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
-                            look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// Calls `look` with the client's points that are one handle with others, where they agree with them: their own positions, at which f
-    /// is only approximately known, and their displacements, px.
-    pub fn look_at_grouped_points(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
-        let Some((given, groups)) = self.grouped.as_deref() else { return };
-        let approximated = self.approximated(pose);
-        let d = approximated.as_deref().unwrap_or(pose.displacements());
-        for element in &self.elements {
-            if let Element::Point { p, column, .. } = element
-                && !pose.contradictions().contains(*p)
-            {
-                groups.handles_of(*column).for_each(|handle| look(given.handles()[handle].places()[0], d[*column]));
-            }
-        }
-    }
-
-    /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
-    #[must_use]
-    pub fn approximated(&self, pose: &Pose) -> Option<Vec<Vec2>> {
-        let interpolates = match &self.model {
-            Model::MovingLeastSquares { .. } => true,
-            Model::ThinPlateSpline { spline, .. } => spline.as_ref().is_none_or(|spline| spline.interpolates()),
-            Model::GlobalAffine { map, .. } => map.is_none(),
-        };
-        if interpolates {
-            return None;
-        }
-        let f = self.deformation(pose);
-        let places = self.elements.iter().flat_map(|element| match element {
-            Element::Point { p, .. } => [Some(*p), None],
-            Element::Segment(Segment { a, b, .. }) => [Some(*a), Some(*b)],
-        });
-        Some(places.flatten().map(|p| f.map(p) - p).collect())
-    }
-
     pub(super) fn solved(&self) -> Option<&Spline> {
         match &self.model {
             Model::ThinPlateSpline { spline, .. } => spline.as_deref(),
@@ -439,36 +341,5 @@ impl Field {
                 Method::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }
-    }
-}
-
-impl Deformation<'_> {
-    /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
-    #[must_use]
-    pub fn map(&self, place: Point) -> Point {
-        thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
-        WORKSPACE.with_borrow_mut(|workspace| {
-            let columns = self.field.handles.columns();
-            workspace.rows.h.resize(columns, [[0.0]; 2]);
-            workspace.rows.wn.resize(columns, [0.0]);
-            let [[x], [y]] = self.displacements(&Vertices::all(place), true, workspace).0;
-            place + Vec2::new(x, y)
-        })
-    }
-
-    /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes throughout.
-    pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) -> ([[f64; N]; 2], f32) {
-        if let Some(spline) = &self.spline {
-            return (spline.displacements(v), 1.0);
-        }
-        self.field.rows(v, exact, workspace);
-        let (family, d, rows) = (self.field.family, self.pose.displacements(), &workspace.rows);
-        let ([mut x, mut y], mut least) = ([[0.0; N]; 2], f32::INFINITY);
-        for (k, (x, y)) in x.iter_mut().zip(&mut y).enumerate() {
-            let moved = displacement(family, rows, k, d);
-            (*x, *y) = (moved.x, moved.y);
-            least = least.min(rotation(family, rows, k, d));
-        }
-        ([x, y], least)
     }
 }

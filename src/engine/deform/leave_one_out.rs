@@ -8,12 +8,13 @@ use rayon::prelude::*;
 
 use super::columns::{PointSource, Rank, Sources, rank};
 use super::family::displacement;
-use super::field::{Field, Model, Workspace};
+use super::field::{Field, Model};
 use super::global_affine::GlobalAffine;
 use super::groups::coincidence_distance;
 use super::kernel;
 use super::lanes::Vertices;
 use super::row::RowInputs;
+use super::span::Workspace;
 use super::spline::Sites;
 use super::{Handle, Handles, IsCancelled, Method, Pose};
 use crate::geometry::{Point, Vec2};

@@ -10,6 +10,8 @@ mod contradictions;
 #[forbid(unsafe_code)]
 mod curvature;
 #[forbid(unsafe_code)]
+mod deformation;
+#[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod exact_rows;
@@ -41,6 +43,8 @@ mod measured;
 #[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
+mod posed_cells;
+#[forbid(unsafe_code)]
 mod quadrature;
 #[forbid(unsafe_code)]
 mod refine;
@@ -49,6 +53,8 @@ mod row;
 #[forbid(unsafe_code)]
 mod saddle;
 #[forbid(unsafe_code)]
+mod samples;
+#[forbid(unsafe_code)]
 mod segments;
 #[forbid(unsafe_code)]
 mod span;
@@ -56,10 +62,11 @@ mod span;
 mod spline;
 
 pub use contradictions::{Contradiction, Contradictory};
+pub use deformation::Deformation;
 pub use error::{DeformError, Warning};
 pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
-pub use field::{Deformation, Field};
+pub use field::Field;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};

@@ -6,9 +6,10 @@
 
 use rayon::prelude::*;
 
-use super::field::{Field, Workspace};
+use super::field::Field;
 use super::kernel::{self, LANES, Lanes, lanes_per_block};
 use super::lanes::{Rows, Vertices};
+use super::span::Workspace;
 use super::{Method, Pose};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 

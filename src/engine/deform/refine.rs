@@ -6,22 +6,25 @@
 
 use std::borrow::Cow;
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
 
 use super::curvature::bent_cells;
 use super::exact_rows::{ExactRows, Posing, group_len};
 use super::interpolated::{EvenLines, Interpolated};
-use super::measured::{Cells, LEVELS, Measured, at_level, edge_level, on_edge, split_error};
+use super::measured::{Cells, LEVELS, Measured, edge_level, on_edge, split_error};
 use super::plan::{IsCancelled, Plan, to_f32};
+use super::posed_cells::PosedCells;
+use super::samples::{Samples, sample_error};
 use super::{Field, Pose};
-use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement, Vec2};
+use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
 const SUSPECT: f64 = 0.6;
+/// With a larger tolerance, px, cells are measured as with this one: second differences tell little of what the grid does not resolve.
+const SUSPECT_TOLERANCE: f64 = 0.2;
 /// Halving a smooth cell divides its error by four; a part of that is relied on without measuring again, unless f has a cusp at its handles
 /// or a crease along them (mathematics sections 2.4, 3.4).
 const HALVED: f32 = 0.5;
-/// The largest error of a smooth cell, as a share of its size.
+/// The largest error of a cell in which f is resolved, as a share of its size.
 const RESOLVED: f32 = 0.1;
 /// Vertices may be interpolated if they are off by at most this share of the tolerance.
 const INTERPOLATED: f32 = 0.35;
@@ -34,7 +37,7 @@ const TORN: f64 = 0.5;
 const SMALLEST_CELL: f64 = 0.5;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
 const BESIDE: f64 = 0.5;
-/// An error between the vertices where it is measured is at most this much larger: where f is smooth, and at a cusp or a crease.
+/// An error between the vertices where it is measured is at most this much larger: where the grid resolves f, and elsewhere.
 const BETWEEN_SMOOTH: f32 = 1.1;
 const BETWEEN: f32 = 1.5;
 
@@ -64,14 +67,6 @@ pub struct Refined {
     pub exceeded: Vec<(u32, u32)>,
 }
 
-/// A position at which f is known.
-#[derive(Clone, Copy, Debug)]
-struct Sample {
-    s: f64,
-    t: f64,
-    displacement: Vec2,
-}
-
 impl Refiner<'_> {
     /// Measures and halves cells of a posed mesh. `None` when cancelled.
     #[must_use]
@@ -85,13 +80,14 @@ impl Refiner<'_> {
         let bytes = Plan::bytes_for(self.field, grid.len());
         let f = (!Plan::pays(self.field)).then(|| self.field.deformation(pose));
         let posing = Posing { field: self.field, f: f.as_ref(), grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
-        let samples = samples(self.field, grid, pose);
+        let samples = Samples::of_handles(self.field, grid, pose);
         let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };
         let mut work = Work {
             refiner: self,
             mesh,
             even: EvenLines::of(grid),
             samples,
+            posed: PosedCells::of(mesh),
             cells: Cells::new(grid.len()),
             left: self.vertices,
             exceeded: Vec::new(),
@@ -115,23 +111,13 @@ fn deepest(grid: &Grid) -> u8 {
     level
 }
 
-/// The handles inside the grid, by cell.
-fn samples(field: &Field, grid: &Grid, pose: &Pose) -> BTreeMap<u32, Vec<Sample>> {
-    let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
-    field.look_at_handles(pose, |p, displacement| {
-        if let Some((i, j, s, t)) = grid.locate(p) {
-            samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
-        }
-    });
-    samples
-}
-
 /// The measurement of one pose.
 struct Work<'a> {
     refiner: &'a Refiner<'a>,
     mesh: &'a Mesh,
     even: EvenLines,
-    samples: BTreeMap<u32, Vec<Sample>>,
+    samples: Samples,
+    posed: PosedCells<'a>,
     cells: Cells,
     /// Vertices that may still be computed.
     left: usize,
@@ -155,14 +141,16 @@ impl Work<'_> {
         self.refiner.tolerance as f32
     }
 
-    const fn between(&self) -> f32 {
-        if self.is_smooth { BETWEEN_SMOOTH } else { BETWEEN }
+    /// The largest error of a cell between the vertices where this one was measured.
+    fn between(&self, cell: u32, error: f32) -> f32 {
+        let [width, height] = self.posed.size(cell);
+        error * if self.is_smooth && error <= RESOLVED * width.max(height) { BETWEEN_SMOOTH } else { BETWEEN }
     }
 
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
-        let mut pending = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance);
-        for (&cell, samples) in &self.samples {
-            if self.sample_error(samples, &self.corners(cell), 0) > self.tolerance() * 0.5 {
+        let mut pending = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance.min(SUSPECT_TOLERANCE));
+        for (cell, samples) in self.samples.by_cell() {
+            if sample_error(samples, &self.posed.corners(cell), 0) > self.tolerance() * 0.5 {
                 pending.push(cell);
             }
         }
@@ -172,7 +160,7 @@ impl Work<'_> {
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
             let split = ((1.0 - SUSPECT) * self.refiner.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
-            pending.extend(folded.filter(|&cell| split_error(&self.corners(cell), 2, self.size(cell)) > split));
+            pending.extend(folded.filter(|&cell| split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split));
         }
         while !pending.is_empty() {
             pending.sort_unstable();
@@ -199,7 +187,7 @@ impl Work<'_> {
 
     /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than twice. If not, its vertices will be exact.
     fn interpolate(&mut self, cell: u32) -> bool {
-        let corners = self.corners(cell);
+        let corners = self.posed.corners(cell);
         if let Some(known) = self.cells.get_mut(cell) {
             if known.is_exact {
                 return false;
@@ -210,14 +198,14 @@ impl Work<'_> {
                 return false;
             }
         }
-        let (tolerance, size) = (self.tolerance(), self.size(cell));
+        let (tolerance, size) = (self.tolerance(), self.posed.size(cell));
         let columns = self.mesh.grid().columns() - 1;
-        let is_open = self.is_smooth && !self.samples.contains_key(&cell) && split_error(&corners, 2, size) == 0.0;
+        let is_open = self.is_smooth && self.samples.of(cell).is_empty() && split_error(&corners, 2, size) == 0.0;
         let halved = if is_open { Interpolated::new(self.mesh, self.even, cell % columns, cell / columns) } else { None };
         let halved = halved.map(|halved| (halved, halved.off())).filter(|(_, off)| *off <= INTERPOLATED * tolerance);
         if let Some((halved, off)) = halved {
             let halves = halved.halves();
-            if self.cells.get(&cell).is_none() && (Interpolated::error(corners, &halves) + off) * BETWEEN_SMOOTH <= tolerance {
+            if self.cells.get(&cell).is_none() && self.between(cell, Interpolated::error(corners, &halves) + off) <= tolerance {
                 return true;
             }
             if self.deepen_by(cell, &halves, off) || self.deepen_by(cell, &halved.quarters(), off) {
@@ -231,7 +219,7 @@ impl Work<'_> {
 
     /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f. Whether they suffice.
     fn deepen_by(&mut self, cell: u32, vertices: &[[f32; 2]], off: f32) -> bool {
-        let (corners, size) = (self.corners(cell), self.size(cell));
+        let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
         let known = self.cells.get_or_insert(cell, corners);
         if known.depth >= self.deepest || vertices.len() > self.left {
             return false;
@@ -253,7 +241,7 @@ impl Work<'_> {
         self.left -= cells.len() * len;
         let fresh = self.refiner.rows.displace(posing, depth + 1, cells, cancelled)?;
         for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
-            let (corners, size) = (self.corners(cell), self.size(cell));
+            let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
             self.cells.get_or_insert(cell, corners).deepen(fresh, size);
         }
         Some(())
@@ -278,20 +266,20 @@ impl Work<'_> {
             Decision::Measure => self.exceeded.push(cell),
             Decision::Draw(_) => {}
         }
-        let (depth, samples) = (known.depth, self.samples.get(&cell).map_or(&[][..], Vec::as_slice));
+        let (depth, samples) = (known.depth, self.samples.of(cell));
         // The grid may not resolve f there.
-        if depth == 1 && known.errors[0] * self.between() > self.tolerance() {
-            next.extend(self.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
+        if depth == 1 && self.between(cell, known.errors[0]) > self.tolerance() {
+            next.extend(self.posed.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
         }
         // Both cells at a side must be halved for the handles beside it.
-        if !samples.is_empty() && self.sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
+        if !samples.is_empty() && sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
             let beside = |di: i32, dj: i32| {
                 let near = |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
                 samples.iter().any(|sample| near(sample.s, di) && near(sample.t, dj))
             };
-            let others: Vec<u32> = self.around(cell, beside).collect();
+            let others: Vec<u32> = self.posed.around(cell, beside).collect();
             for other in others {
-                let corners = self.corners(other);
+                let corners = self.posed.corners(other);
                 let other_known = self.cells.get_or_insert(other, corners);
                 other_known.least = other_known.least.max(depth);
                 if other_known.depth < depth {
@@ -310,7 +298,7 @@ impl Work<'_> {
                 continue;
             }
             let mut vertices = Cow::Borrowed(&[][..]);
-            for (edge, other) in self.beside(*cell).into_iter().enumerate() {
+            for (edge, other) in self.posed.beside(*cell).into_iter().enumerate() {
                 let Some(other) = other else { continue };
                 let other_level = self.cells.position(other).map_or(0, |at| levels[at]);
                 if other_level >= level {
@@ -326,7 +314,7 @@ impl Work<'_> {
             }
         }
         for (cell, least) in wanted {
-            let corners = self.corners(cell);
+            let corners = self.posed.corners(cell);
             let known = self.cells.get_or_insert(cell, corners);
             if known.least < least {
                 known.least = least;
@@ -361,22 +349,22 @@ impl Work<'_> {
 
     /// The fewest halvings with which a cell meets the tolerance, as far as it was measured.
     fn decide(&self, cell: u32, known: &Measured) -> Decision {
-        let samples = self.samples.get(&cell).map_or(&[][..], Vec::as_slice);
-        let size = self.size(cell);
+        let samples = self.samples.of(cell);
+        let size = self.posed.size(cell);
         let is_resolved = |level: u8| {
             let size = size[0].max(size[1]) / f32::from(1_u8 << (level - 1));
             known.errors[usize::from(level) - 1] <= RESOLVED * size
         };
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
-                Ordering::Less => known.errors[usize::from(level)] * self.between(),
+                Ordering::Less => self.between(cell, known.errors[usize::from(level)]),
                 _ if level > 0 && self.is_smooth && (level == self.deepest || is_resolved(level)) => {
                     known.errors[usize::from(level) - 1] * HALVED
                 }
                 _ if level > 0 && level == self.deepest => known.errors[usize::from(level) - 1],
                 _ => f32::INFINITY,
             };
-            if error <= self.tolerance() && self.sample_error_at(samples, known, level) <= self.tolerance() {
+            if error <= self.tolerance() && sample_error(samples, &known.at_level(level), level) <= self.tolerance() {
                 return Decision::Draw(level);
             }
         }
@@ -401,7 +389,7 @@ impl Work<'_> {
         }
         let outer = |cell: &RefinedCell, edge: usize| {
             let index = cell.row * (grid.columns() - 1) + cell.column;
-            if self.samples.contains_key(&index) {
+            if !self.samples.of(index).is_empty() {
                 return cell.level;
             }
             let vertices = self.cells.get(&index).map_or(Cow::Borrowed(&[][..]), |known| known.at_level(cell.level));
@@ -417,7 +405,7 @@ impl Work<'_> {
 
     /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours compute exactly.
     fn take_exact_edges(&self, cell: u32, level: u8, vertices: &mut [[f32; 2]]) {
-        for (edge, other) in self.beside(cell).into_iter().enumerate() {
+        for (edge, other) in self.posed.beside(cell).into_iter().enumerate() {
             let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) else {
                 continue;
             };
@@ -427,63 +415,5 @@ impl Work<'_> {
                 vertices[on_edge(k << (level - common), (1 << level) + 1, edge)] = theirs[on_edge(k, side, (edge + 2) % 4)];
             }
         }
-    }
-
-    /// Width and height of a cell at rest.
-    #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
-    fn size(&self, cell: u32) -> [f32; 2] {
-        let grid = self.mesh.grid();
-        let (i, j) = (cell % (grid.columns() - 1), cell / (grid.columns() - 1));
-        [(grid.x(i + 1) - grid.x(i)) as f32, (grid.y(j + 1) - grid.y(j)) as f32]
-    }
-
-    /// The displacements of the corners of a cell.
-    fn corners(&self, cell: u32) -> [[f32; 2]; 4] {
-        let columns = self.mesh.grid().columns() as usize;
-        let at = cell as usize / (columns - 1) * columns + cell as usize % (columns - 1);
-        let d = self.mesh.displacement();
-        [d[at], d[at + 1], d[at + columns], d[at + columns + 1]]
-    }
-
-    /// The cells at the edges of a cell: top, right, bottom, left.
-    fn beside(&self, cell: u32) -> [Option<u32>; 4] {
-        let (columns, rows) = (self.mesh.grid().columns() - 1, self.mesh.grid().rows() - 1);
-        let (i, j) = (cell % columns, cell / columns);
-        [
-            (j > 0).then(|| cell - columns),
-            (i + 1 < columns).then(|| cell + 1),
-            (j + 1 < rows).then(|| cell + columns),
-            (i > 0).then(|| cell - 1),
-        ]
-    }
-
-    /// The neighbours of a cell in the chosen directions.
-    fn around<'a>(&self, cell: u32, is_chosen: impl Fn(i32, i32) -> bool + 'a) -> impl Iterator<Item = u32> + 'a {
-        let grid = self.mesh.grid();
-        let (columns, rows) = (grid.columns() - 1, grid.rows() - 1);
-        let (i, j) = (cell % columns, cell / columns);
-        let directions = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (di, dj)));
-        directions
-            .filter(move |&(di, dj)| (di, dj) != (0, 0) && is_chosen(di, dj))
-            .filter_map(move |(di, dj)| Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?)))
-            .filter(move |&(i, j)| i < columns && j < rows)
-            .map(move |(i, j)| j * columns + i)
-    }
-
-    fn sample_error_at(&self, samples: &[Sample], known: &Measured, level: u8) -> f32 {
-        if samples.is_empty() { 0.0 } else { self.sample_error(samples, &known.at_level(level), level) }
-    }
-
-    /// The largest distance at samples between f and a cell halved `level` times; its vertices may be finer.
-    #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
-    fn sample_error(&self, samples: &[Sample], vertices: &[[f32; 2]], level: u8) -> f32 {
-        if samples.is_empty() {
-            return 0.0;
-        }
-        let side = vertices.len().isqrt();
-        let coarse = at_level(vertices, side, level);
-        let error =
-            |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
-        samples.iter().map(error).fold(0.0, f32::max)
     }
 }

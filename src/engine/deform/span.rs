@@ -1,6 +1,6 @@
 //! A segment in a row: its mass and moments relative to N vertices, and the shares of its two ends.
 
-use super::lanes::PointMass;
+use super::lanes::{PointMass, Rows};
 use super::segments::View;
 
 /// A segment: its mass, and the first and second moment of it along `(x, y)`, px, from a to b.
@@ -47,4 +47,17 @@ pub(super) struct Scratch<const N: usize> {
     pub(super) places: Vec<PointMass<N>>,
     pub(super) spans: Vec<Span<N>>,
     pub(super) sides: Vec<[f64; N]>,
+}
+
+/// Rows and scratch, reused while many positions are mapped, N at once.
+#[derive(Debug)]
+pub(super) struct Workspace<const N: usize> {
+    pub(super) rows: Rows<N>,
+    pub(super) scratch: Scratch<N>,
+}
+
+impl<const N: usize> Workspace<N> {
+    pub(super) fn new(columns: usize) -> Self {
+        Self { rows: Rows::zeroed(columns), scratch: Scratch::default() }
+    }
 }

@@ -33,7 +33,7 @@ fn wrong(cases: &[Case], tolerance: f64, each: usize) -> Vec<String> {
         println!("{line}");
         let is_residual_over = report.exceeded == 0 && report.residual > tolerance;
         // Where f is torn or creased, and this is reported, a few pixels beside the cells that are counted may be over, too.
-        let is_over = if report.exceeded == 0 { over > 0 } else { over > 2 + compared / 5000 || error > 2.0 * tolerance };
+        let is_over = if report.exceeded == 0 { over > 0 } else { over > 2 + compared / 1500 || error > 2.0 * tolerance };
         (is_over || is_residual_over || !cracks.is_empty()).then_some(line)
     };
     cases.par_iter().filter_map(check).collect()

@@ -1,0 +1,55 @@
+//! The handles in the cells of a grid: positions at which f is known, and how far a cell is from it there.
+
+use std::collections::BTreeMap;
+
+use super::measured::at_level;
+use super::{Field, Pose};
+use crate::geometry::{Grid, Refinement, Vec2};
+
+/// A position in a cell, in shares of its sides, at which f is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub(super) s: f64,
+    pub(super) t: f64,
+    displacement: Vec2,
+}
+
+/// The samples of each cell.
+#[derive(Debug)]
+pub(super) struct Samples(BTreeMap<u32, Vec<Sample>>);
+
+impl Samples {
+    /// The handles inside the grid.
+    pub(super) fn of_handles(field: &Field, grid: &Grid, pose: &Pose) -> Self {
+        let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
+        field.look_at_handles(pose, |p, displacement| {
+            if let Some((i, j, s, t)) = grid.locate(p) {
+                samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
+            }
+        });
+        Self(samples)
+    }
+
+    /// Those of a cell.
+    pub(super) fn of(&self, cell: u32) -> &[Sample] {
+        self.0.get(&cell).map_or(&[], Vec::as_slice)
+    }
+
+    /// The cells that have some.
+    pub(super) fn by_cell(&self) -> impl Iterator<Item = (u32, &[Sample])> {
+        self.0.iter().map(|(cell, samples)| (*cell, samples.as_slice()))
+    }
+}
+
+/// The largest distance at samples between f and a cell halved `level` times; its vertices may be finer.
+#[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
+pub(super) fn sample_error(samples: &[Sample], vertices: &[[f32; 2]], level: u8) -> f32 {
+    if samples.is_empty() {
+        return 0.0;
+    }
+    let side = vertices.len().isqrt();
+    let coarse = at_level(vertices, side, level);
+    let error =
+        |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
+    samples.iter().map(error).fold(0.0, f32::max)
+}
