@@ -12,6 +12,7 @@ mod files;
 mod labelme;
 mod normalized;
 mod own;
+mod pairs;
 mod pts;
 mod qgis;
 mod table;
@@ -31,15 +32,15 @@ use mlswarp::warp::Units;
 use super::json::{Kind, Node};
 use crate::problem::words::quote;
 
-const FORMATS: &str = "JSON, CSV, BigWarp CSV, .pts, .tem, QGIS .points";
+const FORMATS: &str = "JSON, CSV, BigWarp CSV, ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points";
 
 /// What one file holds.
 #[derive(Debug)]
 struct File {
     p: Vec<Handle>,
     q: Option<Vec<Handle>>,
-    /// All handles have names, which differ, or none has.
-    names: Option<Vec<String>>,
+    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names may be repeated.
+    names: Option<Vec<(usize, String)>>,
     /// Where each handle is in the file, bytes.
     at: Vec<usize>,
     units: Units,
