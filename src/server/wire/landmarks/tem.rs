@@ -1,5 +1,6 @@
 //! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three
-//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment.
+//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment. What follows the contours is passed over,
+//! as webmorphR does: a number, notes in JSON, or a byte that is no text.
 //!
 //! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added.
 //! Contours become polylines, a closed one ends where it begins. An index that follows itself counts once, and a contour of one index only, as
@@ -40,7 +41,6 @@ pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File,
             contours.extend(contour(&mut lines, &points, &mut is_free, &mut out)?);
         }
     }
-    lines.end()?;
     for (at, place) in points.iter().zip(&is_free).filter_map(|(point, is_free)| is_free.then_some(*point)) {
         out.point(at, [place.x, place.y], None, None)?;
     }

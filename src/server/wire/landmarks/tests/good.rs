@@ -111,6 +111,11 @@ fn files() -> Vec<(&'static str, Value)> {
             json!({
             "p": [[[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]]], "units": "px", "format": "tem"}),
         ),
+        // What WebMorph appends.
+        (
+            "2\n0 0\n10 0\n1\n0\n2\n0 1\n43\n\n{\n    \"image\": \"/a.jpg\"\n}\n",
+            json!({"p": [[[0.5, 0.5], [10.5, 0.5]]], "units": "px", "format": "tem"}),
+        ),
         // The pupils of WebMorph's templates are contours of one point. An index that follows itself counts once.
         (
             "3\n0 0\n10 0\n10 10\n3\n0\n2\n0 0\n1\n2\n0 0\n0\n4\n1 1 2 2\n",

@@ -65,6 +65,15 @@ fn landmarks_of_another_shape_are_refused_with_both_shapes() {
 }
 
 #[test]
+fn a_byte_after_the_contours_of_a_template_is_passed_over() {
+    let both = Some(bytes::Bytes::from_static(b"2\n0 0\n10 0\n1\n0\n2\n0 1\n\xfd"));
+    assert_eq!(convert(&LandmarkFiles { both, ..LandmarkFiles::default() }).unwrap()["p"], json!([[[0.5, 0.5], [10.5, 0.5]]]));
+    let both = Some(bytes::Bytes::from_static(b"2\n0 0\n1\xfd 0\n"));
+    let (line, column, detail) = place(&convert(&LandmarkFiles { both, ..LandmarkFiles::default() }).unwrap_err());
+    assert_eq!((line, column), (3, 1), "{detail}");
+}
+
+#[test]
 fn a_file_of_both_sides_is_no_side() {
     let problem = read_two("1,2\n", "1,2,3,4\n").unwrap_err();
     assert!(problem.detail.contains("landmarks_q") && problem.detail.contains("as `landmarks`"), "{}", problem.detail);
