@@ -8,7 +8,7 @@ use mlswarp::warp::Units;
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 use super::bad::Bad;
-use super::pairs::{Pairs, pair};
+use super::pairs::{Pairs, Unmatched, pair};
 use super::{File, read};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -35,20 +35,6 @@ pub const UNMATCHED: &str = "landmarks_unmatched";
 const SIDES: [&str; 2] = ["landmarks_p", "landmarks_q"];
 /// The longest side of an image that normalised coordinates belong to, px: the largest ones (4) stay within the range of coordinates.
 const LONGEST_SIDE: u32 = 250_000;
-
-/// Names that only one side has; their landmarks are left out.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Unmatched {
-    pub(super) p: Vec<String>,
-    pub(super) q: Vec<String>,
-}
-
-impl Unmatched {
-    /// Whether every landmark has two sides.
-    fn is_empty(&self) -> bool {
-        self.p.is_empty() && self.q.is_empty()
-    }
-}
 
 /// Handles that were read, each side in the units of its file.
 #[derive(Clone, Debug, PartialEq)]

@@ -24,10 +24,10 @@ mod tests;
 
 use bad::Bad;
 use collect::Collector;
-use files::Unmatched;
 pub use files::{LandmarkFiles, Landmarks, UNMATCHED, extent};
 use mlswarp::deform::Handle;
 use mlswarp::warp::Units;
+use pairs::Unmatched;
 
 use super::json::{Kind, Node};
 use crate::problem::words::quote;

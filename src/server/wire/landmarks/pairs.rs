@@ -6,8 +6,21 @@ use mlswarp::deform::Handle;
 
 use super::File;
 use super::bad::Bad;
-use super::files::Unmatched;
 use crate::problem::words::quote;
+
+/// Names that only one side has; their landmarks are left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Unmatched {
+    pub(super) p: Vec<String>,
+    pub(super) q: Vec<String>,
+}
+
+impl Unmatched {
+    /// Whether every landmark has two sides.
+    pub(super) fn is_empty(&self) -> bool {
+        self.p.is_empty() && self.q.is_empty()
+    }
+}
 
 /// The indices of landmarks that belong together, and the names that only one side has.
 pub(super) struct Pairs {
