@@ -29,8 +29,8 @@ fn main() -> ExitCode {
             connection::run(config).map_err(|e| format!("error: {e}"))
         }
         Command::Health => health::ask(&config).map_err(|e| format!("error: {e}")),
-        Command::Warp { image, warp, landmarks, landmarks_q, canvas, out } => {
-            let input = warp::Input { image, warp, landmarks, landmarks_q, canvas };
+        Command::Warp { image, warp, landmarks, landmarks_q, extent_p, extent_q, canvas, out } => {
+            let input = warp::Input { image, warp, landmarks, landmarks_q, extent_p, extent_q, canvas };
             warp::run(&config, &input, &out).map(|summary| eprintln!("{summary}"))
         }
     };

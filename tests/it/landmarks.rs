@@ -99,6 +99,12 @@ async fn uploads_that_say_too_much_or_too_little_are_refused() {
         (vec![("landmark", PTS)], 400, "malformed_request", &["did you mean `landmarks`?"]),
         (vec![("landmarks", "face.pts")], 422, "bad_landmarks", &["-F landmarks=@path"]),
         (vec![("landmarks_p", PTS), ("landmarks_q", "1,2\n3,x\n")], 422, "bad_landmarks", &["landmarks_q, line 2, column 3"]),
+        (
+            vec![("landmarks_p", r#"{"p": [[[1, 2], [3, 4]]]}"#), ("landmarks_q", "1,2\n")],
+            422,
+            "bad_landmarks",
+            &["landmarks_q, line 1, column 1: expected a line of 2 positions", "found a point"],
+        ),
         (vec![("landmarks", "1,2\n3,4\n5,6\n7,8\n")], 413, "too_large", &["line 4, column 1", "3 columns"]),
     ] {
         let (found, document) = problem(server.post("/warp").multipart(form(&parts)).send().await.unwrap()).await;
@@ -132,6 +138,8 @@ async fn files_are_converted_without_an_image() {
     }
     for (query, code, word) in [
         ("extent=1,2", "unknown_field", "did you mean `extent_p`?"),
+        ("extent_p=250001,2", "bad_value", "`extent_p`"),
+        ("extent_p=1,2&extent_q=1,4000000000", "bad_value", "`extent_q`"),
         ("extent_p=1", "bad_value", "`extent_p`"),
         ("extent_p=1,2&extent_p=1,2", "malformed_request", "twice"),
     ] {

@@ -125,3 +125,40 @@ fn the_program_counts_the_cells_over_the_tolerance() {
     let fixed = said(json!({"cell": 4}));
     assert!(!fixed.contains("tolerance") && fixed.contains("folded cells"), "{fixed}");
 }
+
+#[test]
+fn normalised_landmarks_are_multiplied_by_the_sizes_given() {
+    let directory = directory("offline-extents");
+    let file = |name: &str, content: &[u8]| {
+        let path = directory.join(name).to_str().unwrap().to_owned();
+        std::fs::write(&path, content).unwrap();
+        path
+    };
+    let (image, out) = (file("in.png", &photo(40, 30)), file("out.png", b""));
+    let list = |places: &[[f64; 2]]| json!(places.iter().map(|[x, y]| json!({"x": x, "y": y})).collect::<Vec<_>>()).to_string();
+    let p = file("p.json", list(&[[0.1, 0.1], [0.2, 0.5]]).as_bytes());
+    let q = file("q.json", list(&[[0.5, 0.1], [0.9, 0.5]]).as_bytes());
+    let drawn = |arguments: &[&str]| {
+        let output = mlswarp(&[&["warp", &*image, "-o", &*out], arguments].concat()).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        std::fs::read(&out).unwrap()
+    };
+    for (extents, places) in [
+        (&["--extent-p", "100,20"][..], json!({"p": [[10, 2], [20, 10]], "q": [[50, 2], [90, 10]]})),
+        (&["--extent-p", "100,20", "--extent-q", "30,40"], json!({"p": [[10, 2], [20, 10]], "q": [[15, 4], [27, 20]]})),
+        (&["--extent-q", "30,40"], json!({"p": [[4, 3], [8, 15]], "q": [[15, 4], [27, 20]]})),
+    ] {
+        let expected = drawn(&[&file("warp.json", places.to_string().as_bytes())]);
+        let found = drawn(&[&["--landmarks", &*p, "--landmarks-q", &*q], extents].concat());
+        assert!(found == expected, "{extents:?}");
+    }
+    for (extents, sentence) in [
+        (["--extent-p", "100"], "bad_value: `--extent-p` must be the width and height"),
+        (["--extent-q", "0,1"], "bad_value: `--extent-q` must be the width and height"),
+    ] {
+        let output = mlswarp(&[&["warp", &*image, "-o", &*out, "--landmarks", &*p], &extents[..]].concat()).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.starts_with(sentence), "{said}");
+    }
+    std::fs::remove_dir_all(directory).unwrap();
+}

@@ -13,7 +13,7 @@ use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError, choose};
 use crate::config::Config;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED};
+use crate::wire::landmarks::{LandmarkFiles, Landmarks, UNMATCHED, extent};
 use crate::wire::{WarpObject, WarpPatch};
 use crate::wire::{canvas_from_text, canvas_text, method_text};
 
@@ -28,6 +28,10 @@ pub struct Input {
     pub landmarks: Option<PathBuf>,
     /// Landmarks of `q`.
     pub landmarks_q: Option<PathBuf>,
+    /// The size of the image that normalised landmarks of `p` belong to.
+    pub extent_p: Option<String>,
+    /// The same of `q`.
+    pub extent_q: Option<String>,
     /// The canvas, instead of that of the warp object.
     pub canvas: Option<String>,
 }
@@ -46,9 +50,15 @@ impl Input {
     fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
         let Some(path) = &self.landmarks else { return Ok(None) };
         let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
+        let extent = |name: &str, text: &Option<String>| text.as_ref().map(|text| extent(name, text)).transpose();
+        let extents = LandmarkFiles {
+            extent_p: extent("--extent-p", &self.extent_p)?,
+            extent_q: extent("--extent-q", &self.extent_q)?,
+            ..LandmarkFiles::default()
+        };
         let files = match &self.landmarks_q {
-            Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..LandmarkFiles::default() },
-            None => LandmarkFiles { both: Some(file(path)?), ..LandmarkFiles::default() },
+            Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..extents },
+            None => LandmarkFiles { both: Some(file(path)?), ..extents },
         };
         Ok(Some(files.read(config.limits().columns)?))
     }

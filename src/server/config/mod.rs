@@ -55,13 +55,19 @@ pub enum Command {
         /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
         #[arg(required_unless_present = "landmarks")]
         warp: Option<PathBuf>,
-        /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp, .pts,
-        /// .tem, QGIS .points, labelme, MediaPipe.
+        /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp CSV,
+        /// ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points.
         #[arg(long, value_name = "FILE")]
         landmarks: Option<PathBuf>,
         /// Landmark file with q.
         #[arg(long, value_name = "FILE", requires = "landmarks")]
         landmarks_q: Option<PathBuf>,
+        /// Size of the image that p belongs to, if the landmark file is normalised (0 to 1). By default that of the image.
+        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks")]
+        extent_p: Option<String>,
+        /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
+        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks")]
+        extent_q: Option<String>,
         /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
         /// precedence over the warp object.
         #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true)]

@@ -3,12 +3,12 @@
 //!
 //! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after `active`). Positions are those of
 //! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open
-//! the images uncalibrated for px.) Rows that are not active are left out, as BigWarp does; `Infinity` is a side that is not set yet.
+//! the images uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does; `Infinity` is a side that is not set yet.
 
 use super::File;
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Row, Rows, flag};
+use super::table::{Field, Row, Rows, flag};
 
 const CENTRE: f64 = 0.5;
 
@@ -27,12 +27,13 @@ pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result
     while let Some(row) = next {
         row.require_width(width, "as the first row has")?;
         let is_active = flag(&row.fields[1])?;
+        let number = |field: &Field| match field.located() {
+            unset if unset.text.trim_start_matches('-') == "Infinity" => Ok(None),
+            set => set.number().map(|value| Some(value + CENTRE)),
+        };
         let side = |start: usize| {
-            let [x, y] = [&row.fields[start], &row.fields[start + 1]].map(|field| field.located());
-            if [x, y].iter().any(|value| value.text.trim_start_matches('-') == "Infinity") {
-                return Ok(None);
-            }
-            Ok::<_, Bad>(Some([x.number()? + CENTRE, y.number()? + CENTRE]))
+            let (x, y) = (number(&row.fields[start])?, number(&row.fields[start + 1])?);
+            Ok::<_, Bad>(x.zip(y).map(<[f64; 2]>::from))
         };
         let (p, q, name) = (side(numbers)?, side(numbers + 2)?, row.fields[0].located());
         match (is_active, p, q) {

@@ -1,7 +1,5 @@
 //! What every reader collects: handles and names, checked as they come.
 
-use std::collections::HashMap;
-
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::warp::Units;
@@ -138,14 +136,14 @@ impl Collector {
     }
 
     /// The file. `end`: where a missing landmark would be.
-    /// Errors: No landmarks, or names that do not tell them apart.
+    /// Errors: No landmarks, or names of some of them only.
     pub(super) fn finish(self, format: &'static str, end: usize) -> Result<File, Bad> {
         let Self { p, q, at, names, units, unmatched, .. } = self;
         if p.is_empty() {
             return Err(Bad::new(end, "expected at least one landmark; found none"));
         }
         let q = (!q.is_empty()).then_some(q);
-        Ok(File { p, q, names: unique(names)?, at, units, format, unmatched })
+        Ok(File { p, q, names: all_or_none(names)?, at, units, format, unmatched })
     }
 }
 
@@ -156,20 +154,14 @@ fn checked_name(name: Located<'_>) -> Result<String, Bad> {
     Ok(name.text.to_owned())
 }
 
-/// All names, or none if no landmark has one.
-fn unique(names: Vec<(usize, Option<String>)>) -> Result<Option<Vec<String>>, Bad> {
+/// All names with their places, or none if no landmark has one.
+fn all_or_none(names: Vec<(usize, Option<String>)>) -> Result<Option<Vec<(usize, String)>>, Bad> {
     if names.iter().all(|(_, name)| name.is_none()) {
         return Ok(None);
     }
-    let mut seen = HashMap::with_capacity(names.len());
-    for (index, (at, name)) in names.iter().enumerate() {
-        let Some(name) = name else {
-            return Err(Bad::new(*at, "expected a name, because other landmarks have names; found none"));
-        };
-        if let Some(first) = seen.insert(name, index) {
-            let detail = format!("expected a name of its own for each landmark; {} is the name of landmark {first} already", quote(name));
-            return Err(Bad::new(*at, detail));
-        }
-    }
-    Ok(Some(names.into_iter().filter_map(|(_, name)| name).collect()))
+    let named = |(at, name): (usize, Option<String>)| match name {
+        Some(name) => Ok((at, name)),
+        None => Err(Bad::new(at, "expected a name, because other landmarks have names; found none")),
+    };
+    names.into_iter().map(named).collect::<Result<_, _>>().map(Some)
 }

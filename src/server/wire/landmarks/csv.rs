@@ -1,4 +1,5 @@
-//! CSV with the columns `x,y` (one side) or `px,py,qx,qy` (both sides), in px of the contract: nothing is converted.
+//! CSV with the columns `x,y` (one side) or `px,py,qx,qy` (both sides), in px of the contract: nothing is converted. Decimal commas are read
+//! where tabs or semicolons separate the fields, if the file has no decimal points.
 //!
 //! With a header the columns may have any order; `name`, `label`, `id` or `landmark` is the name, and further columns are ignored. Without
 //! one, the rows are 2 or 4 numbers, before or after which a name may stand.
@@ -27,13 +28,24 @@ pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result
         Some(names) => named(&first, names)?,
         None => unnamed(&first)?,
     };
+    let mut mark = None;
     let mut row = if header.is_some() { rows.next_row()? } else { Some(first) };
     while let Some(Row { at, fields }) = &row {
         row.as_ref().map_or(Ok(()), |row| row.require_width(columns.width, columns.like))?;
-        let side = |[x, y]: [usize; 2]| {
-            Ok::<_, Bad>([fields[x].located().parse(rows.decimal_comma)?, fields[y].located().parse(rows.decimal_comma)?])
+        let mut number = |field: usize| {
+            let field = fields[field].located();
+            let value = field.parse(rows.decimal_comma)?;
+            if let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)).filter(|found| found != mark.get_or_insert(*found)) {
+                let expected = if found == '.' { "comma" } else { "point" };
+                return Err(Bad::new(
+                    field.at,
+                    format!("expected a decimal {expected}, as in the numbers before; found {}", quote(field.text)),
+                ));
+            }
+            Ok(value)
         };
-        out.point(*at, side(columns.p)?, columns.q.map(side).transpose()?, columns.name.map(|name| fields[name].located()))?;
+        let mut side = |[x, y]: [usize; 2]| Ok::<_, Bad>([number(x)?, number(y)?]);
+        out.point(*at, side(columns.p)?, columns.q.map(&mut side).transpose()?, columns.name.map(|name| fields[name].located()))?;
         row = rows.next_row()?;
     }
     out.finish("csv", rows.end())
@@ -79,8 +91,9 @@ fn unnamed(first: &Row) -> Result<Columns, Bad> {
         3 | 5 if !is_number(0) => (1, Some(0)),
         3 | 5 if !is_number(width - 1) => (0, Some(width - 1)),
         3 | 5 => {
-            let detail = format!("expected 2 or 4 numbers, or a header that names the columns; found {width} numbers");
-            return Err(Bad::new(first.at, detail));
+            let detail = "expected 2 or 4 numbers, with or without a name, or a header that names the columns";
+            let hint = "decimal commas need tabs or semicolons between the numbers";
+            return Err(Bad::new(first.at, format!("{detail}; found {width} fields: {hint}")));
         }
         _ => {
             let detail = format!("expected x, y or px, py, qx, qy, with or without a name; found {width} fields");

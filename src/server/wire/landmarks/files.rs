@@ -1,15 +1,14 @@
 //! The landmarks of a request: one file, or one for each side.
 
-use std::collections::HashMap;
-
 use bytes::Bytes;
-use mlswarp::deform::Handle;
+use mlswarp::deform::{DeformError, Handle, Handles};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::Units;
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 use super::bad::Bad;
+use super::pairs::{Pairs, Unmatched, pair};
 use super::{File, read};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -32,20 +31,10 @@ pub struct LandmarkFiles {
 
 /// The code of the warning about names that only one side has.
 pub const UNMATCHED: &str = "landmarks_unmatched";
-
-/// Names that only one side has; their landmarks are left out.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Unmatched {
-    pub(super) p: Vec<String>,
-    pub(super) q: Vec<String>,
-}
-
-impl Unmatched {
-    /// Whether every landmark has two sides.
-    fn is_empty(&self) -> bool {
-        self.p.is_empty() && self.q.is_empty()
-    }
-}
+/// The parts with one side each.
+const SIDES: [&str; 2] = ["landmarks_p", "landmarks_q"];
+/// The longest side of an image that normalised coordinates belong to, px: the largest ones (4) stay within the range of coordinates.
+const LONGEST_SIDE: u32 = 250_000;
 
 /// Handles that were read, each side in the units of its file.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,21 +76,27 @@ impl LandmarkFiles {
     /// Errors: `bad_landmarks`, with line and column unless the files do not go together, or `too_large`.
     pub fn read(&self, max_columns: usize) -> Result<Landmarks, Problem> {
         let file = |name: &str, bytes: &Bytes| read(bytes, max_columns).map_err(|bad| bad.problem(name, bytes));
+        let rest = |name: &str, bytes: &Bytes| {
+            let file = file(name, bytes)?;
+            require_lines(&file).map_err(|bad| bad.problem(name, bytes))?;
+            Ok::<_, Problem>(file)
+        };
         let extents = [self.extent_p, self.extent_q];
         match (&self.both, &self.p, &self.q) {
-            (Some(both), None, None) => Ok(one(file("landmarks", both)?, extents)),
+            (Some(both), None, None) => Ok(one(rest("landmarks", both)?, extents)),
             (None, Some(p), Some(q)) => {
-                let files = [file("landmarks_p", p)?, file("landmarks_q", q)?];
-                for (side, name) in files.iter().zip(["landmarks_p", "landmarks_q"]) {
+                let files = [rest(SIDES[0], p)?, file(SIDES[1], q)?];
+                for (side, name) in files.iter().zip(SIDES) {
                     if side.q.is_some() {
                         let detail =
                             format!("{name}: expected positions of one side; found both sides: send this file alone, as `landmarks`");
                         return Err(Bad::new(0, detail).problem(name, b""));
                     }
                 }
-                two(files, extents, p, q)
+                let pairs = pair(&files).map_err(|(side, bad)| bad.problem(SIDES[side], [p, q][side]))?;
+                Ok(two(files, pairs, extents))
             }
-            (None, Some(p), None) => Ok(one(file("landmarks_p", p)?, extents)),
+            (None, Some(p), None) => Ok(one(rest(SIDES[0], p)?, extents)),
             (None, None, Some(_)) => Err(mismatched("`landmarks_p` is missing: where do the handles start?")),
             (None, None, None) => Err(mismatched("`landmarks` is missing, or `landmarks_p` and `landmarks_q`")),
             (Some(_), ..) => Err(mismatched("send `landmarks` alone, or `landmarks_p` and `landmarks_q`")),
@@ -114,10 +109,14 @@ impl LandmarkFiles {
 pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
     let inner = text.trim();
     let inner = inner.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(inner);
-    let sides = inner.split_once(',').and_then(|(width, height)| Some((width.trim().parse().ok()?, height.trim().parse().ok()?)));
-    let extent = sides.and_then(|(width, height)| Extent::new(width, height));
+    let sides = inner.split_once(',').and_then(|(width, height)| Some((width.trim().parse::<u32>().ok()?, height.trim().parse().ok()?)));
+    let extent = sides.filter(|(width, height)| width.max(height) <= &LONGEST_SIDE).and_then(|(width, height)| Extent::new(width, height));
     let bad = || {
-        Problem::new(Code::BadValue, format!("`{name}` must be the width and height of an image, such as 640,480; found {}", quote(text)))
+        let detail = format!(
+            "`{name}` must be the width and height of an image, such as 640,480, at most {LONGEST_SIDE} each; found {}",
+            quote(text)
+        );
+        Problem::new(Code::BadValue, detail)
     };
     extent.ok_or_else(bad)
 }
@@ -128,48 +127,34 @@ fn mismatched(detail: &str) -> Problem {
 
 fn one(file: File, extents: [Option<Extent>; 2]) -> Landmarks {
     let File { p, q, names, units, format, unmatched, .. } = file;
-    Landmarks { p, q, names, units: [units; 2], extents, format: format.to_owned(), unmatched }
+    Landmarks { p, q, names: names.map(texts), units: [units; 2], extents, format: format.to_owned(), unmatched }
 }
 
-fn two([p, q]: [File; 2], extents: [Option<Extent>; 2], text_p: &[u8], text_q: &[u8]) -> Result<Landmarks, Problem> {
+fn two([p, q]: [File; 2], Pairs { indices, unmatched }: Pairs, extents: [Option<Extent>; 2]) -> Landmarks {
     let format = if p.format == q.format { p.format.to_owned() } else { format!("{}+{}", p.format, q.format) };
-    let (rest, posed, names, unmatched) = match (p.names, q.names) {
-        (Some(names_p), Some(names_q)) => {
-            let mut others: HashMap<String, Handle> = names_q.iter().cloned().zip(q.p).collect();
-            let (mut rest, mut posed, mut names, mut unmatched) = (Vec::new(), Vec::new(), Vec::new(), Unmatched::default());
-            for (name, handle) in names_p.into_iter().zip(p.p) {
-                match others.remove(&name) {
-                    Some(other) => {
-                        rest.push(handle);
-                        posed.push(other);
-                        names.push(name);
-                    }
-                    None => unmatched.p.push(name),
-                }
-            }
-            // In the order of the file.
-            unmatched.q = names_q.into_iter().filter(|name| others.contains_key(name)).collect();
-            if rest.is_empty() {
-                let detail = format!("expected a name that `landmarks_p` has too; found none of its {}", unmatched.p.len());
-                return Err(Bad::new(q.at[0], detail).problem("landmarks_q", text_q));
-            }
-            (rest, posed, Some(names), unmatched)
+    let names = p.names.map(texts).or(q.names.map(texts));
+    let names = names.map(|names| indices.iter().map(|(index, _)| names[*index].clone()).collect());
+    let (rest, posed) = indices.iter().map(|(index_p, index_q)| (p.p[*index_p].clone(), q.p[*index_q].clone())).unzip();
+    Landmarks { p: rest, q: Some(posed), names, units: [p.units, q.units], extents, format, unmatched }
+}
+
+fn texts(names: Vec<(usize, String)>) -> Vec<String> {
+    names.into_iter().map(|(_, name)| name).collect()
+}
+
+/// Errors: A line with a segment that has no length, which no image can be warped by.
+fn require_lines(file: &File) -> Result<(), Bad> {
+    // Lengths of normalised lines are known with the image.
+    if file.units == Units::Normalized || !file.p.iter().any(|handle| matches!(handle, Handle::Polyline(_))) {
+        return Ok(());
+    }
+    match Handles::new(file.p.clone(), None) {
+        Err(DeformError::DegenerateLine { handle, segment }) => {
+            let detail = format!("expected a line of positions that differ; its positions {segment} and {} are the same", segment + 1);
+            Err(Bad::new(file.at[handle], detail))
         }
-        (names_p, names_q) => {
-            let shorter = p.p.len().min(q.p.len());
-            let surplus = [(&p.at, "landmarks_p", text_p), (&q.at, "landmarks_q", text_q)];
-            if let Some((at, part, text)) = surplus.into_iter().find_map(|(at, part, text)| Some((*at.get(shorter)?, part, text))) {
-                let detail = format!(
-                    "expected {shorter} landmark{}, as the other file has; found {}: without names in both files they are matched by order",
-                    if shorter == 1 { "" } else { "s" },
-                    p.p.len().max(q.p.len())
-                );
-                return Err(Bad::new(at, detail).problem(part, text));
-            }
-            (p.p, q.p, names_p.or(names_q), Unmatched::default())
-        }
-    };
-    Ok(Landmarks { p: rest, q: Some(posed), names, units: [p.units, q.units], extents, format, unmatched })
+        _ => Ok(()),
+    }
 }
 
 impl Landmarks {

@@ -12,6 +12,7 @@ mod files;
 mod labelme;
 mod normalized;
 mod own;
+mod pairs;
 mod pts;
 mod qgis;
 mod table;
@@ -23,23 +24,23 @@ mod tests;
 
 use bad::Bad;
 use collect::Collector;
-use files::Unmatched;
 pub use files::{LandmarkFiles, Landmarks, UNMATCHED, extent};
 use mlswarp::deform::Handle;
 use mlswarp::warp::Units;
+use pairs::Unmatched;
 
 use super::json::{Kind, Node};
 use crate::problem::words::quote;
 
-const FORMATS: &str = "JSON, CSV, BigWarp CSV, .pts, .tem, QGIS .points";
+const FORMATS: &str = "JSON, CSV, BigWarp CSV, ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points";
 
 /// What one file holds.
 #[derive(Debug)]
 struct File {
     p: Vec<Handle>,
     q: Option<Vec<Handle>>,
-    /// All handles have names, which differ, or none has.
-    names: Option<Vec<String>>,
+    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names may be repeated.
+    names: Option<Vec<(usize, String)>>,
     /// Where each handle is in the file, bytes.
     at: Vec<usize>,
     units: Units,
@@ -53,8 +54,10 @@ fn read(bytes: &[u8], max_columns: usize) -> Result<File, Bad> {
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
         return Err(Bad::new(0, "expected UTF-8; found UTF-16: save the file as UTF-8"));
     }
-    let text = std::str::from_utf8(bytes)
-        .map_err(|e| Bad::new(e.valid_up_to(), format!("expected text in UTF-8; found the byte 0x{:02x}", bytes[e.valid_up_to()])))?;
+    let text = bytes.utf8_chunks().next().map_or("", |chunk| chunk.valid());
+    if let Some(byte) = bytes.get(text.len()).filter(|_| !tem::is_tem(first_line(text))) {
+        return Err(Bad::new(text.len(), format!("expected text in UTF-8; found the byte 0x{byte:02x}")));
+    }
     if let Some(at) = text.find('\0') {
         return Err(Bad::new(at, "expected text; found a zero byte"));
     }
@@ -62,7 +65,7 @@ fn read(bytes: &[u8], max_columns: usize) -> Result<File, Bad> {
     // A byte order mark counts for the offsets but belongs to no column.
     let start = if text.starts_with('\u{feff}') { '\u{feff}'.len_utf8() } else { 0 };
     let content = text[start..].trim_start();
-    let first = content.lines().find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim();
+    let first = first_line(content);
     match content.as_bytes().first() {
         None => Err(Bad::new(start, "expected landmarks; the file is empty")),
         Some(b'{' | b'[') => read_json(text, text.len() - content.len(), out),
@@ -70,6 +73,11 @@ fn read(bytes: &[u8], max_columns: usize) -> Result<File, Bad> {
         _ if tem::is_tem(first) => tem::read(text, start, out),
         _ => read_table(text, start, out),
     }
+}
+
+/// The first line that is neither empty nor a comment.
+fn first_line(text: &str) -> &str {
+    text.lines().find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
 }
 
 fn read_json(text: &str, start: usize, out: Collector) -> Result<File, Bad> {

@@ -3,7 +3,7 @@
 //!
 //! Source: `qgsgcplist.cpp` of QGIS (`saveGcps`) and `saveGCPs` of the older `qgsgeorefmainwindow.cpp`. A raster without georeference
 //! covers x from 0 to W and y from 0 down to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
-//! that are not enabled are left out.
+//! that are not enabled are checked and left out.
 
 use super::File;
 use super::bad::Bad;

@@ -1,5 +1,5 @@
-//! Separated values, row by row. Commas, semicolons (spreadsheets where the comma separates decimals) and tabs are recognised; quotes and
-//! line ends as in RFC 4180.
+//! Separated values, row by row. Tabs, semicolons, commas and white space are recognised; quotes and line ends as in RFC 4180. With tabs and
+//! semicolons the comma may separate decimals, as in spreadsheets of many countries.
 
 use csv_core::{ReadFieldResult, Reader, ReaderBuilder};
 
@@ -36,7 +36,8 @@ impl Row {
     /// The names of a header, in lower case; `None` if a field is a number.
     pub(super) fn as_header(&self) -> Option<Vec<String>> {
         let names = self.fields.iter().map(|field| field.text.trim());
-        let is_header = names.clone().all(|name| name.parse::<f64>().is_err()) && names.clone().any(|name| !name.is_empty());
+        let is_header =
+            names.clone().all(|name| name.replacen(',', ".", 1).parse::<f64>().is_err()) && names.clone().any(|name| !name.is_empty());
         is_header.then(|| names.map(str::to_lowercase).collect())
     }
 
@@ -56,27 +57,19 @@ impl Row {
 pub(super) struct Rows<'t> {
     text: &'t str,
     at: usize,
-    reader: Reader,
-    is_first: bool,
+    /// `None` for white space.
+    reader: Option<Reader>,
     /// Whether the comma is not the separator and may separate decimals.
     pub(super) decimal_comma: bool,
 }
 
 impl<'t> Rows<'t> {
     pub(super) fn new(text: &'t str, start: usize) -> Self {
-        let is_row = |line: &&str| !line.trim().is_empty() && !line.starts_with('#');
-        let first = text[start..].lines().find(is_row).unwrap_or_default();
-        // Outside of quotes.
-        let has = |separator: char| first.split('"').step_by(2).any(|part| part.contains(separator));
-        let separator = if has('\t') {
-            b'\t'
-        } else if has(';') {
-            b';'
-        } else {
-            b','
-        };
-        let reader = ReaderBuilder::new().delimiter(separator).build();
-        Self { text, at: start, reader, is_first: true, decimal_comma: separator != b',' }
+        let comments = text[start..].split_inclusive('\n').take_while(|line| line.trim().is_empty() || line.starts_with('#'));
+        let at = start + comments.map(str::len).sum::<usize>();
+        let separator = separator(&text[at..]);
+        let reader = separator.map(|separator| ReaderBuilder::new().delimiter(separator).build());
+        Self { text, at, reader, decimal_comma: separator.is_some_and(|separator| separator != b',') }
     }
 
     /// The end of the file, bytes.
@@ -86,18 +79,11 @@ impl<'t> Rows<'t> {
 
     /// The next row.
     pub(super) fn next_row(&mut self) -> Result<Option<Row>, Bad> {
-        loop {
-            let rest = &self.text[self.at..];
-            let line = rest.split_inclusive('\n').next().unwrap_or_default();
-            if line.is_empty() {
-                return Ok(None);
-            }
-            if !(line.trim().is_empty() || self.is_first && line.starts_with('#')) {
-                break;
-            }
-            self.at += line.len();
+        let blank = self.text[self.at..].split_inclusive('\n').take_while(|line| line.trim().is_empty());
+        self.at += blank.map(str::len).sum::<usize>();
+        if self.at == self.text.len() {
+            return Ok(None);
         }
-        self.is_first = false;
         let (row_at, mut fields) = (self.at, Vec::new());
         loop {
             let (field, is_last) = self.field()?;
@@ -111,19 +97,35 @@ impl<'t> Rows<'t> {
         }
     }
 
+    /// The next word of the row, or text in quotes, and whether it is the last one.
+    fn word(&mut self) -> Result<(Field, bool), Bad> {
+        let line = self.text[self.at..].split_inclusive('\n').next().unwrap_or_default();
+        let rest = line.trim_start();
+        let at = self.at + line.len() - rest.len();
+        let (text, after) = match rest.strip_prefix('"').and_then(|inside| inside.split_once('"')) {
+            Some(quoted) => quoted,
+            None => rest.split_at(rest.find(char::is_whitespace).unwrap_or(rest.len())),
+        };
+        if text.len() > LONGEST_FIELD {
+            return Err(too_long(at));
+        }
+        let is_last = after.trim().is_empty();
+        self.at += line.len() - if is_last { 0 } else { after.len() };
+        Ok((Field { at, text: text.to_owned() }, is_last))
+    }
+
     /// The next field of the row, and whether it is the last one.
     fn field(&mut self) -> Result<(Field, bool), Bad> {
+        let Some(reader) = &mut self.reader else { return self.word() };
         let (at, mut bytes, mut length) = (self.at, [0; LONGEST_FIELD], 0);
         loop {
             // Without input the reader ends the field.
-            let (result, read, written) = self.reader.read_field(&self.text.as_bytes()[self.at..], &mut bytes[length..]);
+            let (result, read, written) = reader.read_field(&self.text.as_bytes()[self.at..], &mut bytes[length..]);
             self.at += read;
             length += written;
             let is_last = match result {
                 ReadFieldResult::InputEmpty => continue,
-                ReadFieldResult::OutputFull => {
-                    return Err(Bad::new(at, format!("expected a field of at most {LONGEST_FIELD} bytes; found a longer one")));
-                }
+                ReadFieldResult::OutputFull => return Err(too_long(at)),
                 ReadFieldResult::Field { record_end } => record_end,
                 ReadFieldResult::End => true,
             };
@@ -131,6 +133,36 @@ impl<'t> Rows<'t> {
             return Ok((Field { at, text: text.to_owned() }, is_last));
         }
     }
+}
+
+fn too_long(at: usize) -> Bad {
+    Bad::new(at, format!("expected a field of at most {LONGEST_FIELD} bytes; found a longer one"))
+}
+
+/// What separates the fields: what every row has outside of quotes, a tab rather than a semicolon rather than a comma; else a comma or a
+/// semicolon, if there is one. `None`: white space.
+fn separator(text: &str) -> Option<u8> {
+    const SEPARATORS: [u8; 3] = *b"\t;,";
+    let (mut rows, mut counts) = (0_usize, [0_usize; 3]);
+    let (mut has, mut is_blank, mut is_quoted, mut may_quote) = ([false; 3], true, false, true);
+    for byte in text.bytes().chain([b'\n']) {
+        let found = SEPARATORS.iter().position(|separator| *separator == byte).filter(|_| !is_quoted);
+        match (byte, found) {
+            // A doubled quote ends and begins.
+            (b'"', _) if is_quoted || may_quote => is_quoted = !is_quoted,
+            (b'\n', _) if !is_quoted => {
+                rows += usize::from(!is_blank);
+                counts.iter_mut().zip(has).for_each(|(count, has)| *count += usize::from(has && !is_blank));
+                (has, is_blank, may_quote) = ([false; 3], true, true);
+            }
+            (_, Some(index)) => (has[index], may_quote) = (true, true),
+            _ => may_quote = is_quoted,
+        }
+        is_blank &= byte.is_ascii_whitespace();
+    }
+    let [_, semicolons, commas] = counts;
+    let of_all = SEPARATORS.into_iter().zip(counts).find_map(|(separator, count)| (count == rows).then_some(separator));
+    of_all.or((commas > 0).then_some(b',')).or((semicolons > 0).then_some(b';'))
 }
 
 /// The value of a field that says whether its row counts.

@@ -1,8 +1,10 @@
 //! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three
-//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment.
+//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment. What follows the contours is passed over,
+//! as webmorphR does: a number, notes in JSON, or a byte that is no text.
 //!
 //! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added.
-//! Contours become polylines, a closed one ends where it begins; points on no contour become points. Points come first, then contours.
+//! Contours become polylines, a closed one ends where it begins. An index that follows itself counts once, and a contour of one index only, as
+//! that of a pupil, says nothing: points on no other contour become points. Points come first, then contours.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -36,11 +38,9 @@ pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File,
     if let Some(line) = lines.next_line() {
         let declared = line.whole("the number of contours")?;
         for _ in 0..declared {
-            let (at, contour) = contour(&mut lines, &points, &mut is_free, &mut out)?;
-            contours.push((at, contour));
+            contours.extend(contour(&mut lines, &points, &mut is_free, &mut out)?);
         }
     }
-    lines.end()?;
     for (at, place) in points.iter().zip(&is_free).filter_map(|(point, is_free)| is_free.then_some(*point)) {
         out.point(at, [place.x, place.y], None, None)?;
     }
@@ -50,13 +50,13 @@ pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File,
     out.finish("tem", lines.position())
 }
 
-/// One contour, counted.
+/// One contour, counted; `None` if it has one point only.
 fn contour(
     lines: &mut Lines<'_>,
     points: &[(usize, Point)],
     is_free: &mut [bool],
     out: &mut Collector,
-) -> Result<(usize, Vec<Point>), Bad> {
+) -> Result<Option<(usize, Vec<Point>)>, Bad> {
     let line = lines.line("1 for a closed contour or 0 for an open one")?;
     let is_closed = match line.text {
         "0" => false,
@@ -69,19 +69,24 @@ fn contour(
     if found != count || count < 2 {
         return Err(Bad::new(line.at, format!("expected {} indices of points; found {found}", count.max(2))));
     }
-    out.count(line.at, count + usize::from(is_closed))?;
-    let mut contour: Vec<Point> = Vec::with_capacity(count + 1);
+    out.require_below(line.at, count)?;
+    let mut indices = Vec::with_capacity(count + 1);
     for word in line.words() {
         let index = word.whole("the index of a point")?;
         let last = points.len().saturating_sub(1);
-        let Some((_, place)) = points.get(index) else {
+        if index > last || points.is_empty() {
             return Err(Bad::new(word.at, format!("expected the index of a point, 0 to {last}; found {index}")));
-        };
-        is_free[index] = false;
-        contour.push(*place);
+        }
+        indices.push(index);
     }
-    if is_closed && contour.first() != contour.last() {
-        contour.extend(contour.first().copied());
+    if is_closed {
+        indices.extend(indices.first().copied());
     }
-    Ok((line.at, contour))
+    indices.dedup();
+    if indices.len() < 2 {
+        return Ok(None);
+    }
+    out.count(line.at, indices.len())?;
+    indices.iter().for_each(|index| is_free[*index] = false);
+    Ok(Some((line.at, indices.iter().map(|index| points[*index].1).collect())))
 }

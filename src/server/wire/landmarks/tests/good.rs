@@ -7,7 +7,7 @@ const CENTRES: [(&str, &str); 14] = [
     ("json", r#"{"p": [[0.5, 0.5], [9.5, 4.5]]}"#),
     ("json", r#"{"units": "px", "p": [[5e-1, 0.5], [9.5, 4.5]], "q": null}"#),
     ("csv", "x,y\n0.5,0.5\n9.5,4.5\n"),
-    ("csv", "0.5;0.5\n9,5;4,5\n"),
+    ("csv", "0,5;0,5\n9,5;4,5\n"),
     ("bigwarp", "\"Pt-0\",\"true\",\"0.0\",\"0.0\",\"3.0\",\"3.0\"\n\"Pt-1\",\"true\",\"9.0\",\"4.0\",\"5.0\",\"5.0\"\n"),
     ("pts", "version: 1\nn_points:  2\n{\n1.000000 1.000000\n10.000000 5.000000\n}\n"),
     ("pts", "n_points: 2\n{\n1 1\n10 5\n}"),
@@ -57,11 +57,17 @@ fn files() -> Vec<(&'static str, Value)> {
         ("\n\nX , Y\n\n1 , 2\n3 , 4\n\n", one_side.clone()),
         ("y,x\n2,1\n4,3\n", one_side.clone()),
         ("x\ty\n1\t2\n3\t4\n", one_side.clone()),
+        ("1 2\n3 4", one_side.clone()),
+        ("  x   y\r\n  1 2.0\r\n\t3\t \t4  \r\n", one_side.clone()),
+        ("1,0\t2,0\n3\t4\n", one_side.clone()),
         ("# exported\n# x,y\n1,2\n3,4\n", one_side.clone()),
         // The results table of ImageJ.
         (" ,Area,Mean,X,Y\n1,0,137.5,1,2\n2,0,92,3,4\n", one_side),
         ("name,x,y\na,1,2\nb,3,4\n", named_side.clone()),
         ("a,1,2\nb,3,4\n", named_side.clone()),
+        ("1 2 a\n\"3\" 4 \"b\"\n", named_side.clone()),
+        ("name,x,y\na,1,2\na,3,4\n", json!({"p": p, "names": ["a", "a"], "units": "px", "format": "csv"})),
+        ("name,x,y\na;a,1,2\n\"b\"\"\tb\",3,4\n", json!({"p": p, "names": ["a;a", "b\"\tb"], "units": "px", "format": "csv"})),
         ("1,2,a\n3,4,b\n", named_side.clone()),
         ("x;y;label\n1,0;2,0;a\n3,0;4,0;b\n", named_side.clone()),
         ("\"name\",\"x\",\"y\"\n\"a\",\"1\",\"2\"\n\"b\",\"3\",\"4\"\n", named_side),
@@ -104,6 +110,16 @@ fn files() -> Vec<(&'static str, Value)> {
             "3\n0\t0\n10\t0\n10\t10\n1\n1\n4\n0 1 2 0\n",
             json!({
             "p": [[[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]]], "units": "px", "format": "tem"}),
+        ),
+        // What WebMorph appends.
+        (
+            "2\n0 0\n10 0\n1\n0\n2\n0 1\n43\n\n{\n    \"image\": \"/a.jpg\"\n}\n",
+            json!({"p": [[[0.5, 0.5], [10.5, 0.5]]], "units": "px", "format": "tem"}),
+        ),
+        // The pupils of WebMorph's templates are contours of one point. An index that follows itself counts once.
+        (
+            "3\n0 0\n10 0\n10 10\n3\n0\n2\n0 0\n1\n2\n0 0\n0\n4\n1 1 2 2\n",
+            json!({"p": [[0.5, 0.5], [[10.5, 0.5], [10.5, 10.5]]], "units": "px", "format": "tem"}),
         ),
         (r#"[{"x": 0.25, "y": 0.5, "z": -0.01, "visibility": 0.9, "presence": 1}]"#, mediapipe(json!([[0.25, 0.5]]))),
         (r#"[[{"x": 0.25, "y": 0.5}]]"#, mediapipe(json!([[0.25, 0.5]]))),
