@@ -173,8 +173,10 @@ pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, ch
     let pixel = count * bytes;
     let pixels = out.len() / pixel;
     let colour = outside_pixel(outside, pixmap.depth());
-    if colour.is_some() && !(0..height).contains(&y) {
-        return fill(out, &colour.unwrap_or_default()[..pixel]);
+    if let Some(colour) = &colour
+        && !(0..height).contains(&y)
+    {
+        return fill(out, &colour[..pixel]);
     }
     // The pixels of the row before which the source begins and ends.
     let before = |x: i64| usize::try_from(x).unwrap_or(0).min(pixels);

@@ -12,6 +12,7 @@ use super::output::OutputPatch;
 use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
 
+const COINCIDENT: &str = "{\"policy\": \"mean\" or \"reject\", \"within\": px}";
 const WITHIN: &str = "a distance in pixels, 0 to 1000000";
 const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
@@ -110,6 +111,9 @@ impl WarpPatch {
 }
 
 fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
+    if node.kind() != Kind::Object {
+        return Err(node.unexpected(COINCIDENT, node.kind().name()));
+    }
     let [policy, within] = node.fields(&fields::COINCIDENT)?;
     let distance = |node: &Node<'_, '_>| match number(node, WITHIN)? {
         value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),

@@ -32,13 +32,23 @@ impl Drag {
 
     pub fn of_file(file: &[u8], handle_count: usize, grid: GridSpec) -> Self {
         let limits = Limits::default();
+        let extent = Image::decode(file, &limits.image).expect("our own picture").extent();
+        let (p, _) = handles(handle_count, extent, 1.0);
+        let poses = (0..POSES).map(|k| handles(handle_count, extent, 1.0 - 0.02 * f64::from(k)).1).collect();
+        Self::of_handles(file, RestSpec { p, grid, ..RestSpec::default() }, poses)
+    }
+
+    pub fn of_handles(file: &[u8], spec: RestSpec, poses: Vec<Vec<Handle>>) -> Self {
+        let limits = Limits::default();
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
-        let (rest, _) = handles(handle_count, image.extent(), 1.0);
-        let poses = (0..POSES).map(|k| handles(handle_count, image.extent(), 1.0 - 0.02 * f64::from(k)).1).collect();
-        let spec = RestSpec { p: rest.clone(), grid, ..RestSpec::default() };
         let setup = Setup::new(&spec, image.extent(), &limits).expect("handles that can be warped");
         let plan = setup.plan();
-        Self { image, setup, plan, rest, poses, turn: 0, strips: Vec::new() }
+        Self { image, setup, plan, rest: spec.p, poses, turn: 0, strips: Vec::new() }
+    }
+
+    /// Memory of the plan at most, bytes: the table, and exact rows of cells that are halved.
+    pub fn plan_bytes(&self) -> u64 {
+        self.plan.bytes()
     }
 
     /// The next q to the strips of a PNG, which stay where the writer put them: the service sends them as they are.

@@ -2,13 +2,15 @@
 
 use std::hint::black_box;
 use std::path::Path;
+use std::time::Instant;
 
 use mlswarp::deform::Handle;
+use mlswarp::geometry::Point;
 use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Extent};
-use mlswarp::warp::GridSpec;
+use mlswarp::warp::{GridSpec, Method, RestSpec};
 
-use crate::drag::{Drag, GRID, deformation, samples};
+use crate::drag::{self, Drag, GRID, deformation, samples};
 use crate::harness::pictures::{FULL_HD, SMALL, UHD, VERTICES, bytes, encode, extent, handles, photograph, size, tiles};
 use crate::harness::{self, Contender, Goal, Report, contender, inside, paired, pool, remote};
 
@@ -29,6 +31,10 @@ pub fn tables(report: &mut Report) {
     let title = "in process, 500 x 500, 100 handles";
     if harness::wanted(title) {
         many(report, title);
+    }
+    let title = "in process, time and memory, 500 x 500, 1 thread";
+    if harness::wanted(title) {
+        numbers(report, title);
     }
     let title = "in process, levels, 500 x 500";
     if harness::wanted(title) {
@@ -80,6 +86,59 @@ fn many(report: &mut Report, title: &str) {
     let mut contenders: Vec<_> = drags.iter_mut().zip(names).map(|(drag, name)| inside(&one, name, move || drag.png(0))).collect();
     report.table(title, 101, &mut contenders);
     report.goal("100 handles, grid auto / 100 x 100", report.ratio(1, 0), Goal::AtMost(2.0));
+}
+
+/// How time and memory grow with the number of points: the setup and the table of coefficients, which are made once, the first picture,
+/// which also computes the exact rows of cells that are halved, and later ones.
+fn numbers(report: &mut Report, title: &str) {
+    const MIB: f64 = (1 << 20) as f64;
+    report.line(&format!(
+        "## {title}\n\n| points | method | grid | setup and plan, ms | first picture, ms | later, ms (median) | plan at most, MiB |"
+    ));
+    report.line("|---|---|---|---|---|---|---|");
+    let file = drag::file(&photograph(extent(SMALL), Channels::Rgba));
+    let ms = |began: Instant| 1e3 * began.elapsed().as_secs_f64();
+    for (count, method, of) in
+        [100, 1000, 5000].into_iter().flat_map(|n| [(n, Method::Rigid, "rigid"), (n, Method::ThinPlateSpline, "tps")])
+    {
+        for (grid, name) in [(GRID, "100 x 100"), (GridSpec::Auto, "auto")] {
+            let (p, q) = scattered(count, extent(SMALL));
+            if method == Method::ThinPlateSpline && count > 2000 {
+                continue;
+            }
+            pool(1).install(|| {
+                let began = Instant::now();
+                let mut drag = Drag::of_handles(&file, RestSpec { p, method, grid, ..RestSpec::default() }, q);
+                let made = ms(began);
+                let mut pictures: Vec<f64> = (0..8)
+                    .map(|_| {
+                        let began = Instant::now();
+                        drag.png(0);
+                        ms(began)
+                    })
+                    .collect();
+                let first = pictures.remove(0);
+                pictures.sort_by(f64::total_cmp);
+                let memory = drag.plan_bytes() as f64 / MIB;
+                report.line(&format!("| {count} | {of} | {name} | {made:.1} | {first:.1} | {:.1} | {memory:.0} |", pictures[3]));
+            });
+        }
+    }
+    report.line("");
+}
+
+/// `count` points, at least their half distance apart, and where they go: up to a quarter of it.
+fn scattered(count: u32, extent: Extent) -> (Vec<Handle>, Vec<Vec<Handle>>) {
+    let side = f64::from(count).sqrt().ceil();
+    let noise = |k: u32, n: u32| f64::from((k * 4 + n).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 23) - 1.0;
+    let (width, height) = (f64::from(extent.width()) / side, f64::from(extent.height()) / side);
+    let place = |k: u32, moved: f64| {
+        let (i, j) = (f64::from(k) % side, (f64::from(k) / side).floor());
+        let (x, y) = (i + 0.5 + 0.25 * (noise(k, 0) + moved * noise(k, 2)), j + 0.5 + 0.25 * (noise(k, 1) + moved * noise(k, 3)));
+        Handle::Point(Point::new(x * width, y * height))
+    };
+    let posed = |moved: f64| (0..count).map(|k| place(k, moved)).collect();
+    (posed(0.0), (0..8).map(|k| posed(1.0 - 0.02 * f64::from(k))).collect())
 }
 
 /// The best chain of crates that leads from q to a PNG: every fifth pixel of every fifth row is deformed, the rest interpolated.
