@@ -2,15 +2,21 @@
 
 use std::cell::RefCell;
 
-use super::columns::{Element, Segment};
+use super::columns::{Element, PointSource, Rank, Segment};
 use super::family::{displacement, rotation};
 use super::field::Model;
+use super::kernel;
 use super::lanes::Vertices;
+use super::moments::MomentInputs;
 use super::span::Workspace;
 use super::spline::PosedSpline;
-use super::{Field, Handle, Pose};
+use super::{Field, Handle, Method, Pose};
 use crate::geometry::{Point, Vec2};
 
+/// Sets of more points are posed by moments where rows are used once.
+const MANY_POINTS: usize = 128;
+/// The largest alpha at which affine moments are accurate: above it, the weights at most positions differ by more than numbers hold.
+const MOST_AFFINE: f64 = 2.0;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
 
@@ -20,13 +26,36 @@ pub struct Deformation<'a> {
     field: &'a Field,
     pose: &'a Pose,
     spline: Option<PosedSpline<'a>>,
+    moments: Option<MomentInputs<'a>>,
 }
 
 impl Field {
     /// f of a pose, for many positions.
     #[must_use]
     pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
-        Deformation { field: self, pose, spline: self.solved().map(|spline| spline.posed(pose.displacements())) }
+        let spline = self.solved().map(|spline| spline.posed(pose.displacements()));
+        let moments = self.moments(pose).filter(|_| self.prefers_moments());
+        Deformation { field: self, pose, spline, moments }
+    }
+
+    /// The moments, if they suffice: points of equal weight, and moving least squares.
+    pub(super) fn moments<'a>(&'a self, pose: &'a Pose) -> Option<MomentInputs<'a>> {
+        let falloff = self.falloff().filter(|_| self.has_moments())?;
+        Some(MomentInputs { points: &self.sources.points, d: pose.displacements(), falloff, method: self.family })
+    }
+
+    fn has_moments(&self) -> bool {
+        let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
+        let most = if self.family == Method::Affine { MOST_AFFINE } else { f64::INFINITY };
+        self.falloff().is_some_and(|falloff| falloff.alpha() <= most)
+            && self.sources.segments.is_empty()
+            && matches!(self.rank, Rank::Collinear | Rank::Full)
+            && self.sources.points.windows(2).all(is_equal)
+    }
+
+    /// Whether moments take less time than a row that is used once.
+    pub(super) fn prefers_moments(&self) -> bool {
+        self.handles.columns() > MANY_POINTS && self.has_moments()
     }
 
     /// f at a position; [`Field::deformation`] is for many.
@@ -115,6 +144,12 @@ impl Deformation<'_> {
     pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) -> ([[f64; N]; 2], f32) {
         if let Some(spline) = &self.spline {
             return (spline.displacements(v), 1.0);
+        }
+        if let (false, Some(moments)) = (exact, &self.moments) {
+            let (moved, rotation) = kernel::moments(moments, v);
+            #[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
+            let least = rotation.into_iter().fold(f64::INFINITY, f64::min) as f32;
+            return (moved, least);
         }
         self.field.rows(v, exact, workspace);
         let (family, d, rows) = (self.field.family, self.pose.displacements(), &workspace.rows);

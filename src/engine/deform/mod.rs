@@ -41,6 +41,8 @@ mod leave_one_out;
 #[forbid(unsafe_code)]
 mod measured;
 #[forbid(unsafe_code)]
+mod moments;
+#[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
 mod posed_cells;

@@ -55,6 +55,12 @@ impl Plan {
         field.solved().is_none_or(|spline| spline.len() <= SPLINE_SITES)
     }
 
+    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading them.
+    #[must_use]
+    pub fn rows_inside_cells_pay(field: &Field) -> bool {
+        Self::pays(field) && !field.prefers_moments()
+    }
+
     /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
     #[must_use]
     pub const fn is_posed_on_one_thread(bytes: u64) -> bool {

@@ -78,7 +78,7 @@ impl Refiner<'_> {
         let grid = mesh.grid();
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let bytes = Plan::bytes_for(self.field, grid.len());
-        let f = (!Plan::pays(self.field)).then(|| self.field.deformation(pose));
+        let f = (!Plan::rows_inside_cells_pay(self.field)).then(|| self.field.deformation(pose));
         let posing = Posing { field: self.field, f: f.as_ref(), grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
         let samples = Samples::of_handles(self.field, grid, pose);
         let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };

@@ -105,7 +105,8 @@ impl Setup {
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let table_bytes = (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
         let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
-        let exact_bytes = table_bytes.filter(|_| tolerance.is_some()).map_or(0, left);
+        let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
+        let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
         Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes })
     }
 

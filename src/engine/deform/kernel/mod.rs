@@ -9,6 +9,7 @@ mod x86;
 
 use super::Method;
 use super::lanes::{Rows, Vertices};
+use super::moments::MomentInputs;
 use super::row::RowInputs;
 use super::span::Scratch;
 use crate::level::Level;
@@ -63,6 +64,22 @@ pub(super) fn rows_at<const N: usize>(level: Level, waist: &RowInputs<'_>, v: &V
         #[cfg(target_arch = "x86_64")]
         Level::Avx2 if level.is_here() => x86::rows_avx2(waist, v, scratch, rows),
         _ => waist.rows(v, scratch, rows),
+    }
+}
+
+/// `f(v) - v` of N vertices from moments, px, and |m| (rigid), else 1.
+pub(super) fn moments<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    moments_at(Level::detect(), inputs, v)
+}
+
+/// Like [`moments`], at a level; scalar if the processor lacks it.
+pub(super) fn moments_at<const N: usize>(level: Level, inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    match level {
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 if level.is_here() => x86::moments_avx512(inputs, v),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 if level.is_here() => x86::moments_avx2(inputs, v),
+        _ => inputs.displacements(v),
     }
 }
 

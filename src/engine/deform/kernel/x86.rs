@@ -1,6 +1,6 @@
 //! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a processor that has the level.
 
-use super::{Lanes, Method, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
+use super::{Lanes, Method, MomentInputs, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
 
 /// See [`super::displace`].
 pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
@@ -40,4 +40,24 @@ pub(super) fn rows_avx512<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>
     }
     // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { body(waist, v, scratch, rows) }
+}
+
+/// See [`super::moments`].
+pub(super) fn moments_avx2<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    #[target_feature(enable = "avx2")]
+    fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+        inputs.displacements(v)
+    }
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { body(inputs, v) }
+}
+
+/// See [`super::moments`].
+pub(super) fn moments_avx512<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
+    fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+        inputs.displacements(v)
+    }
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { body(inputs, v) }
 }
