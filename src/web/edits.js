@@ -176,6 +176,9 @@ export function keepingFocus(before, after) {
 /** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
+/** What happens to coincident handles by default: they follow the mean of their targets. */
+const MEAN = { policy: "mean", within: 0 };
+
 /** The session's part of a warp object. The parameters of the method, outside and canvas are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
@@ -186,16 +189,16 @@ export function restOf(document) {
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
   const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
   const output = { outside: outsideOf(document), canvas: canvasOf(document) };
-  return { p: wire(document, "p"), ...weights, method, ...parameters, grid: typeof grid === "number" ? { cell: grid } : grid, output };
+  return { p: wire(document, "p"), ...weights, method, ...parameters, coincident: document.coincident ?? MEAN, grid: typeof grid === "number" ? { cell: grid } : grid, output };
 }
 
 /** The complete warp object, for export. */
 export function warpOf(document) {
-  const { alpha, output, point_mass, smoothing, ...rest } = restOf(document);
+  const { alpha, output, point_mass, smoothing, coincident, ...rest } = restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
-  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }) };
+  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(document.coincident && { coincident }) };
   const told = { ...(output.outside !== "transparent" && { outside: output.outside }), ...(output.canvas !== "same" && { canvas: output.canvas }) };
   if (Object.keys(told).length) chosen.output = told;
   return { ...rest, ...chosen, q: wire(document, "q") };
@@ -203,9 +206,9 @@ export function warpOf(document) {
 
 /** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
-  const { p, weights, method, alpha, smoothing, grid, output, point_mass: mass } = restOf(document);
+  const { p, weights, method, alpha, smoothing, coincident, grid, output, point_mass: mass } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.grid.requested, grid], [object.output.outside, output.outside], [object.output.canvas, output.canvas]];
+  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.coincident_policy ?? MEAN, coincident], [object.grid.requested, grid], [object.output.outside, output.outside], [object.output.canvas, output.canvas]];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
   return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));

@@ -104,7 +104,7 @@ function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
   demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
   const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
-  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, grid = "auto" } = given;
+  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, coincident, grid = "auto" } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
   demand(units === "px", "/units", '"px" or "normalized"');
@@ -123,6 +123,9 @@ function documentFrom(warp) {
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
   demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
+  const { policy = "mean", within = 0 } = coincident ?? {};
+  demand(policy === "mean" || policy === "reject", "/coincident/policy", '"mean" or "reject"');
+  demand(within >= 0 && within <= 1_000_000, "/coincident/within", "a distance in px, 0 to 1000000,");
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
   const isTolerance = grid?.tolerance >= 0.05 && grid.tolerance <= 4;
   const cell = grid === "auto" || isTolerance ? grid : grid?.cell;
@@ -131,7 +134,7 @@ function documentFrom(warp) {
   demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
-  const read = { handles, method, alpha, ...(smoothing && { smoothing }), grid: cell, outside, canvas };
+  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, canvas };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

@@ -245,8 +245,8 @@ async function copyOf(file) {
 }
 
 /** The warp object of a link without handles: those of the session, at rest. An alpha equal to the default counts as automatic. */
-function warpOfSession({ p, weights, method, alpha, point_mass, smoothing, units, grid, output }) {
-  const warp = { p, weights, method, point_mass, smoothing, units, grid: grid.requested, output };
+function warpOfSession({ p, weights, method, alpha, point_mass, smoothing, coincident_policy: coincident, units, grid, output }) {
+  const warp = { p, weights, method, point_mass, smoothing, coincident, units, grid: grid.requested, output };
   const usual = documentOf(warp);
   return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
 }

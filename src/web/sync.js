@@ -317,8 +317,8 @@ export class Sync {
 }
 
 /** The members of a session object that determine a picture, except q. */
-function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, units, grid, folds, output }) {
-  return JSON.stringify([p, weights, method, alpha, mass, smoothing, units, grid, folds, output]);
+function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, coincident_policy: coincident, units, grid, folds, output }) {
+  return JSON.stringify([p, weights, method, alpha, mass, smoothing, coincident, units, grid, folds, output]);
 }
 
 /** The grid of a session object, in the form of a mesh. */

@@ -6,7 +6,8 @@
 
 OLD and NEW are commits or directories with the files of `src/web`. One program answers both. A frame is one movement of the mouse, and ends when
 the mesh of its pose is on the screen. Prints CPU time per frame (it depends less on the load of the machine than elapsed time) of the page's
-main thread, as the browser divides it, and of the whole browser, which includes drawing without a GPU; then the median of the ratios new / old.
+main thread, as the browser divides it, and of the whole browser, which includes drawing without a GPU; then elapsed time from a movement of the
+pointer to its drawn mesh, the median of a block and its slowest frame; and the median of the ratios new / old.
 """
 
 import json
@@ -32,14 +33,16 @@ from support import CHROMIUM, FLAGS, KEPT, PHOTOGRAPHS, Server
 
 FRAMES = 40
 MEDIA = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".webp": "image/webp"}
-# `drawn` resolves when the next pose is on the screen. It does not poll: frames requested while waiting would be part of the measurement.
+# `drawn` resolves when the next pose is on the screen, with the milliseconds since the pointer moved. It does not poll: frames requested while waiting would be part of the measurement.
 WATCH = """() => void (window.drawn = new Promise((resolve) => {
   const { dataset } = document.body;
   const before = dataset.revision;
+  let moved;
+  addEventListener("pointermove", ({ timeStamp }) => (moved = timeStamp), { once: true, capture: true });
   const watcher = new MutationObserver(() => {
     if (dataset.revision === before || dataset.shown !== dataset.revision) return;
     watcher.disconnect();
-    requestAnimationFrame(resolve);
+    requestAnimationFrame(() => resolve(performance.now() - moved));
   });
   watcher.observe(document.body, { attributeFilter: ["data-shown", "data-revision"] });
 }))"""
@@ -104,24 +107,25 @@ class Version:
         return times | {"whole browser": sum(map(cpu_time, pids()))}
 
     def drag(self, pids):
-        """Drags the first handle; returns milliseconds per frame, by name."""
+        """Drags the first handle; returns milliseconds per frame, by name: CPU time, and elapsed time from the pointer to the drawn mesh."""
         self.page.bring_to_front()
         box = self.page.locator("#handle-0").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         self.page.wait_for_selector("body[data-live=socket]")
         self.page.mouse.move(x, y)
         self.page.mouse.down()
-        before = self.times(pids)
+        before, waits = self.times(pids), []
         for frame in range(1, FRAMES + 1):
             turn = 2 * math.pi * frame / FRAMES
             self.page.evaluate(WATCH)
             self.page.mouse.move(x + 25 * math.sin(turn), y + 25 * (1 - math.cos(turn)))
-            self.page.evaluate("() => drawn")
+            waits.append(self.page.evaluate("() => drawn"))
         after = self.times(pids)
         data = self.page.evaluate("({...document.body.dataset})")
         assert (data["moving"], data["source"], data["live"]) == ("true", "mesh", "socket"), data
         self.page.mouse.up()
-        return {name: 1e3 * (after[name] - before[name]) / FRAMES for name in after}
+        times = {name: 1e3 * (after[name] - before[name]) / FRAMES for name in after}
+        return times | {"pointer to drawn": statistics.median(waits), "the slowest": max(waits)}
 
 
 def cpu_time(pid):
@@ -169,7 +173,7 @@ def main():
         with sync_playwright() as playwright, tempfile.TemporaryDirectory() as scratch:
             scratch = Path(scratch)
             directories = [tree(name, scratch / which) for name, which in ((old, "old"), (new, "new"))]
-            for handles in (7, 300):
+            for handles in (7, 300, 500):
                 compare(playwright, server, directories, handles, blocks, scratch)
     finally:
         server.stop()

@@ -81,6 +81,21 @@ def test_a_tolerance_in_a_file_is_kept_and_shown(opened):
     assert opened.warp()["grid"] == {"tolerance": 1}
 
 
+def test_the_policy_for_coincident_handles_is_kept(opened):
+    policy = {"policy": "mean", "within": 30}
+    handles = {"p": [[100, 100], [110, 100], [300, 40]], "q": [[140, 130], [150, 130], [300, 60]], "coincident": policy}
+    opened.page.set_input_files("#file", [file(value=handles)])
+    opened.body("[data-handles='3']").ready()
+    assert opened.warp()["coincident"] == policy
+    opened.page.reload()
+    opened.body("[data-handles='3']").ready()
+    assert opened.warp()["coincident"] == policy
+    # Without a policy, the next file has the default again.
+    opened.page.set_input_files("#file", [file()])
+    is_posed(opened)
+    assert "coincident" not in opened.warp()
+
+
 BROKEN = [
     (b'{\n  "p": [[1, 2], [3, 4]],\n  "q": [[1, 2] [3, 4]]\n}', 3, 16, "a comma or ]"),
     (b'{"p": [[1, 2],]}', 1, 15, "a value"),
@@ -99,6 +114,7 @@ BROKEN = [
     (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" and, on this page, "global_affine" take points only, is expected for p[1].'),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
     (b'{"p": [[1, 2]], "grid": {"tolerance": 9}}', 1, 25, '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px} is expected for grid.'),
+    (b'{"p": [[1, 2]], "coincident": {"within": -1}}', 1, 41, "a distance in px, 0 to 1000000, is expected for coincident.within."),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]
 

@@ -138,6 +138,7 @@ async fn landmarks_that_were_rounded_are_warped_and_the_groups_are_named() {
 
     let session: Value = server.upload("/sessions", &image, &json!({"p": p})).await.json().await.unwrap();
     assert_eq!(session["coincident"], json!([{"handles": [0, 2]}]));
+    assert_eq!(session.get("coincident_policy"), None, "the default");
     let id = session["id"].as_str().unwrap();
     let mut drag = DragClient::open(server.address, id, "?report=true").await;
     drag.pose(1, &q).await;
@@ -154,6 +155,7 @@ async fn landmarks_that_were_rounded_are_warped_and_the_groups_are_named() {
     let near = json!([[20, 30], [90, 40], [21, 30], [50, 80]]);
     let replaced: Value = put(json!({"p": near})).await.json().await.unwrap();
     assert_eq!(replaced.get("coincident"), None, "nothing coincides");
+    assert_eq!(replaced["coincident_policy"], json!({"policy": "reject", "within": 0.0}), "kept");
     assert_eq!(put(json!({"p": p, "q": q})).await.status(), 422);
     let within: Value = put(json!({"coincident": {"within": 1}})).await.json().await.unwrap();
     assert_eq!(within["coincident"], json!([{"handles": [0, 2]}]));

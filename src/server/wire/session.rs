@@ -1,6 +1,6 @@
 //! The session object: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
 
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Coincident, Handle};
 use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
@@ -28,6 +28,9 @@ pub(crate) struct SessionObject<'a> {
     /// The groups of points that are one handle.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(crate) coincident: Vec<CoincidentGroup>,
+    /// What was requested for coincident handles; absent if nothing was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) coincident_policy: Option<AsJson<Coincident>>,
     pub(crate) units: AsJson<Units>,
     pub(crate) grid: SessionGrid,
     pub(crate) folds: AsJson<Folds>,

@@ -6,6 +6,7 @@ use axum::extract::{Path, Request};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
+use mlswarp::deform::Coincident;
 use mlswarp::warp::Setup;
 
 use crate::app::App;
@@ -132,6 +133,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         alpha: setup.alpha(),
         point_mass: setup.point_mass(),
         smoothing: setup.smoothing(),
+        coincident_policy: (record.rest.coincident != Coincident::default()).then_some(AsJson(record.rest.coincident)),
         coincident: setup.groups().into_iter().map(|handles| CoincidentGroup { handles }).collect(),
         units: AsJson(record.rest.units),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },

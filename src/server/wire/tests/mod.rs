@@ -496,6 +496,7 @@ fn session_object_is_written_in_wire_form() {
         point_mass: Some(2.5),
         smoothing: None,
         coincident: vec![CoincidentGroup { handles: vec![0, 4] }],
+        coincident_policy: None,
         units: AsJson(Units::Px),
         grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
         folds: AsJson(Folds::Report),
