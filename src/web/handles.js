@@ -81,15 +81,24 @@ export class Handles {
     const { state } = this.store;
     const { handles } = state.document;
     set(this.svg, { class: state.compare || state.peek ? "away" : state.before ? "moving" : "" });
+    const counts = new Map(handles.map(({ id, p }) => [id, p.length]));
     for (const [id, nodes] of this.#drawn) {
-      if (handles.some((h) => h.id === id && h.p.length === nodes.count)) continue;
+      if (counts.get(id) === nodes.count) continue;
       for (const node of [nodes.whole, ...nodes.places, ...nodes.ghosts]) node.remove();
       this.#drawn.delete(id);
     }
+    const { fit, fitShown } = state;
+    const looks = {
+      place: `${this.view.zoom} ${this.view.toStage([0, 0])}`,
+      selected: new Set(state.selection),
+      faults: new Set(marked(state.problem)),
+      warnings: new Set([...state.apart, ...(fit && fitShown ? fit.outliers : [])]),
+      residual: fit ? (index) => residualWords(fit.residuals[index], fit.outliers.includes(index)) : () => "",
+    };
     let last = null;
     handles.forEach((handle, index) => {
       const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
-      this.#update(nodes, handle, index, state);
+      this.#update(nodes, handle, index, looks);
       // A handle restored by undo returns to its old position in the order.
       if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
@@ -112,26 +121,30 @@ export class Handles {
     const line = () => focusable(...["hit", "halo", "rim", "under", "over"].map((name) => element("polyline", { class: name })));
     const single = handle.p.length === 1;
     const ghosts = handle.p.map(() => element("g", {}, element("line", { class: "rim" }), element("line"), element("circle", { r: 3.2 })));
-    const nodes = { count: handle.p.length, whole: single ? place(false) : line(), places: single ? [] : handle.p.map(() => place(true)), ghosts };
+    const nodes = { handle: null, look: "", count: handle.p.length, whole: single ? place(false) : line(), places: single ? [] : handle.p.map(() => place(true)), ghosts };
     this.ghosts.append(...ghosts);
     this.#drawn.set(handle.id, nodes);
     return nodes;
   }
 
-  #update(nodes, handle, index, state) {
+  /** Draws a handle, unless it looks as before: most do in a frame of a drag. */
+  #update(nodes, handle, index, { place: frame, selected, faults, warnings, residual }) {
+    const fault = faults.has(index) ? "" : warnings.has(index) ? "warning" : null;
+    const whole = selected.has(String(handle.id));
+    const pressedAt = handle.q.map((_, k) => whole || selected.has(`${handle.id}.${k}`));
+    const words = residual(index);
+    const look = `${index} ${fault} ${pressedAt} ${frame} ${words}`;
+    if (nodes.handle === handle && nodes.look === look) return;
+    Object.assign(nodes, { handle, look });
     const posed = handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const warns = state.apart.includes(index) || (state.fitShown && state.fit?.outliers.includes(index));
-    const fault = marked(state.problem).includes(index) ? "" : warns ? "warning" : null;
-    const whole = state.selection.includes(String(handle.id));
     const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
     const single = handle.p.length === 1;
-    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}${this.#residual(state, index)}` : name });
+    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}${words}` : name });
     if (single) this.#updatePlace(nodes.whole, posed[0], handle.q[0], index + 1);
     else for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
-      const pressed = whole || state.selection.includes(`${handle.id}.${k}`);
-      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressed, "aria-label": `${name}, point ${k + 1} at ${placesWords([handle.q[k]])}` });
+      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressedAt[k], "aria-label": `${name}, point ${k + 1} at ${placesWords([handle.q[k]])}` });
       this.#updatePlace(node, posed[k], handle.q[k], `${index + 1}.${k + 1}`);
     });
     nodes.ghosts.forEach((ghost, k) => {
@@ -146,10 +159,6 @@ export class Handles {
   #updatePlace(node, stage, place, label) {
     set(node, { transform: at(stage), "data-x": place[0], "data-y": place[1] });
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
-  }
-
-  #residual({ fit }, index) {
-    return fit ? residualWords(fit.residuals[index], fit.outliers.includes(index)) : "";
   }
 
   /** An arrow from the prediction of each pin to the pin, as long as the residual times the scale. */

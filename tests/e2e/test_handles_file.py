@@ -114,7 +114,7 @@ BROKEN = [
     (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" and, on this page, "global_affine" take points only, is expected for p[1].'),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
     (b'{"p": [[1, 2]], "grid": {"tolerance": 9}}', 1, 25, '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px} is expected for grid.'),
-    (b'{"p": [[1, 2]], "coincident": {"within": -1}}', 1, 41, "a distance in px, 0 to 1000000, is expected for coincident.within."),
+    (b'{"p": [[1, 2]], "coincident": {"within": -1}}', 1, 42, "a distance in px, 0 to 1000000, is expected for coincident.within."),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]
 
