@@ -118,7 +118,8 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
     let refused = problem(server.upload("/warp", &image, &beyond).await, 413, "too_large").await;
     assert!(refused["actual"].as_f64().unwrap() > 1e10, "{refused}");
     // A zoom at which single cells would be longer than the rasteriser's numbers.
-    let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": {"x": 3, "y": 3, "width": 1, "height": 1}, "width": width}});
+    let pixel = json!({"x": 3, "y": 3, "width": 1, "height": 1});
+    let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": pixel, "width": width}});
     let long = photo(1200, 10);
     let refused = problem(server.upload("/warp", &long, &zoom(990)).await, 413, "too_large").await;
     assert_eq!((&refused["limit_name"], &refused["actual"]), (&json!("scaled_source_side"), &json!(1_188_000)), "{refused}");

@@ -1,5 +1,5 @@
-//! Groups of coincident points: the points of a group are one handle, at their weighted mean (mathematics section 6). Groups follow from the
-//! handles at rest alone, so a plan does not depend on q.
+//! Groups of coincident points: the points of a group are one handle, at their weighted mean (mathematics section 6). Groups follow from
+//! the handles at rest alone, so a plan does not depend on q.
 
 use std::collections::HashMap;
 

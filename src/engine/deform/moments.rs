@@ -1,6 +1,7 @@
-//! f at N vertices from the moments of the weights, without a row of coefficients: for poses of many points whose rows are used once. Points
-//! of equal weight only. Equations (1) to (8), anchored at the nearest point: its position and displacement are the origin of all others, so
-//! next to it every sum consists of relatively exact terms (mathematics 7.1). About thirty operations per vertex and point, no memory.
+//! f at N vertices from the moments of the weights, without a row of coefficients: for poses of many points whose rows are used once.
+//! Points of equal weight only. Equations (1) to (8), anchored at the nearest point: its position and displacement are the origin of all
+//! others, so next to it every sum consists of relatively exact terms (mathematics 7.1). About thirty operations per vertex and point, no
+//! memory.
 
 use super::Method;
 use super::columns::PointSource;
@@ -71,7 +72,7 @@ impl MomentInputs<'_> {
         Nearest { r2: least, x: p.map(|p| p.x), y: p.map(|p| p.y), dx: d.map(|d| d.x), dy: d.map(|d| d.y) }
     }
 
-    /// The sums of w, w x, w y, w d, w x x, w x y, w y y, w x d, w y d, with the nearest point as the origin of positions and displacements.
+    /// The sums of w, w x, w y, w d, w x x, w x y, w y y, w x d, w y d; the nearest point is the origin of positions and displacements.
     #[inline(always)]
     fn sums(&self, x: &[f64; LANES], y: &[f64; LANES], nearest: &Nearest) -> [[f64; LANES]; SUMS] {
         let mut sums = [[0.0; LANES]; SUMS];

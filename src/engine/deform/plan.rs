@@ -55,7 +55,8 @@ impl Plan {
         field.solved().is_none_or(|spline| spline.len() <= SPLINE_SITES)
     }
 
-    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading them.
+    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading
+    /// them.
     #[must_use]
     pub fn rows_inside_cells_pay(field: &Field) -> bool {
         Self::pays(field) && !field.prefers_moments()

@@ -1,4 +1,5 @@
-//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`: `POST /warp` without a server, with the same parser and the same bytes.
+//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`: `POST /warp` without a server, with the same parser
+//! and the same bytes.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Write};

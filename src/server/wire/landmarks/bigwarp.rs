@@ -3,7 +3,8 @@
 //!
 //! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after `active`). Positions are those of
 //! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open
-//! the images uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does; `Infinity` is a side that is not set yet.
+//! the images uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does; `Infinity` is a side that is not
+//! set yet.
 
 use super::File;
 use super::bad::Bad;
