@@ -122,7 +122,8 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
     let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": pixel, "width": width}});
     let long = photo(1200, 10);
     let refused = problem(server.upload("/warp", &long, &zoom(990)).await, 413, "too_large").await;
-    assert_eq!((&refused["limit_name"], &refused["actual"]), (&json!("scaled_source_side"), &json!(1_188_000)), "{refused}");
+    let told = (&refused["limit_name"], &refused["actual"], &refused["pointer"]);
+    assert_eq!(told, (&json!("scaled_source_side"), &json!(1_188_000), &json!("/output/width")), "{refused}");
     assert_eq!(server.upload("/warp", &long, &zoom(870)).await.status(), 200);
     // A session that could never be drawn is not stored.
     let never = json!({"p": rest, "output": {"canvas": {"x": 0, "y": 0, "width": 2001, "height": 3}}});
