@@ -57,24 +57,25 @@ pub enum Command {
         warp: Option<PathBuf>,
         /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp CSV,
         /// ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points.
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", display_order = 1)]
         landmarks: Option<PathBuf>,
         /// Landmark file with q.
-        #[arg(long, value_name = "FILE", requires = "landmarks")]
+        #[arg(long, value_name = "FILE", requires = "landmarks", display_order = 2)]
         landmarks_q: Option<PathBuf>,
         /// Size of the image that p belongs to, if the landmark file is normalised (0 to 1). By default that of the image.
-        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks")]
+        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
         extent_p: Option<String>,
         /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
-        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks")]
+        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
         extent_q: Option<String>,
         /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
         /// precedence over the warp object.
-        #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true)]
+        #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true, display_order = 4)]
         canvas: Option<String>,
         /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg or .webp. A format in the warp object
         /// takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
-        #[arg(short, long)]
+        // All of these stand before the options of the server.
+        #[arg(short, long, display_order = 4)]
         out: PathBuf,
     },
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.

@@ -12,7 +12,7 @@ use super::output::OutputPatch;
 use super::{WarpObject, fields, json};
 use crate::problem::{Code, Problem};
 
-const COINCIDENT: &str = "{\"policy\": \"mean\" or \"reject\", \"within\": px}";
+const COINCIDENT: &str = "an object, {\"policy\": \"mean\" or \"reject\", \"within\": px}";
 const WITHIN: &str = "a distance in pixels, 0 to 1000000";
 const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
