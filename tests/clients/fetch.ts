@@ -13,11 +13,11 @@ const q: Handles = [[130, 60], [[40, 220], [300, 190]]];
 const output = { width: 200 };
 const image = await openAsBlob(picture);
 
-// The parts of an upload; without `warp`, others have the handles.
-const bodySerializer = ({ image, warp }: { image: Blob; warp?: object }) => {
+// The two parts of an upload.
+const bodySerializer = ({ image, warp }: { image: Blob; warp: object }) => {
   const form = new FormData();
   form.set("image", image);
-  if (warp) form.set("warp", JSON.stringify(warp));
+  form.set("warp", JSON.stringify(warp));
   return form;
 };
 const save = async (name: string, file: Blob | undefined) => writeFile(`${folder}/${name}`, Buffer.from(await file!.arrayBuffer()));

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use reqwest::multipart::{Form, Part};
+use reqwest::multipart::Form;
 use reqwest::{RequestBuilder, Response};
 use serde_json::{Value, json};
 
@@ -119,11 +119,8 @@ fn numbers_are_compared_to_the_digits_shown() {
 fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> RequestBuilder {
     match media_type {
         "multipart/form-data" => {
-            let base = match (body.get("image"), body.get("warp")) {
-                (Some(_), Some(warp)) => form(PICTURE, warp.to_string()),
-                (Some(_), None) => Form::new().part("image", Part::bytes(PICTURE)),
-                (None, _) => Form::new(),
-            };
+            let is_upload = body.get("image").is_some();
+            let base = if is_upload { form(PICTURE, body["warp"].to_string()) } else { Form::new() };
             let texts = body.as_object().unwrap().iter().filter(|(name, _)| !["image", "warp"].contains(&name.as_str()));
             request.multipart(texts.fold(base, |form, (name, text)| form.text(name.clone(), text.as_str().unwrap().to_owned())))
         }
