@@ -127,6 +127,10 @@ impl Field {
 }
 
 impl Deformation<'_> {
+    pub(super) fn columns(&self) -> usize {
+        self.field.handles.columns()
+    }
+
     /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
     #[must_use]
     pub fn map(&self, place: Point) -> Point {

@@ -31,6 +31,8 @@ mod groups;
 mod handles;
 #[forbid(unsafe_code)]
 mod interpolated;
+#[forbid(unsafe_code)]
+mod inverse;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lane_math;
@@ -71,6 +73,7 @@ pub use falloff::Falloff;
 pub use field::Field;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
+pub use inverse::Inverse;
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 pub use refine::{Refined, Refiner};
 

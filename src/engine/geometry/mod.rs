@@ -4,12 +4,14 @@
 //! `(i, j)` is `(i + PIXEL_CENTER, j + PIXEL_CENTER)`. A position is a [`Point`], a displacement a [`Vec2`]. Points are at *rest* (where
 //! the handles were placed) or *posed* (where they were moved to); images are *source* or *target*.
 
+mod cell_tree;
 mod compact;
 mod grid;
 mod mesh;
 mod refinement;
 mod vec;
 
+pub use cell_tree::CellTree;
 pub use compact::Compact;
 pub use grid::Grid;
 pub use mesh::Mesh;

@@ -1,0 +1,304 @@
+//! The inverse of f: the rest position that a posed one shows. A posed mesh finds the cells that may be drawn there, the last one first, and
+//! a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one f per step: its
+//! matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with differences of f and
+//! shorter steps takes over. Cost: about five f per position.
+
+use super::deformation::Deformation;
+use super::kernel::LANES;
+use super::lanes::Vertices;
+use super::span::Workspace;
+use super::{Field, Pose};
+use crate::geometry::{CellTree, Mesh, Point, Vec2};
+
+/// The largest distance of f from the position that was asked for, px.
+const SOLVED: f64 = 1e-7;
+/// The steps of Broyden's method and of Newton's.
+const STEPS: usize = 12;
+const NEWTON_STEPS: usize = 30;
+/// The distance of Newton's differences, px, and the most halvings of a step.
+const DIFFERENCE: f64 = 1e-4;
+const HALVINGS: usize = 10;
+/// A solution lies at most this far outside the cell from which it was sought, and a step is at most this long, in cells.
+const BESIDE: f64 = 1.0;
+const LONGEST_STEP: f64 = 4.0;
+/// The mesh is not f: cells this near to a position are tried, px.
+const MARGIN: f64 = 1.0;
+/// Cells that are tried for a position: more overlap only where nothing can be seen.
+const MOST_CELLS: usize = 32;
+/// Rounding errors at the border of the picture, px.
+const BORDER: f64 = 1e-6;
+
+/// The inverse of one pose.
+#[derive(Debug)]
+pub struct Inverse<'a> {
+    f: Deformation<'a>,
+    mesh: &'a Mesh,
+    tree: CellTree,
+}
+
+/// Where the solution of one position is sought.
+#[derive(Clone, Copy, Debug)]
+struct Start {
+    cell: usize,
+    /// The position lies in the patch of the cell.
+    is_inside: bool,
+    x: Point,
+    inverse: Matrix,
+}
+
+/// A matrix of two rows.
+#[derive(Clone, Copy, Debug)]
+struct Matrix([Vec2; 2]);
+
+impl Matrix {
+    const IDENTITY: Self = Self([Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0)]);
+
+    /// The inverse of the matrix with these columns; `None` if there is none.
+    fn inverse_of(a: Vec2, b: Vec2) -> Option<Self> {
+        let determinant = a.cross(b);
+        let inverse = Self([Vec2::new(b.y, -b.x) * (1.0 / determinant), Vec2::new(-a.y, a.x) * (1.0 / determinant)]);
+        inverse.0.iter().all(|row| row.x.is_finite() && row.y.is_finite()).then_some(inverse)
+    }
+
+    fn times(&self, v: Vec2) -> Vec2 {
+        Vec2::new(self.0[0].dot(v), self.0[1].dot(v))
+    }
+
+    /// Broyden's update of an inverse: from now on it takes the change of f to the step.
+    fn learn(&mut self, step: Vec2, change: Vec2) {
+        let Self([a, b]) = *self;
+        let (off, across) = (step - self.times(change), Vec2::new(step.x * a.x + step.y * b.x, step.x * a.y + step.y * b.y));
+        let per = 1.0 / across.dot(change);
+        if per.is_finite() {
+            *self = Self([a + across * (off.x * per), b + across * (off.y * per)]);
+        }
+    }
+}
+
+impl<'a> Inverse<'a> {
+    /// `mesh`: of the same pose; cells that it draws over others come later in its rows.
+    #[must_use]
+    pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
+        Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh) }
+    }
+
+    /// The rest positions of posed ones, px, at which f is as near as [`SOLVED`]; `None` where nothing of the picture is. If several rest
+    /// positions have the same posed one, that of the cell that is drawn.
+    #[must_use]
+    pub fn map(&self, posed: &[Point]) -> Vec<Option<Point>> {
+        let mut workspace = Workspace::new(self.f.columns());
+        posed.chunks(LANES).flat_map(|posed| self.block(posed, &mut workspace)).collect()
+    }
+
+    fn block(&self, posed: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Option<Point>> {
+        let mut cells = Vec::new();
+        let starts: Vec<Vec<Start>> = posed
+            .iter()
+            .map(|y| {
+                self.tree.find(*y, MARGIN, &mut cells);
+                cells.truncate(MOST_CELLS);
+                let mut starts: Vec<Start> = cells.iter().map(|cell| self.start(*cell, *y)).collect();
+                // The others only if no cell contains the position.
+                starts.sort_by_key(|start| !start.is_inside);
+                starts
+            })
+            .collect();
+        let mut found = vec![None; posed.len()];
+        for attempt in 0.. {
+            let at = |k: usize| starts[k].get(attempt).filter(|_| found[k].is_none());
+            let now: Vec<(usize, Start)> = (0..posed.len()).filter_map(|k| Some((k, *at(k)?))).collect();
+            if now.is_empty() {
+                break;
+            }
+            for ((k, start), x) in now.iter().zip(self.solve(posed, &now, workspace)) {
+                let x = x.or_else(|| if start.is_inside { self.newton(posed[*k], start, workspace) } else { None });
+                found[*k] = x.and_then(|x| self.within(x, start.cell));
+            }
+        }
+        found
+    }
+
+    /// The position in the patch of a cell, or beside it.
+    fn start(&self, cell: usize, y: Point) -> Start {
+        let grid = self.mesh.grid();
+        #[expect(clippy::cast_possible_truncation, reason = "columns and rows are u32")]
+        let (i, j) = ((cell % (grid.columns() as usize - 1)) as u32, (cell / (grid.columns() as usize - 1)) as u32);
+        let [a, b, c, d] = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.mesh.posed(i, j));
+        let (e, f, twist) = (b - a, c - a, (d - b) - (c - a));
+        let (mut s, mut t, mut inverse) = (0.5, 0.5, None);
+        for _ in 0..8 {
+            let off = y - (a + e * s + f * t + twist * (s * t));
+            inverse = Matrix::inverse_of(e + twist * t, f + twist * s);
+            let Some(step) = inverse.map(|inverse| inverse.times(off)) else { break };
+            (s, t) = ((s + step.x).clamp(-1.0, 2.0), (t + step.y).clamp(-1.0, 2.0));
+            if step.norm() < 1e-9 {
+                break;
+            }
+        }
+        let (from, to) = (grid.vertex(i, j), grid.vertex(i + 1, j + 1));
+        let size = to - from;
+        let at_rest = |Matrix([s, t])| Matrix([s * size.x, t * size.y]);
+        let inside = -1e-6..=1.0 + 1e-6;
+        Start {
+            cell,
+            is_inside: inverse.is_some() && inside.contains(&s) && inside.contains(&t),
+            x: Point::new(from.x + s * size.x, from.y + t * size.y),
+            inverse: inverse.map_or(Matrix::IDENTITY, at_rest),
+        }
+    }
+
+    /// Broyden's method from a start of each position.
+    fn solve(&self, posed: &[Point], starts: &[(usize, Start)], workspace: &mut Workspace<LANES>) -> Vec<Option<Point>> {
+        let (width, height) = self.mesh.grid().cell();
+        let longest = LONGEST_STEP * width.max(height);
+        let mut x: Vec<Point> = starts.iter().map(|(_, start)| start.x).collect();
+        let mut inverses: Vec<Matrix> = starts.iter().map(|(_, start)| start.inverse).collect();
+        let off = |x: &[Point], workspace: &mut Workspace<LANES>| -> Vec<Vec2> {
+            let f = self.f_at(x, workspace);
+            starts.iter().zip(f).map(|((k, _), f)| posed[*k] - f).collect()
+        };
+        let mut offs = off(&x, workspace);
+        for _ in 0..STEPS {
+            if offs.iter().all(|off| off.norm() <= SOLVED) {
+                break;
+            }
+            let mut steps = vec![Vec2::ZERO; x.len()];
+            for (k, step) in steps.iter_mut().enumerate() {
+                if offs[k].norm() > SOLVED {
+                    let whole = inverses[k].times(offs[k]);
+                    let length = whole.norm();
+                    *step = if length > longest { whole * (longest / length) } else { whole };
+                    x[k] = x[k] + *step;
+                }
+            }
+            let next = off(&x, workspace);
+            for (k, step) in steps.into_iter().enumerate() {
+                if step != Vec2::ZERO {
+                    inverses[k].learn(step, offs[k] - next[k]);
+                }
+            }
+            offs = next;
+        }
+        x.into_iter().zip(offs).map(|(x, off)| (off.norm() <= SOLVED).then_some(x)).collect()
+    }
+
+    /// Newton's method with shorter steps where whole ones lead away.
+    fn newton(&self, y: Point, start: &Start, workspace: &mut Workspace<LANES>) -> Option<Point> {
+        let mut x = start.x;
+        for _ in 0..NEWTON_STEPS {
+            let (across, down) = (Vec2::new(DIFFERENCE, 0.0), Vec2::new(0.0, DIFFERENCE));
+            let around = [x, x + across, x - across, x + down, x - down];
+            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f_at(&around, workspace)).expect("five");
+            let off = y - f;
+            if off.norm() <= SOLVED {
+                return Some(x);
+            }
+            let per = 0.5 / DIFFERENCE;
+            let step = Matrix::inverse_of((right - left) * per, (below - above) * per)?.times(off);
+            let shorter: Vec<Point> = (0..HALVINGS).map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few"))).collect();
+            let tried = self.f_at(&shorter, workspace);
+            let nearest = shorter.into_iter().zip(tried).find(|(_, f)| (y - *f).norm() < off.norm());
+            x = nearest?.0;
+        }
+        None
+    }
+
+    /// A solution, if it lies in the picture and in the cell or beside it.
+    fn within(&self, x: Point, cell: usize) -> Option<Point> {
+        let grid = self.mesh.grid();
+        let inside = |value: f64, side: f64| (-BORDER..=side + BORDER).contains(&value).then_some(value.clamp(0.0, side));
+        let x = Point::new(inside(x.x, grid.width())?, inside(x.y, grid.height())?);
+        let (width, height) = grid.cell();
+        #[expect(clippy::cast_precision_loss, reason = "columns and rows are u32")]
+        let (i, j) = ((cell % (grid.columns() as usize - 1)) as f64, (cell / (grid.columns() as usize - 1)) as f64);
+        let beside = |value: f64, first: f64, side: f64| (-BESIDE..=1.0 + BESIDE).contains(&((value - first * side) / side));
+        (beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
+    }
+
+    /// f at up to [`LANES`] positions.
+    fn f_at(&self, places: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Point> {
+        let mut v = Vertices::all(places[0]);
+        for (k, place) in places.iter().enumerate() {
+            (v.x[k], v.y[k]) = (place.x, place.y);
+        }
+        let ([x, y], _) = self.f.displacements(&v, true, workspace);
+        places.iter().enumerate().map(|(k, place)| *place + Vec2::new(x[k], y[k])).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::deform::{Falloff, Handle, Handles, Method, Plan};
+    use crate::geometry::Grid;
+
+    fn set(method: Method, alpha: f64, count: u32, seed: u32, reach: f64) -> (Field, Pose) {
+        let noise = |k: u32, n: u32| f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
+        let place = |k: u32| Point::new(20.0 + 260.0 * noise(k, 0), 20.0 + 160.0 * noise(k, 1));
+        let moved = |k: u32| Handle::Point(place(k) + Vec2::new(noise(k, 2) - 0.5, noise(k, 3) - 0.5) * reach);
+        let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
+        let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
+        let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
+        (field, pose)
+    }
+
+    fn mesh(field: &Field, pose: &Pose) -> Mesh {
+        let grid = Grid::with_cell(300.0, 200.0, 5.0);
+        Plan::of_grid(field, &grid).pose(&grid, pose).0
+    }
+
+    proptest! {
+        /// Where the pose has no folds, every position of the picture is found again.
+        #[test]
+        fn the_inverse_of_f_is_its_inverse(
+            method in prop::sample::select(&[Method::Affine, Method::Similarity, Method::Rigid][..]),
+            alpha in prop::sample::select(&[1.0, 1.5, 2.0][..]),
+            (count, seed) in (3..12_u32, 0..1000_u32),
+            places in prop::collection::vec((0.0..300.0_f64, 0.0..200.0_f64), 1..40),
+        ) {
+            let (field, pose) = set(method, alpha, count, seed, 16.0);
+            let mesh = mesh(&field, &pose);
+            prop_assume!(mesh.folded_cells().next().is_none());
+            let rest: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
+            let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
+            for ((p, y), found) in rest.iter().zip(&posed).zip(Inverse::new(&field, &pose, &mesh).map(&posed)) {
+                let found = found.expect("a position of the picture");
+                prop_assert!(found.distance(*p) < 1e-6, "{p:?} to {y:?}: {found:?}");
+            }
+        }
+
+        /// With folds, what is found is a solution, or a cell that is drawn there cannot be.
+        #[test]
+        fn what_is_found_is_posed_where_it_was_asked_for(
+            alpha in prop::sample::select(&[0.5, 1.0, 2.0, 3.0][..]),
+            (count, seed) in (3..12_u32, 0..1000_u32),
+            places in prop::collection::vec((-50.0..350.0_f64, -50.0..250.0_f64), 1..40),
+        ) {
+            let (field, pose) = set(Method::Rigid, alpha, count, seed, 120.0);
+            let mesh = mesh(&field, &pose);
+            let posed: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
+            for (y, found) in posed.iter().zip(Inverse::new(&field, &pose, &mesh).map(&posed)) {
+                if let Some(found) = found {
+                    prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{y:?}: {found:?}");
+                    prop_assert!((0.0..=300.0).contains(&found.x) && (0.0..=200.0).contains(&found.y));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn handles_are_found_and_what_nothing_shows_is_none() {
+        let (field, pose) = set(Method::Rigid, 1.0, 7, 3, 20.0);
+        let mesh = mesh(&field, &pose);
+        let inverse = Inverse::new(&field, &pose, &mesh);
+        let rest: Vec<Point> = field.handles().handles().iter().map(|handle| handle.places()[0]).collect();
+        let posed: Vec<Point> = rest.iter().zip(pose.displacements()).map(|(p, d)| *p + *d).collect();
+        for (p, found) in rest.iter().zip(inverse.map(&posed)) {
+            assert!(found.is_some_and(|found| found.distance(*p) < 1e-6), "{p:?}: {found:?}");
+        }
+        let outside = [Point::new(-200.0, 10.0), Point::new(1e6, 1e6), Point::new(150.0, -90.0)];
+        assert_eq!(inverse.map(&outside), [None; 3]);
+    }
+}
