@@ -5,8 +5,8 @@ use std::cell::RefCell;
 use super::columns::{Element, PointSource, Rank, Segment};
 use super::family::{displacement, rotation};
 use super::field::Model;
-use super::kernel;
-use super::lanes::Vertices;
+use super::kernel::{self, LANES};
+use super::lanes::{Vertices, gather};
 use super::moments::MomentInputs;
 use super::span::Workspace;
 use super::spline::PosedSpline;
@@ -142,6 +142,20 @@ impl Deformation<'_> {
             let [[x], [y]] = self.displacements(&Vertices::all(place), true, workspace).0;
             place + Vec2::new(x, y)
         })
+    }
+
+    /// f at many positions: the same bits as [`Deformation::map`], several times as fast.
+    #[must_use]
+    pub fn map_all(&self, places: &[Point]) -> Vec<Point> {
+        let mut workspace = Workspace::new(self.columns());
+        places.chunks(LANES).flat_map(|places| self.map_block(places, &mut workspace)).collect()
+    }
+
+    /// f at up to [`LANES`] positions.
+    pub(super) fn map_block(&self, places: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Point> {
+        let v = gather(|lane| places[lane.min(places.len() - 1)]);
+        let ([x, y], _) = self.displacements(&v, true, workspace);
+        places.iter().enumerate().map(|(k, place)| *place + Vec2::new(x[k], y[k])).collect()
     }
 
     /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes throughout.

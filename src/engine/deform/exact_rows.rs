@@ -13,7 +13,8 @@ use rayon::prelude::*;
 use super::deformation::Deformation;
 use super::field::Field;
 use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
-use super::plan::{IsCancelled, gather, store, to_f32};
+use super::lanes::gather;
+use super::plan::{IsCancelled, store, to_f32};
 use super::span::Workspace;
 use crate::geometry::{Grid, Point, Vec2};
 

@@ -5,7 +5,6 @@
 
 use super::deformation::Deformation;
 use super::kernel::LANES;
-use super::lanes::Vertices;
 use super::span::Workspace;
 use super::{Field, Pose};
 use crate::geometry::{CellTree, Mesh, Point, Vec2};
@@ -154,7 +153,7 @@ impl<'a> Inverse<'a> {
         let mut x: Vec<Point> = starts.iter().map(|(_, start)| start.x).collect();
         let mut inverses: Vec<Matrix> = starts.iter().map(|(_, start)| start.inverse).collect();
         let off = |x: &[Point], workspace: &mut Workspace<LANES>| -> Vec<Vec2> {
-            let f = self.f_at(x, workspace);
+            let f = self.f.map_block(x, workspace);
             starts.iter().zip(f).map(|((k, _), f)| posed[*k] - f).collect()
         };
         let mut offs = off(&x, workspace);
@@ -188,7 +187,7 @@ impl<'a> Inverse<'a> {
         for _ in 0..NEWTON_STEPS {
             let (across, down) = (Vec2::new(DIFFERENCE, 0.0), Vec2::new(0.0, DIFFERENCE));
             let around = [x, x + across, x - across, x + down, x - down];
-            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f_at(&around, workspace)).expect("five");
+            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f.map_block(&around, workspace)).expect("five");
             let off = y - f;
             if off.norm() <= SOLVED {
                 return Some(x);
@@ -196,7 +195,7 @@ impl<'a> Inverse<'a> {
             let per = 0.5 / DIFFERENCE;
             let step = Matrix::inverse_of((right - left) * per, (below - above) * per)?.times(off);
             let shorter: Vec<Point> = (0..HALVINGS).map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few"))).collect();
-            let tried = self.f_at(&shorter, workspace);
+            let tried = self.f.map_block(&shorter, workspace);
             let nearest = shorter.into_iter().zip(tried).find(|(_, f)| (y - *f).norm() < off.norm());
             x = nearest?.0;
         }
@@ -213,16 +212,6 @@ impl<'a> Inverse<'a> {
         let (i, j) = ((cell % (grid.columns() as usize - 1)) as f64, (cell / (grid.columns() as usize - 1)) as f64);
         let beside = |value: f64, first: f64, side: f64| (-BESIDE..=1.0 + BESIDE).contains(&((value - first * side) / side));
         (beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
-    }
-
-    /// f at up to [`LANES`] positions.
-    fn f_at(&self, places: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Point> {
-        let mut v = Vertices::all(places[0]);
-        for (k, place) in places.iter().enumerate() {
-            (v.x[k], v.y[k]) = (place.x, place.y);
-        }
-        let ([x, y], _) = self.f.displacements(&v, true, workspace);
-        places.iter().enumerate().map(|(k, place)| *place + Vec2::new(x[k], y[k])).collect()
     }
 }
 

@@ -48,3 +48,13 @@ impl<const N: usize> Rows<N> {
 impl<const N: usize> PointMass<N> {
     pub(super) const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], w: [0.0; N] };
 }
+
+/// N vertices, by lane.
+pub(super) fn gather<const N: usize>(vertex: impl Fn(usize) -> Point) -> Vertices<N> {
+    let mut v = Vertices::all(Point::new(0.0, 0.0));
+    for lane in 0..N {
+        let Point { x, y } = vertex(lane);
+        (v.x[lane], v.y[lane]) = (x, y);
+    }
+    v
+}

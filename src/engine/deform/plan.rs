@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::field::Field;
 use super::kernel::{self, LANES, Lanes, lanes_per_block};
-use super::lanes::{Rows, Vertices};
+use super::lanes::{Rows, gather};
 use super::span::Workspace;
 use super::{Method, Pose};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
@@ -230,16 +230,6 @@ fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
 #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
 pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
     [d.x as f32, d.y as f32]
-}
-
-/// The vertices of a block.
-pub(super) fn gather(vertex: impl Fn(usize) -> Point) -> Vertices<LANES> {
-    let mut v = Vertices::all(Point::new(0.0, 0.0));
-    for lane in 0..LANES {
-        let Point { x, y } = vertex(lane);
-        (v.x[lane], v.y[lane]) = (x, y);
-    }
-    v
 }
 
 /// Writes the rows of a block.
