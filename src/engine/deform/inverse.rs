@@ -81,7 +81,7 @@ impl<'a> Inverse<'a> {
         Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh) }
     }
 
-    /// The rest positions of posed ones, px, at which f is as near as [`SOLVED`]; `None` where nothing of the picture is. If several rest
+    /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture is posed. If several rest
     /// positions have the same posed one, that of the cell that is drawn.
     #[must_use]
     pub fn map(&self, posed: &[Point]) -> Vec<Option<Point>> {
