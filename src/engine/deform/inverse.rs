@@ -1,5 +1,5 @@
-//! The inverse of f: the rest position that a posed one shows. A posed mesh finds the cells that may be drawn there, the last one first, and
-//! a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one f per step: its
+//! The inverse of f, px to px: the rest position that is drawn at a posed one. The posed mesh finds the cells that may be drawn there, the
+//! last one first, and a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one f per step: its
 //! matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with differences of f and
 //! shorter steps takes over. Cost: about five f per position.
 
@@ -52,7 +52,7 @@ struct Matrix([Vec2; 2]);
 impl Matrix {
     const IDENTITY: Self = Self([Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0)]);
 
-    /// The inverse of the matrix with these columns; `None` if there is none.
+    /// The inverse of the matrix with these columns; `None` if the matrix is singular.
     fn inverse_of(a: Vec2, b: Vec2) -> Option<Self> {
         let determinant = a.cross(b);
         let inverse = Self([Vec2::new(b.y, -b.x) * (1.0 / determinant), Vec2::new(-a.y, a.x) * (1.0 / determinant)]);
@@ -258,7 +258,7 @@ mod tests {
             }
         }
 
-        /// With folds, what is found is a solution, or a cell that is drawn there cannot be.
+        /// With folds, whatever is found is a solution in the picture.
         #[test]
         fn what_is_found_is_posed_where_it_was_asked_for(
             alpha in prop::sample::select(&[0.5, 1.0, 2.0, 3.0][..]),

@@ -16,7 +16,7 @@ const LANES: usize = 8;
 const SUMS: usize = 12;
 /// Affine: the least determinant of the second moments, as a share of the product of both.
 const SINGULAR: f64 = 1e-14;
-/// Squared distances below this are none, px.
+/// Squared distances are at least this, px^2: the nearest point at no distance has the ratio 1 and not 0/0.
 const TINY: f64 = f64::MIN_POSITIVE;
 
 /// The input that does not depend on the vertices.

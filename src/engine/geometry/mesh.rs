@@ -147,8 +147,8 @@ impl Mesh {
     }
 
     /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom); touching its border is not enough. A
-    /// cell counts as the convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell; `None` when
-    /// cancelled, which is checked for each row.
+    /// cell counts as the convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell;
+    /// `None` when cancelled, which is checked for each row.
     #[must_use]
     pub fn intersects(&self, rectangle: [f64; 4], cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
