@@ -20,7 +20,7 @@ const PROBLEMS = {
   no_such_session: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
   session_expired: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
   too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
-  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG or WebP and open that file."],
+  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG, WebP, GIF or BMP and open that file."],
   bad_landmarks: ["The landmark file cannot be read", "Correct the file at the place that the message names."],
   nothing_visible: ["Nothing of the picture is left", "The handles make it a line or a point: undo the last step, or choose another canvas."],
   bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
@@ -35,7 +35,7 @@ const PROBLEMS = {
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
   unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["No picture found", "Open a PNG, JPEG or WebP file, or a file with handles or landmarks."],
+  not_a_picture: ["No picture found", "Open a PNG, JPEG, WebP, GIF or BMP file, or a file with handles or landmarks."],
   bad_handles_file: ["The handles cannot be opened", "Correct the file, or save the handles again."],
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
@@ -193,5 +193,5 @@ export const waitingWords = ({ name, document: { handles } }) =>
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG or WebP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
+  return `PNG, JPEG, WebP, GIF or BMP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
 }

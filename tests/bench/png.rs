@@ -172,7 +172,7 @@ fn answer(folder: &Path) {
 
 fn writer(picture: &Picture, compression: Compression) -> PngWriter {
     let extent = Extent::new(picture.width, picture.height).unwrap();
-    PngWriter::new(PngShape { extent, channels: picture.channels, depth: Depth::Eight }, compression, None)
+    PngWriter::new(PngShape { extent, channels: picture.channels, grey: false, depth: Depth::Eight }, compression, None)
 }
 
 fn strip_samples<'a>(picture: &'a Picture, writer: &PngWriter, strip: usize) -> &'a [u8] {

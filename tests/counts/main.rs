@@ -142,7 +142,7 @@ fn render() {
 fn png() {
     let mut samples = Vec::new();
     let channels = draw(&source(), &mesh(), &mut samples);
-    let shape = PngShape { extent: extent(), channels, depth: Depth::Eight };
+    let shape = PngShape { extent: extent(), channels, grey: false, depth: Depth::Eight };
     let row = SIDE as usize * channels.count();
     let mut file = Vec::with_capacity(2 * samples.len());
     measure(|| {

@@ -14,7 +14,7 @@ use crate::support::picture::decoded;
 
 /// A PNG of pseudo-random samples, written in one strip after another.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Vec<u8> {
-    let writer = PngWriter::new(PngShape { extent, channels, depth }, Compression::None, None);
+    let writer = PngWriter::new(PngShape { extent, channels, grey: false, depth }, Compression::None, None);
     let row = extent.width() as usize * channels.count() * depth.bytes();
     let mut state = extent.width().wrapping_mul(31) + extent.height();
     let mut png = writer.head();

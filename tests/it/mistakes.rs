@@ -86,7 +86,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"p": [[1, 1]], "method": "auto"}"#, "bad_value", "/q", &["`q` is missing: where do the handles go?"]),
         (r#"{"p": [[1, 1]], "q": [[1, 2]], "method": "auto", "alpha": 1}"#, "bad_value", "/alpha", &["the method `auto` chooses it"]),
         (r#"{"method": "global_affine", "alpha": 1}"#, "bad_value", "/alpha", &["it belongs to the methods `rigid`"]),
-        (r#"{"output": {"format": "tiff"}}"#, "not_supported", "/output/format", &["supported: `png`, `jpeg`, `webp`"]),
+        (r#"{"output": {"format": "gif"}}"#, "bad_value", "/output/format", &["`png`, `jpeg`, `webp`", "`tiff`"]),
         (r#"{"output": {"canvas": {"x": 0}}}"#, "bad_value", "/output/canvas", &["expected `x`, `y`, `width` and `height`"]),
         (r#"{"output": {"canvas": "fitt"}}"#, "bad_value", "/output/canvas", &["did you mean `fit`?"]),
         (r#"{"output": {"subsampling": "4:2:0"}}"#, "not_supported", "/output/subsampling", &["supported: `format`"]),
@@ -320,23 +320,21 @@ async fn mistakes_in_the_format_of_the_image_name_it() {
     for (file, name) in [
         (padded(b"\0\0\0\x18ftypheic"), "HEIC"),
         (padded(b"\0\0\0\x20ftypavif"), "AVIF"),
-        (padded(b"II*\0\x08\0\0\0"), "TIFF"),
+        (padded(b"II+\0\x08\0\0\0"), "BigTIFF"),
         (padded(b"8BPS\0\x01"), "Photoshop (PSD)"),
         (b"<?xml version=\"1.0\"?><svg xmlns=\"http://www.w3.org/2000/svg\"/>".to_vec(), "SVG"),
         (padded(b"%PDF-1.7\n"), "PDF"),
-        (padded(b"GIF89a"), "GIF"),
-        (padded(b"BM"), "BMP"),
         (b"data:image/png;base64,iVBORw0KGgo=".to_vec(), "a data URL; send the bytes of the file"),
         (b"iVBORw0KGgoAAAANSUhEUgAAABAAAAAMCAIAAADkharW".to_vec(), "base64; send the bytes of the file"),
         (Vec::new(), "an empty file"),
     ] {
         let words = format!("unsupported image format: {name}");
         let document = told(server.post("/warp").multipart(form(&file, "{}")), 415, "unsupported_format", None, &[&words]).await;
-        assert!(document["detail"].as_str().unwrap().ends_with("supported: PNG, JPEG, WebP"), "{document}");
+        assert!(document["detail"].as_str().unwrap().ends_with("supported: PNG, JPEG, WebP, TIFF, GIF, BMP"), "{document}");
     }
     let animation =
         bombs::png(&[(b"IHDR", bombs::ihdr(16, 12)), (b"acTL", vec![0, 0, 0, 3, 0, 0, 0, 0]), (b"IDAT", bombs::deflated_zeros(600))]);
-    let words = ["the file is an animation of 3 frames; the limit is 1"];
+    let words = ["the file has 3 frames or pages; the limit is 1"];
     told(server.post("/warp").multipart(form(&animation, "{}")), 413, "too_large", None, &words).await;
 }
 
@@ -414,7 +412,7 @@ async fn mistakes_in_the_query_are_named() {
     told(socket("frame=png"), 422, "unknown_field", None, &words).await;
     told(socket("frames=jpg"), 422, "bad_value", None, &["`frames` in the query must be one of", "found `jpg`"]).await;
     told(socket("width=9&width=9"), 400, "malformed_request", None, &["the field `width` is given twice in the query"]).await;
-    told(socket("frames=auto"), 422, "not_supported", None, &["supported: `png`, `jpeg`, `webp`, `mesh`"]).await;
+    told(socket("frames=auto"), 422, "not_supported", None, &["supported: `png`, `jpeg`, `webp`, `tiff`, `mesh`"]).await;
     told(socket("window=auto"), 422, "not_supported", None, &["`window`; supported: `frames`, `width`, `report`"]).await;
     told(socket("width=0"), 422, "bad_value", None, &["`width` in the query must be `auto` or a whole number", "found `0`"]).await;
 }

@@ -61,18 +61,18 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
         file
     };
     for (name, first) in
-        [("out.JPG", b"\xFF\xD8"), ("out.jpeg", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.PNG", b"\x89P"), ("out", b"\x89P")]
+        [("out.JPG", b"\xFF\xD8"), ("out.jpeg", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.tif", b"MM"), ("out.tiff", b"MM"), ("out.PNG", b"\x89P"), ("out", b"\x89P")]
     {
         assert!(written(name).starts_with(first), "{name}: the extension selects the format; without one it is PNG");
     }
     // The extension is checked before the image is read.
-    for (image, name) in [("in.png", "out.gif"), ("missing.png", "out.tif"), ("in.png", "out.json"), ("in.png", "out.")] {
+    for (image, name) in [("in.png", "out.gif"), ("missing.png", "out.avif"), ("in.png", "out.json"), ("in.png", "out.")] {
         let output = mlswarp(&["warp", &path(image), &path("warp.json"), "-o", &path(name)]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(1), "{said}");
         let extension = &name[name.find('.').unwrap()..];
         assert!(said.starts_with("unsupported_format: ") && said.contains(&format!("`{extension}` is not supported")), "{said}");
-        assert!(said.contains("supported: .png, .jpg, .jpeg, .webp") && !directory.join(name).exists(), "{said}");
+        assert!(said.contains("supported: .png, .jpg, .jpeg, .webp, .tif, .tiff") && !directory.join(name).exists(), "{said}");
     }
     let named = json!({"p": [[20, 20]], "q": [[40, 20]], "output": {"format": "webp"}});
     std::fs::write(path("warp.json"), named.to_string()).unwrap();

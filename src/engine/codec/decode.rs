@@ -1,4 +1,4 @@
-//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's structure, memory, pixels. The three decoders
+//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's structure, memory, pixels. The decoders
 //! are third-party code that reads hostile bytes, so they run with their own limits and inside `catch_unwind`: a panic there means a
 //! damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the decoder; a second picture only when the
 //! orientation swaps the sides.
@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Format, Header, Limits, StepCounter};
+use super::{CodecError, Header, Limits, SourceFormat, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
 /// An upright picture and its colour profile.
@@ -71,6 +71,9 @@ impl Opened<'_> {
             Parsed::Png(file) => file.samples(header.decode_bytes, work),
             Parsed::Jpeg(file) => file.samples(work),
             Parsed::WebP(file) => file.samples(work),
+            Parsed::Tiff(file) => file.samples(work),
+            Parsed::Gif(file) => file.samples(work),
+            Parsed::Bmp(file) => file.samples(work),
         })
         .map_err(wanted)?;
 
@@ -87,6 +90,8 @@ impl Opened<'_> {
             Parsed::Png(file) => (file.has_profile(), file.icc(work)),
             Parsed::Jpeg(file) => (file.has_profile(), file.icc()),
             Parsed::WebP(file) => (file.has_profile(), file.icc()),
+            Parsed::Tiff(file) => (file.has_profile(), file.icc()),
+            Parsed::Gif(_) | Parsed::Bmp(_) => (false, None),
         };
         work.check()?;
         let profile_dropped = has_profile && icc.is_none();
@@ -95,19 +100,20 @@ impl Opened<'_> {
 }
 
 /// Treats a panic of the decoder as a damaged file.
-fn contained<T>(format: Format, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
+fn contained<T>(format: SourceFormat, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
     catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::Format;
 
     #[test]
     fn a_decoder_that_panics_has_met_a_damaged_file() {
-        let given_up = contained::<()>(Format::WebP, || panic!("on purpose")).unwrap_err();
+        let given_up = contained::<()>(SourceFormat::Written(Format::WebP), || panic!("on purpose")).unwrap_err();
         assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
-        assert_eq!(contained(Format::Png, || Ok(7)), Ok(7));
+        assert_eq!(contained(SourceFormat::Gif, || Ok(7)), Ok(7));
     }
 
     /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.

@@ -6,7 +6,7 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum CodecError {
     /// Not a supported format.
-    #[error("unsupported image format: {found}; supported: PNG, JPEG, WebP")]
+    #[error("unsupported image format: {found}; supported: PNG, JPEG, WebP, TIFF, GIF, BMP")]
     Unsupported {
         /// Description of the first bytes.
         found: String,
@@ -51,7 +51,7 @@ fn measured(what: &str, actual: u64) -> String {
     match what {
         "image_pixels" => format!("the image has {actual} pixels"),
         "image_side" => format!("the longer side of the image is {actual} px"),
-        "image_frames" => format!("the file is an animation of {actual} frames"),
+        "image_frames" => format!("the file has {actual} frames or pages"),
         _ => format!("{what}: {actual}"),
     }
 }

@@ -1,4 +1,4 @@
-//! The file formats: names, media types, recognition by the first bytes, and the largest sides.
+//! The file formats: names, media types, recognition by the first bytes, and the largest sides. GIF and BMP are only read.
 
 use super::CodecError;
 
@@ -12,24 +12,24 @@ pub enum Format {
     Jpeg,
     /// WebP.
     WebP,
+    /// TIFF.
+    Tiff,
+}
+
+/// A file format that is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum SourceFormat {
+    /// A format that is written too.
+    Written(Format),
+    /// GIF.
+    Gif,
+    /// BMP.
+    Bmp,
 }
 
 impl Format {
     /// All formats, the default first.
-    pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
-
-    /// The format of a file, by its first bytes.
-    ///
-    /// # Errors
-    /// [`CodecError::Unsupported`], which names what the bytes look like.
-    pub fn of(bytes: &[u8]) -> Result<Self, CodecError> {
-        match bytes {
-            [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Ok(Self::Png),
-            [0xFF, 0xD8, 0xFF, ..] => Ok(Self::Jpeg),
-            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Ok(Self::WebP),
-            _ => Err(CodecError::unsupported(looks_like(bytes))),
-        }
-    }
+    pub const ALL: [Self; 4] = [Self::Png, Self::Jpeg, Self::WebP, Self::Tiff];
 
     /// The name in messages.
     #[must_use]
@@ -38,6 +38,7 @@ impl Format {
             Self::Png => "PNG",
             Self::Jpeg => "JPEG",
             Self::WebP => "WebP",
+            Self::Tiff => "TIFF",
         }
     }
 
@@ -48,6 +49,7 @@ impl Format {
             Self::Png => "image/png",
             Self::Jpeg => "image/jpeg",
             Self::WebP => "image/webp",
+            Self::Tiff => "image/tiff",
         }
     }
 
@@ -55,9 +57,37 @@ impl Format {
     #[must_use]
     pub const fn max_side(self) -> u32 {
         match self {
-            Self::Png => u32::MAX >> 1,
+            Self::Png | Self::Tiff => u32::MAX >> 1,
             Self::Jpeg => u16::MAX as u32,
             Self::WebP => 1 << 14,
+        }
+    }
+}
+
+impl SourceFormat {
+    /// The format of a file, by its first bytes.
+    ///
+    /// # Errors
+    /// [`CodecError::Unsupported`], which names what the bytes look like.
+    pub fn of(bytes: &[u8]) -> Result<Self, CodecError> {
+        Ok(match bytes {
+            [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Self::Written(Format::Png),
+            [0xFF, 0xD8, 0xFF, ..] => Self::Written(Format::Jpeg),
+            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Self::Written(Format::WebP),
+            [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => Self::Written(Format::Tiff),
+            [b'G', b'I', b'F', b'8', b'7' | b'9', b'a', ..] => Self::Gif,
+            [b'B', b'M', ..] => Self::Bmp,
+            _ => return Err(CodecError::unsupported(looks_like(bytes))),
+        })
+    }
+
+    /// The name in messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Written(format) => format.name(),
+            Self::Gif => "GIF",
+            Self::Bmp => "BMP",
         }
     }
 }
@@ -66,9 +96,7 @@ impl Format {
 fn looks_like(bytes: &[u8]) -> String {
     let known = match bytes {
         [] => "an empty file (0 bytes)",
-        [b'G', b'I', b'F', b'8', ..] => "GIF",
-        [b'B', b'M', ..] => "BMP",
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => "TIFF, or a camera's raw format",
+        [b'I', b'I', 43, 0, ..] | [b'M', b'M', 0, 43, ..] => "BigTIFF",
         [0, 0, 1 | 2, 0, ..] => "ICO",
         [0xFF, 0x0A, ..] | [0, 0, 0, 12, b'J', b'X', b'L', b' ', ..] => "JPEG XL",
         [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] => "JPEG 2000",

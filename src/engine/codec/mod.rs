@@ -5,11 +5,15 @@
 #[forbid(unsafe_code)]
 mod alloc;
 #[forbid(unsafe_code)]
+mod bmp;
+#[forbid(unsafe_code)]
 mod decode;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod format;
+#[forbid(unsafe_code)]
+mod gif;
 #[forbid(unsafe_code)]
 mod jpeg;
 #[forbid(unsafe_code)]
@@ -24,6 +28,8 @@ mod profile;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
+mod tiff;
+#[forbid(unsafe_code)]
 mod webp;
 #[forbid(unsafe_code)]
 mod work;
@@ -32,7 +38,7 @@ mod write;
 
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
-pub use format::Format;
+pub use format::{Format, SourceFormat};
 pub use limits::Limits;
 pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};

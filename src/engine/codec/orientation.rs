@@ -59,7 +59,7 @@ impl Orientation {
         None
     }
 
-    fn from_number(number: u16) -> Option<Self> {
+    pub(super) fn from_number(number: u16) -> Option<Self> {
         Some(match number {
             1 => Self::Upright,
             2 => Self::MirrorHorizontal,

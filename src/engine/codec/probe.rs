@@ -2,19 +2,21 @@
 //! to the picture is allocated, and sizes are computed in u64. Callers reserve `Header::decode_bytes` before decoding.
 
 use super::orientation::Orientation;
-use super::{CodecError, Format, StepCounter, jpeg, png, webp};
+use super::{CodecError, Format, SourceFormat, StepCounter, bmp, gif, jpeg, png, tiff, webp};
 use crate::pixmap::{Channels, Depth, Extent, sample_bytes};
 
 /// The header of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// Format by the file's first bytes.
-    pub format: Format,
+    pub format: SourceFormat,
     /// Size of the upright picture (EXIF orientation applied).
     pub extent: Extent,
     /// Channels of the decoded picture: RGBA if the file can hold transparency, else RGB (grey included).
     pub channels: Channels,
-    /// Depth of the decoded picture: sixteen bit for a 16-bit PNG, else eight.
+    /// Whether the colours of every pixel are equal, because the file stores one sample for them.
+    pub grey: bool,
+    /// Depth of the decoded picture: sixteen bit for a 16-bit PNG or TIFF, else eight.
     pub depth: Depth,
     /// Upper bound of the memory for decoding, bytes: the picture, the decoder's planes, and the second picture of an orientation. For a
     /// lossless WebP [`super::Opened::header`] is closer, because it has read the prefix codes.
@@ -30,14 +32,20 @@ pub(super) enum Parsed<'a> {
     Png(png::read::PngFile<'a>),
     Jpeg(jpeg::read::JpegFile<'a>),
     WebP(webp::read::WebPFile<'a>),
+    Tiff(tiff::read::TiffFile<'a>),
+    Gif(gif::GifFile<'a>),
+    Bmp(bmp::BmpFile<'a>),
 }
 
 impl<'a> Parsed<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
-        Ok(match Format::of(bytes)? {
-            Format::Png => Self::Png(png::read::PngFile::parse(bytes, work)?),
-            Format::Jpeg => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
-            Format::WebP => Self::WebP(webp::read::WebPFile::parse(bytes, work)?),
+        Ok(match SourceFormat::of(bytes)? {
+            SourceFormat::Written(Format::Png) => Self::Png(png::read::PngFile::parse(bytes, work)?),
+            SourceFormat::Written(Format::Jpeg) => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
+            SourceFormat::Written(Format::WebP) => Self::WebP(webp::read::WebPFile::parse(bytes, work)?),
+            SourceFormat::Written(Format::Tiff) => Self::Tiff(tiff::read::TiffFile::parse(bytes, work)?),
+            SourceFormat::Gif => Self::Gif(gif::GifFile::parse(bytes, work)?),
+            SourceFormat::Bmp => Self::Bmp(bmp::BmpFile::parse(bytes, work)?),
         })
     }
 
@@ -47,15 +55,21 @@ impl<'a> Parsed<'a> {
             Self::Png(file) => (file.extent, file.exif),
             Self::Jpeg(file) => (file.extent, file.exif),
             Self::WebP(file) => (file.extent, file.exif),
+            Self::Tiff(file) => return (file.extent, file.orientation),
+            Self::Gif(file) => (file.extent, None),
+            Self::Bmp(file) => (file.extent, None),
         };
         (extent, exif.map_or_else(Orientation::default, Orientation::from_exif))
     }
 
     pub(super) fn header(&self) -> Header {
-        let (format, channels, depth, decoder_bytes) = match self {
-            Self::Png(file) => (Format::Png, file.channels(), file.depth(), file.decoder_bytes()),
-            Self::Jpeg(file) => (Format::Jpeg, Channels::Rgb, Depth::Eight, file.decoder_bytes()),
-            Self::WebP(file) => (Format::WebP, file.channels(), Depth::Eight, file.decoder_bytes()),
+        let (format, channels, depth, decoder_bytes, grey) = match self {
+            Self::Png(f) => (SourceFormat::Written(Format::Png), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
+            Self::Jpeg(f) => (SourceFormat::Written(Format::Jpeg), Channels::Rgb, Depth::Eight, f.decoder_bytes(), f.is_grey()),
+            Self::WebP(f) => (SourceFormat::Written(Format::WebP), f.channels(), Depth::Eight, f.decoder_bytes(), false),
+            Self::Tiff(f) => (SourceFormat::Written(Format::Tiff), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
+            Self::Gif(f) => (SourceFormat::Gif, f.channels(), Depth::Eight, f.decoder_bytes(), false),
+            Self::Bmp(f) => (SourceFormat::Bmp, f.channels(), Depth::Eight, f.decoder_bytes(), false),
         };
         let (stored, orientation) = self.stored();
         let picture = sample_bytes(stored, channels, depth);
@@ -64,7 +78,7 @@ impl<'a> Parsed<'a> {
         // The decoder's planes are freed before the picture is turned, so the peak is the larger of the two, not the sum; its small blocks
         // stay with the allocator.
         let beside = if swaps { decoder_bytes.max(picture.saturating_add(TURNING_SLACK)) } else { decoder_bytes };
-        Header { format, extent, channels, depth, decode_bytes: picture.saturating_add(beside) }
+        Header { format, extent, channels, grey, depth, decode_bytes: picture.saturating_add(beside) }
     }
 }
 

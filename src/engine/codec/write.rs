@@ -1,12 +1,13 @@
 //! Writes a picture in any format: head, strips in any order, tail. PNG has several strips, rendered and encoded in parallel and sent in
-//! order; JPEG and WebP are one strip, because their encoders need whole pictures.
+//! order; the other formats are one strip: the encoders of JPEG and WebP need whole pictures. Of grey pixels one sample is written, except
+//! in WebP, which has none.
 
 use std::ops::Range;
 
 use super::jpeg::write::WhileWanted;
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::{Format, jpeg, webp};
-use crate::pixmap::{Depth, sample_bytes};
+use super::{Format, jpeg, tiff, webp};
+use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +23,8 @@ pub enum Encoding {
     },
     /// Lossless, 8 bit.
     WebP,
+    /// Lossless, 8 or 16 bit.
+    Tiff(Compression),
 }
 
 impl Encoding {
@@ -32,45 +35,58 @@ impl Encoding {
             Self::Png(_) => Format::Png,
             Self::Jpeg { .. } => Format::Jpeg,
             Self::WebP => Format::WebP,
+            Self::Tiff(_) => Format::Tiff,
         }
     }
 }
 
 /// Writes one picture. Cheap to create and to clone.
 #[derive(Clone, Debug)]
-pub struct Writer(Kind);
+pub struct Writer {
+    shape: PngShape,
+    kind: Kind,
+}
 
 #[derive(Clone, Debug)]
 enum Kind {
     Strips(PngWriter),
-    Whole { shape: PngShape, coding: Coding, icc: Option<Profile> },
+    Whole { coding: Coding, icc: Option<Profile> },
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Coding {
     Jpeg { quality: u8, ground: [u8; 3] },
     WebP,
+    Tiff(Compression),
 }
 
 impl Writer {
-    /// Creates a writer for one picture.
+    /// Creates a writer for one picture. A grey one becomes a file in colour if the format has no grey, or if the ground is not grey.
     ///
     /// # Panics
     /// If a row is longer than 1 GiB.
     #[must_use]
     pub fn new(shape: PngShape, encoding: Encoding, icc: Option<&Profile>) -> Self {
-        let whole = |coding| Kind::Whole { shape, coding, icc: icc.cloned() };
-        Self(match encoding {
+        let grey = match encoding {
+            Encoding::Png(_) | Encoding::Tiff(_) => shape.grey,
+            Encoding::Jpeg { ground: [r, g, b], .. } => shape.grey && r == g && g == b,
+            Encoding::WebP => false,
+        };
+        let shape = PngShape { grey, ..shape };
+        let whole = |coding| Kind::Whole { coding, icc: icc.cloned() };
+        let kind = match encoding {
             Encoding::Png(compression) => Kind::Strips(PngWriter::new(shape, compression, icc)),
             Encoding::Jpeg { quality, ground } => whole(Coding::Jpeg { quality, ground }),
             Encoding::WebP => whole(Coding::WebP),
-        })
+            Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
+        };
+        Self { shape, kind }
     }
 
     /// Number of strips.
     #[must_use]
     pub const fn strips(&self) -> usize {
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.strips(),
             Kind::Whole { .. } => 1,
         }
@@ -82,9 +98,9 @@ impl Writer {
     /// If there is no such strip.
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.rows(strip),
-            Kind::Whole { shape, .. } => 0..shape.extent.height(),
+            Kind::Whole { .. } => 0..self.shape.extent.height(),
         }
     }
 
@@ -95,9 +111,10 @@ impl Writer {
         const FRAME: u64 = 64 << 10;
         /// A JPEG coefficient takes at most 26 bits, each byte of which may need stuffing; a WebP sample takes less.
         const SAMPLE: u64 = 8;
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.max_bytes(),
-            Kind::Whole { shape, icc, .. } => {
+            Kind::Whole { icc, .. } => {
+                let shape = self.shape;
                 // Both encoders pad a picture to blocks.
                 let side = |length: u32| u64::from(length).next_multiple_of(16);
                 let samples = side(shape.extent.width()) * side(shape.extent.height()) * shape.channels.count() as u64;
@@ -112,9 +129,10 @@ impl Writer {
     pub fn work_bytes(&self) -> u64 {
         /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's buffers, the file.
         const COPIES: u64 = 4;
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.max_bytes(),
-            Kind::Whole { shape, icc, .. } => {
+            Kind::Whole { icc, .. } => {
+                let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
                 samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
             }
@@ -124,33 +142,40 @@ impl Writer {
     /// The bytes before the first strip.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.head(),
             Kind::Whole { .. } => Vec::new(),
         }
     }
 
-    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian. During long strips (a whole JPEG)
-    /// `wanted` is called from time to time, and encoding stops when it returns false; the output is then incomplete.
+    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian; those of a grey picture are
+    /// overwritten. During long strips (a whole JPEG or TIFF) `wanted` is called from time to time, and encoding stops when it returns
+    /// false; the output is then incomplete.
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
-    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
-        match &self.0 {
+    pub fn strip_into(&self, index: usize, samples: &mut [u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
+        let samples = if self.shape.grey { first_colour(samples, self.shape) } else { samples };
+        match &self.kind {
             Kind::Strips(png) => png.strip_into(index, samples, out),
-            Kind::Whole { shape, coding, icc } => {
+            Kind::Whole { coding, icc } => {
+                let shape = self.shape;
+                let icc = icc.as_ref().map(Profile::icc);
+                if let Coding::Tiff(compression) = *coding {
+                    tiff::write::write(shape, compression, samples, icc, out, wanted);
+                    return StripChecksum::default();
+                }
                 let eight = match shape.depth {
                     Depth::Eight => None,
                     Depth::Sixteen => Some(to_eight(samples)),
                 };
                 let samples = eight.as_deref().unwrap_or(samples);
-                let icc = icc.as_ref().map(Profile::icc);
                 match *coding {
                     Coding::Jpeg { quality, ground } => {
                         let out = WhileWanted::new(out, wanted);
-                        jpeg::write::write(shape.extent, shape.channels, samples, quality, ground, icc, out);
+                        jpeg::write::write(shape, samples, quality, ground, icc, out);
                     }
-                    Coding::WebP => webp::write::write(shape.extent, shape.channels, samples, icc, out),
+                    Coding::WebP | Coding::Tiff(_) => webp::write::write(shape.extent, shape.channels, samples, icc, out),
                 }
                 StripChecksum::default()
             }
@@ -160,11 +185,33 @@ impl Writer {
     /// The bytes after the last strip.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
-        match &self.0 {
+        match &self.kind {
             Kind::Strips(png) => png.tail(checksums),
             Kind::Whole { .. } => Vec::new(),
         }
     }
+}
+
+/// Moves the first colour of every pixel, and its alpha, to the front.
+fn first_colour(samples: &mut [u8], shape: PngShape) -> &[u8] {
+    fn compact<const FROM: usize, const COLOUR: usize, const TO: usize>(samples: &mut [u8]) -> usize {
+        let pixels = samples.len() / FROM;
+        for pixel in 0..pixels {
+            let from: [u8; FROM] = samples[pixel * FROM..][..FROM].try_into().expect("a pixel");
+            let mut to = [0; TO];
+            to[..COLOUR].copy_from_slice(&from[..COLOUR]);
+            to[COLOUR..].copy_from_slice(&from[3 * COLOUR..]);
+            samples[pixel * TO..][..TO].copy_from_slice(&to);
+        }
+        pixels * TO
+    }
+    let length = match (shape.channels, shape.depth) {
+        (Channels::Rgb, Depth::Eight) => compact::<3, 1, 1>(samples),
+        (Channels::Rgba, Depth::Eight) => compact::<4, 1, 2>(samples),
+        (Channels::Rgb, Depth::Sixteen) => compact::<6, 2, 2>(samples),
+        (Channels::Rgba, Depth::Sixteen) => compact::<8, 2, 4>(samples),
+    };
+    &samples[..length]
 }
 
 /// Converts 16 bit to the nearest 8 bit: `(s * 255 + 32767) / 65535`.
@@ -177,17 +224,19 @@ fn to_eight(samples: &[u8]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::{Decoded, Limits, decode};
+    use crate::codec::{Decoded, Limits, SourceFormat, decode};
     use crate::pixmap::Samples;
-    use crate::pixmap::{Channels, Extent};
+    use crate::pixmap::Extent;
+
+    const TIFF: Encoding = Encoding::Tiff(Compression::Fast);
 
     fn written(extent: Extent, channels: Channels, depth: Depth, samples: &[u8], encoding: Encoding, icc: Option<&[u8]>) -> Decoded {
         let profile = icc.map(Profile::new);
-        let writer = Writer::new(PngShape { extent, channels, depth }, encoding, profile.as_ref());
+        let writer = Writer::new(PngShape { extent, channels, grey: false, depth }, encoding, profile.as_ref());
         let mut file = writer.head();
-        let checksum = writer.strip_into(0, samples, &mut file, &|| true);
+        let checksum = writer.strip_into(0, &mut samples.to_vec(), &mut file, &|| true);
         file.extend(writer.tail(&[checksum]));
-        assert_eq!(Format::of(&file).unwrap(), encoding.format());
+        assert_eq!(SourceFormat::of(&file).unwrap(), SourceFormat::Written(encoding.format()));
         assert!(file.len() as u64 <= writer.max_bytes());
         decode(&file, &Limits::default(), &|| false).unwrap()
     }
@@ -196,12 +245,12 @@ mod tests {
     fn a_jpeg_that_nobody_waits_for_is_not_written_to_its_end() {
         use std::cell::Cell;
         let extent = Extent::new(1500, 1000).unwrap();
-        let shape = PngShape { extent, channels: Channels::Rgb, depth: Depth::Eight };
+        let shape = PngShape { extent, channels: Channels::Rgb, grey: false, depth: Depth::Eight };
         let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, ground: [0; 3] }, None);
         let noise: Vec<u8> = (0..1500_u32 * 3000).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let write = |looks: u32| {
             let (asked, mut file) = (Cell::new(0), Vec::new());
-            writer.strip_into(0, &noise, &mut file, &|| asked.replace(asked.get() + 1) < looks);
+            writer.strip_into(0, &mut noise.clone(), &mut file, &|| asked.replace(asked.get() + 1) < looks);
             file.len()
         };
         let whole = write(u32::MAX);
@@ -285,7 +334,7 @@ mod tests {
         profile[16..20].copy_from_slice(b"RGB ");
         profile[36..40].copy_from_slice(b"acsp");
         profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
-        for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP] {
+        for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP, TIFF] {
             let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
             assert!(back.icc.as_deref() == Some(profile.as_slice()), "{encoding:?}");
         }

@@ -74,6 +74,17 @@ pub enum Outside {
     Colour([u8; 4]),
 }
 
+impl Outside {
+    /// Whether it adds no colour to a grey picture.
+    #[must_use]
+    pub fn is_grey(self) -> bool {
+        match self {
+            Self::Transparent | Self::Edge => true,
+            Self::Colour([r, g, b, _]) => r == g && g == b,
+        }
+    }
+}
+
 /// How the mesh is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RenderOptions {

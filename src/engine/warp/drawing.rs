@@ -35,7 +35,8 @@ impl Warp {
     pub fn onto(target: Target, image: &Image, posed: &Posed, output: &OutputSpec) -> Self {
         let options = RenderOptions { target: target.extent, canvas: target.canvas, filter: output.filter, outside: output.outside };
         let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
-        let shape = PngShape { extent: target.extent, channels: renderer.channels(), depth: renderer.depth() };
+        let grey = image.grey && output.outside.is_grey();
+        let shape = PngShape { extent: target.extent, channels: renderer.channels(), grey, depth: renderer.depth() };
         let writer = Writer::new(shape, output.encoding(), image.icc.as_ref());
         Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target), target }
     }
@@ -110,6 +111,9 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, exte
         Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
         Encoding::Jpeg { quality, ground: [r, g, b] } => [3, quality, r, g, b],
         Encoding::WebP => [4, 0, 0, 0, 0],
+        Encoding::Tiff(Compression::None) => [5, 0, 0, 0, 0],
+        Encoding::Tiff(Compression::Fast) => [6, 0, 0, 0, 0],
+        Encoding::Tiff(Compression::Best) => [7, 0, 0, 0, 0],
     };
     let filter = match output.filter {
         Filter::Nearest => 0,
@@ -120,7 +124,7 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, exte
         Outside::Edge => [1, 0, 0, 0, 0],
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
     };
-    let digest = Collector::new("mlswarp answer 3")
+    let digest = Collector::new("mlswarp answer 4")
         .bytes(&image.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)

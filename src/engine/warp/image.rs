@@ -14,6 +14,8 @@ pub struct Image {
     pub(super) source: Arc<Source>,
     pub(super) icc: Option<Profile>,
     profile_dropped: bool,
+    /// Whether the file stores one sample for the three colours.
+    pub(super) grey: bool,
 }
 
 impl Image {
@@ -46,7 +48,7 @@ impl Image {
     pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
         let decoded = opened.decode()?;
         let icc = decoded.icc.as_deref().map(Profile::new);
-        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc, profile_dropped: decoded.profile_dropped })
+        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc, profile_dropped: decoded.profile_dropped, grey: opened.header().grey })
     }
 
     /// The warning for every output drawn from this picture.

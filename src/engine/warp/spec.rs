@@ -169,7 +169,7 @@ pub struct OutputSpec {
     pub format: Format,
     /// JPEG quality, 1 to 100.
     pub quality: u8,
-    /// PNG compression.
+    /// PNG and TIFF compression.
     pub compression: Compression,
     /// The part of the posed plane that is drawn.
     pub canvas: CanvasSpec,
@@ -213,6 +213,7 @@ impl OutputSpec {
                 Encoding::Jpeg { quality: self.quality, ground }
             }
             Format::WebP => Encoding::WebP,
+            Format::Tiff => Encoding::Tiff(self.compression),
         }
     }
 }

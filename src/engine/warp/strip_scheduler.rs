@@ -106,7 +106,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             }
             let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
             let mut checksum = (0, 0);
-            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &samples, &mut bytes, &|| watch.is_wanted()));
+            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &mut samples, &mut bytes, &|| watch.is_wanted()));
             if !watch.is_wanted() {
                 self.cancelled.store(true, Ordering::Relaxed);
                 break;

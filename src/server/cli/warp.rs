@@ -157,9 +157,10 @@ fn format_of(out: &Path) -> Result<Format, Problem> {
         "png" => Ok(Format::Png),
         "jpg" | "jpeg" => Ok(Format::Jpeg),
         "webp" => Ok(Format::WebP),
+        "tif" | "tiff" => Ok(Format::Tiff),
         other => {
             let extension = quote(&format!(".{other}"));
-            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .png, .jpg, .jpeg, .webp");
+            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .png, .jpg, .jpeg, .webp, .tif, .tiff");
             Err(Problem::new(Code::UnsupportedFormat, detail))
         }
     }

@@ -50,7 +50,7 @@ pub enum Command {
     /// Warp one image without a server, into a file with the same bytes as the response of POST /warp.
     #[command(after_help = WARP_EXAMPLE)]
     Warp {
-        /// Image file (PNG, JPEG, WebP); `-` reads standard input.
+        /// Image file (PNG, JPEG, WebP, TIFF, GIF, BMP); `-` reads standard input.
         image: PathBuf,
         /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
         #[arg(required_unless_present = "landmarks")]
@@ -72,8 +72,8 @@ pub enum Command {
         /// precedence over the warp object.
         #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true, display_order = 4)]
         canvas: Option<String>,
-        /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg or .webp. A format in the warp object
-        /// takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
+        /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg, .webp, .tif or .tiff. A format in the
+        /// warp object takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
         // All of these stand before the options of the server.
         #[arg(short, long, display_order = 4)]
         out: PathBuf,

@@ -109,4 +109,4 @@ enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Rejec
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
-enum_names!(Format, unsupported["tiff"], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp");
+enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

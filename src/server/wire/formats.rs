@@ -46,12 +46,12 @@ mod tests {
     #[test]
     fn the_request_decides_then_accept_then_what_is_usual() {
         let choose = |wanted, asked, usual| Formats::new(wanted).and_then(|f| f.choose(asked, usual)).ok();
-        assert_eq!(choose([1.0; 3], None, Format::WebP), Some(Format::WebP));
-        assert_eq!(choose([1.0; 3], Some(Format::Jpeg), Format::WebP), Some(Format::Jpeg));
-        assert_eq!(choose([0.1, 0.9, 0.9], None, Format::Png), Some(Format::Jpeg));
-        assert_eq!(choose([0.1, 0.9, 0.9], None, Format::WebP), Some(Format::WebP));
-        assert_eq!(choose([1.0, 0.0, 1.0], Some(Format::Jpeg), Format::Png), None);
-        assert_eq!(choose([0.0; 3], None, Format::Png), None);
+        assert_eq!(choose([1.0; 4], None, Format::WebP), Some(Format::WebP));
+        assert_eq!(choose([1.0; 4], Some(Format::Jpeg), Format::WebP), Some(Format::Jpeg));
+        assert_eq!(choose([0.1, 0.9, 0.9, 0.5], None, Format::Png), Some(Format::Jpeg));
+        assert_eq!(choose([0.1, 0.9, 0.9, 0.5], None, Format::WebP), Some(Format::WebP));
+        assert_eq!(choose([1.0, 0.0, 1.0, 1.0], Some(Format::Jpeg), Format::Png), None);
+        assert_eq!(choose([0.0; 4], None, Format::Png), None);
         assert_eq!(Formats::ANY.choose(None, Format::Png).unwrap(), Format::Png);
     }
 }

@@ -10,6 +10,9 @@ const BEGINNINGS: [(&[u8], &str); 8] = [
     (b"\x1f\x8b", "the text is compressed with gzip, and `Content-Encoding` is not supported; send it uncompressed"),
     (b"\x89PNG", IMAGE),
     (b"\xff\xd8\xff", IMAGE),
+    (b"GIF8", IMAGE),
+    (b"II*\0", IMAGE),
+    (b"MM\0*", IMAGE),
 ];
 const IMAGE: &str = "this is an image; the part `image` is the image, and the part `warp` the JSON";
 

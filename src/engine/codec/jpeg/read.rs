@@ -235,6 +235,10 @@ impl<'a> JpegFile<'a> {
         Ok(Samples::Eight(out))
     }
 
+    pub(in crate::codec) fn is_grey(&self) -> bool {
+        self.factors.len() == 1
+    }
+
     pub(in crate::codec) fn has_profile(&self) -> bool {
         !self.profile.is_empty()
     }

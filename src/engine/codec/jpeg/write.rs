@@ -2,7 +2,8 @@
 
 use jpeg_encoder::{ColorType, Encoder, EncodingError, JfifWrite};
 
-use crate::pixmap::{Channels, Extent};
+use crate::codec::png::write::PngShape;
+use crate::pixmap::Channels;
 
 /// Bytes of output between two calls of `wanted`.
 const CHECK_BYTES: usize = 64 << 10;
@@ -38,8 +39,7 @@ impl JfifWrite for WhileWanted<'_> {
 /// Appends the file, or its beginning if it is no longer wanted. Transparent pixels are blended with `ground`: `(c a + g (255 - a)) /
 /// 255`, rounded. The sides must be valid for JPEG.
 pub(in crate::codec) fn write(
-    extent: Extent,
-    channels: Channels,
+    shape: PngShape,
     samples: &[u8],
     quality: u8,
     ground: [u8; 3],
@@ -47,27 +47,29 @@ pub(in crate::codec) fn write(
     out: WhileWanted<'_>,
 ) {
     let side = |length: u32| u16::try_from(length).expect("the target was held against the format's longest side");
-    let (width, height) = (side(extent.width()), side(extent.height()));
+    let (width, height) = (side(shape.extent.width()), side(shape.extent.height()));
     let mut encoder = Encoder::new(out, quality);
     if let Some(icc) = icc {
         encoder.add_icc_profile(icc).expect("a profile is smaller than 255 segments hold");
     }
-    let flat = match channels {
+    let colour = if shape.grey { ColorType::Luma } else { ColorType::Rgb };
+    let flat = match shape.channels {
         Channels::Rgb => None,
-        Channels::Rgba => Some(flatten(samples, ground)),
+        Channels::Rgba => Some(flatten(samples, &ground[..shape.samples() - 1])),
     };
-    match encoder.encode(flat.as_deref().unwrap_or(samples), width, height, ColorType::Rgb) {
+    match encoder.encode(flat.as_deref().unwrap_or(samples), width, height, colour) {
         Ok(()) | Err(EncodingError::Write(_)) => {}
         Err(error) => panic!("writing to memory does not fail: {error:?}"),
     }
 }
 
-fn flatten(samples: &[u8], ground: [u8; 3]) -> Vec<u8> {
-    let mut flat = Vec::with_capacity(samples.len() / 4 * 3);
-    for pixel in samples.chunks_exact(4) {
-        let alpha = u32::from(pixel[3]);
+fn flatten(samples: &[u8], ground: &[u8]) -> Vec<u8> {
+    let colours = ground.len();
+    let mut flat = Vec::with_capacity(samples.len() / (colours + 1) * colours);
+    for pixel in samples.chunks_exact(colours + 1) {
+        let alpha = u32::from(pixel[colours]);
         #[expect(clippy::cast_possible_truncation, reason = "a mean of two bytes")]
-        flat.extend((0..3).map(|c| ((u32::from(pixel[c]) * alpha + u32::from(ground[c]) * (255 - alpha) + 127) / 255) as u8));
+        flat.extend((0..colours).map(|c| ((u32::from(pixel[c]) * alpha + u32::from(ground[c]) * (255 - alpha) + 127) / 255) as u8));
     }
     flat
 }

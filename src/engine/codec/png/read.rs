@@ -139,6 +139,10 @@ impl<'a> PngFile<'a> {
         if self.transparency || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
     }
 
+    pub(in crate::codec) fn is_grey(&self) -> bool {
+        matches!(self.colour, 0 | 4)
+    }
+
     pub(in crate::codec) fn depth(&self) -> Depth {
         if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
     }

@@ -16,7 +16,7 @@ fn truncated_small_files_are_refused_at_every_length() {
             let cut = &bytes[..length];
             assert!(is_refused_as_broken(cut), "{name}: {length} of {} bytes", bytes.len());
             let unrecognised = matches!(decode(cut, &Limits::default()), Err(CodecError::Unsupported { .. }));
-            assert_eq!(unrecognised, Format::of(cut).is_err(), "{name}: {length} bytes");
+            assert_eq!(unrecognised, SourceFormat::of(cut).is_err(), "{name}: {length} bytes");
         }
     }
 }

@@ -5,10 +5,12 @@
 
 #[path = "../../../../tests/it/support/bombs.rs"]
 pub(super) mod bombs;
+mod few_formats;
 mod hostile;
 mod jpeg;
 mod made;
 mod png;
+mod tiff;
 mod webp;
 mod work;
 
@@ -79,6 +81,12 @@ fn zoo() -> Vec<(&'static str, Vec<u8>)> {
         ("webp rich", made::webp_container(&made::webp_lossless(5, 4, Channels::Rgba, &rgba), (5, 4), &exif_block, &made::profile(500))),
         ("webp lossy", made::webp_lossy(20, 17, None)),
         ("webp lossy alpha", made::webp_lossy(20, 17, Some(&[9; 20 * 17]))),
+        ("tiff deflate icc", tiff::written((5, 4), &rgba, Some(&made::profile(500)))),
+        ("tiff lzw", tiff::lzw(5, 4, &rgba[..60])),
+        ("tiff palette tiles", tiff::palette_in_tiles().bytes()),
+        ("gif", few_formats::gif(&[(5, 4)], None)),
+        ("gif transparent", few_formats::gif(&[(5, 4)], Some(2))),
+        ("bmp", few_formats::bmp(5, 4, &rgba[..60])),
     ]
 }
 
@@ -120,15 +128,14 @@ fn unsupported_formats_are_named() {
         (Err(CodecError::Unsupported { found }), Err(CodecError::Unsupported { found: again })) if found == again => found,
         other => panic!("{other:?}"),
     };
-    assert_eq!(found(b"GIF89a\x01\0\x01\0\0\0\0;"), "GIF");
-    assert_eq!(found(b"BM...................."), "BMP");
+    assert_eq!(found(b"GIF88a\x01\0\x01\0\0\0\0;"), "an unknown format that begins with 47 49 46 38");
     assert_eq!(found(b"\0\0\0\x20ftypavif........"), "AVIF");
     for (head, name) in [
         (&b"\0\0\0\x18ftypheic........"[..], "HEIC"),
         (b"\0\0\0\x18ftypmif1........", "HEIC"),
         (b"\0\0\0\x18ftypmp42........", "a video"),
-        (b"II*\0............", "TIFF, or a camera's raw format"),
-        (b"MM\0*............", "TIFF, or a camera's raw format"),
+        (b"II+\0............", "BigTIFF"),
+        (b"MM\0+............", "BigTIFF"),
         (b"8BPS\0\x01........", "Photoshop (PSD)"),
         (b"%PDF-1.7........", "PDF"),
         (b"\xFF\x0A..............", "JPEG XL"),

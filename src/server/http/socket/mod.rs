@@ -56,7 +56,7 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     Ok(response)
 }
 
-/// Reads `?frames=png|jpeg|webp|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
+/// Reads `?frames=png|jpeg|webp|tiff|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
     let [frames, width, report] = query_fields(query, ["frames", "width", "report"])?;
@@ -78,7 +78,7 @@ fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
 }
 
 fn form(name: &str) -> Result<Form, Problem> {
-    const FORMS: &str = "`png`, `jpeg`, `webp`, `mesh`";
+    const FORMS: &str = "`png`, `jpeg`, `webp`, `tiff`, `mesh`";
     match name {
         "mesh" => Ok(Form::Mesh),
         "auto" => Err(Problem::new(Code::NotSupported, format!("not supported by this version: `frames=auto`; supported: {FORMS}"))),
@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(read("width=auto&report=false"), Ok(usual));
         assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
         assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));
-        for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP)] {
+        for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP), ("tiff", Format::Tiff)] {
             assert_eq!(read(&format!("frames={name}")), Ok(DragOptions { form: Form::Picture(Some(format)), ..usual }));
         }
         for (query, code) in [

@@ -60,9 +60,11 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
         Depth::Eight => 8,
         Depth::Sixteen => 16,
     });
-    header.push(match shape.channels {
-        Channels::Rgb => 2,
-        Channels::Rgba => 6,
+    header.push(match (shape.channels, shape.grey) {
+        (Channels::Rgb, true) => 0,
+        (Channels::Rgb, false) => 2,
+        (Channels::Rgba, true) => 4,
+        (Channels::Rgba, false) => 6,
     });
     // Deflate, the five filters, no interlacing.
     header.extend_from_slice(&[0, 0, 0]);

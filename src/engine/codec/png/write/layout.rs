@@ -79,9 +79,9 @@ impl Layout {
     }
 }
 
-/// Bytes per pixel, the distance of the PNG filters: 3, 4, 6 or 8.
+/// Bytes per pixel, the distance of the PNG filters: 1, 2, 3, 4, 6 or 8.
 pub(super) const fn pixel_bytes(shape: PngShape) -> usize {
-    shape.channels.count() * shape.depth.bytes()
+    shape.samples() * shape.depth.bytes()
 }
 
 #[cfg(test)]
@@ -91,7 +91,7 @@ mod tests {
 
     fn layout(width: u32, height: u32, channels: Channels) -> Layout {
         let extent = Extent::new(width, height).unwrap();
-        Layout::new(PngShape { extent, channels, depth: Depth::Eight }, Compression::Fast)
+        Layout::new(PngShape { extent, channels, grey: false, depth: Depth::Eight }, Compression::Fast)
     }
 
     #[test]

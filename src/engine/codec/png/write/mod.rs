@@ -3,7 +3,7 @@
 //! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips can
 //! be encoded in any order and on any thread, and are sent in order. The first strip begins with the zlib header; the tail ends the stream
 //! with the Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
-//! Shapes: samples `[rows][width][channels]`, 16-bit ones big-endian. No sRGB or gAMA chunk is written; a profile becomes iCCP.
+//! Shapes: samples `[rows][width][1 to 4]`, 16-bit ones big-endian. No sRGB or gAMA chunk is written; a profile becomes iCCP.
 
 #[forbid(unsafe_code)]
 mod adler;
@@ -64,6 +64,8 @@ pub struct PngShape {
     pub extent: Extent,
     /// RGB or RGBA.
     pub channels: Channels,
+    /// Whether the colours of every pixel are equal, so that a file needs one sample for them.
+    pub grey: bool,
     /// 8 or 16 bit.
     pub depth: Depth,
 }
@@ -119,6 +121,14 @@ pub struct PngWriter {
     head: Arc<[u8]>,
 }
 
+impl PngShape {
+    /// Samples per pixel of a file.
+    #[must_use]
+    pub const fn samples(self) -> usize {
+        if self.grey { self.channels.count() - 2 } else { self.channels.count() }
+    }
+}
+
 impl PngWriter {
     /// A writer for one picture. The strip layout depends on the shape and the compression alone.
     ///
@@ -169,7 +179,7 @@ impl PngWriter {
         self.head.to_vec()
     }
 
-    /// Encodes one strip. `samples: [rows][width][channels]`, PNG order (16-bit big-endian).
+    /// Encodes one strip. `samples: [rows][width][PngShape::samples]`, PNG order (16-bit big-endian).
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.

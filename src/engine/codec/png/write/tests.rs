@@ -23,7 +23,7 @@ enum Content {
 const CONTENTS: [Content; 6] = [Content::Flat(0), Content::Flat(0xff), Content::Noise, Content::Gradient, Content::Photo, Content::Drawing];
 
 fn shape(width: u32, height: u32, (channels, depth): (Channels, Depth)) -> PngShape {
-    PngShape { extent: Extent::new(width, height).unwrap(), channels, depth }
+    PngShape { extent: Extent::new(width, height).unwrap(), channels, grey: false, depth }
 }
 
 fn noise(seed: u32) -> u32 {

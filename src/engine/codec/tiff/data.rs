@@ -1,0 +1,113 @@
+//! The compressed data of a strip or tile as a stream. Every stream ends with its data, and cancellation is checked as it is read.
+
+use std::io::{self, Read};
+
+use flate2::bufread::ZlibDecoder;
+use weezl::{BitOrder, LzwStatus, decode};
+
+use crate::codec::work::{Pieces, StepCounter};
+
+/// Bytes that the LZW decoder gets at once.
+const PIECE: usize = 1 << 15;
+
+/// How strips and tiles are compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Compression {
+    None,
+    Lzw,
+    Deflate,
+    PackBits,
+}
+
+impl Compression {
+    pub(super) const fn from_number(number: u32) -> Option<Self> {
+        Some(match number {
+            1 => Self::None,
+            5 => Self::Lzw,
+            8 | 32_946 => Self::Deflate,
+            32_773 => Self::PackBits,
+            _ => return None,
+        })
+    }
+
+    /// Upper bound of what a byte of data expands to.
+    pub(super) const fn expansion(self) -> u64 {
+        match self {
+            Self::None => 1,
+            // Codes of at least 9 bits for strings of at most 4096 bytes.
+            Self::Lzw => 4096,
+            Self::Deflate => 1032,
+            Self::PackBits => 64,
+        }
+    }
+
+    pub(super) fn reader<'a>(self, data: &'a [u8], work: &'a StepCounter<'a>) -> Box<dyn Read + 'a> {
+        let pieces = Pieces::new(data, work);
+        match self {
+            Self::None => Box::new(pieces),
+            Self::Deflate => Box::new(ZlibDecoder::new(pieces)),
+            Self::Lzw => Box::new(Lzw { decoder: decode::Decoder::with_tiff_size_switch(BitOrder::Msb, 8), data, work }),
+            Self::PackBits => Box::new(PackBits { pieces, literal: 0, repeats: 0, byte: 0 }),
+        }
+    }
+}
+
+struct Lzw<'a> {
+    decoder: decode::Decoder,
+    data: &'a [u8],
+    work: &'a StepCounter<'a>,
+}
+
+impl Read for Lzw<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        loop {
+            self.work.check().map_err(io::Error::other)?;
+            let piece = &self.data[..self.data.len().min(PIECE)];
+            let result = self.decoder.decode_bytes(piece, into);
+            self.data = &self.data[result.consumed_in..];
+            let status = result.status.map_err(io::Error::other)?;
+            if result.consumed_out > 0 || !matches!(status, LzwStatus::Ok) || result.consumed_in == 0 {
+                return Ok(result.consumed_out);
+            }
+        }
+    }
+}
+
+/// Runs (TIFF 6.0, section 9).
+struct PackBits<R> {
+    pieces: R,
+    literal: usize,
+    repeats: usize,
+    byte: u8,
+}
+
+impl<R: Read> Read for PackBits<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        while self.literal == 0 && self.repeats == 0 {
+            let mut head = [0];
+            if self.pieces.read(&mut head)? == 0 {
+                return Ok(0);
+            }
+            match head[0] {
+                count @ 0..=127 => self.literal = 1 + usize::from(count),
+                128 => {}
+                count => {
+                    self.repeats = 257 - usize::from(count);
+                    let mut byte = [0];
+                    self.pieces.read_exact(&mut byte)?;
+                    self.byte = byte[0];
+                }
+            }
+        }
+        if self.literal > 0 {
+            let count = into.len().min(self.literal);
+            let read = self.pieces.read(&mut into[..count])?;
+            self.literal -= read;
+            return Ok(read);
+        }
+        let count = into.len().min(self.repeats);
+        into[..count].fill(self.byte);
+        self.repeats -= count;
+        Ok(count)
+    }
+}
