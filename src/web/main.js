@@ -54,7 +54,7 @@ function toast(words) {
 const KEYS = new Set(["unauthorized", "forbidden"]);
 const RETRIES = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
-const PICTURES = "image/png,image/jpeg,image/webp,.png,.jpg,.jpeg,.webp,";
+const PICTURES = "image/png,image/jpeg,image/webp,image/gif,image/bmp,.png,.jpg,.jpeg,.webp,.gif,.bmp,";
 const HANDLES = "application/json,.json";
 /** Opens the browser's file chooser. */
 function choose(accept) {

@@ -41,7 +41,7 @@ export class Opener {
   /** Opens dropped, pasted or picked files: a picture, handles, or both. */
   async files(list) {
     const files = [...list];
-    const isPicture = (f) => f.type.startsWith("image/") || /\.(png|jpe?g|webp)$/i.test(f.name);
+    const isPicture = (f) => f.type.startsWith("image/") || /\.(png|jpe?g|webp|gif|bmp)$/i.test(f.name);
     const picture = files.find(isPicture);
     const handles = files.find(isHandles);
     if (handles && !(await this.#takeHandles(handles, Boolean(picture)))) return;

@@ -60,9 +60,15 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
         std::fs::remove_file(path(name)).unwrap();
         file
     };
-    for (name, first) in
-        [("out.JPG", b"\xFF\xD8"), ("out.jpeg", b"\xFF\xD8"), ("out.webp", b"RI"), ("out.tif", b"MM"), ("out.tiff", b"MM"), ("out.PNG", b"\x89P"), ("out", b"\x89P")]
-    {
+    for (name, first) in [
+        ("out.JPG", b"\xFF\xD8"),
+        ("out.jpeg", b"\xFF\xD8"),
+        ("out.webp", b"RI"),
+        ("out.tif", b"MM"),
+        ("out.tiff", b"MM"),
+        ("out.PNG", b"\x89P"),
+        ("out", b"\x89P"),
+    ] {
         assert!(written(name).starts_with(first), "{name}: the extension selects the format; without one it is PNG");
     }
     // The extension is checked before the image is read.

@@ -30,7 +30,8 @@ fn bad(detail: impl ToString) -> CodecError {
 impl<'a> BmpFile<'a> {
     pub(super) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         work.step(1)?;
-        let decoder = BmpDecoder::new(Pieces::new(bytes, work)).map_err(refused)?;
+        let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { refused(error) };
+        let decoder = BmpDecoder::new(Pieces::new(bytes, work)).map_err(wanted)?;
         let (width, height) = decoder.dimensions();
         let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let channels = match decoder.color_type() {

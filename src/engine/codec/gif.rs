@@ -64,8 +64,7 @@ impl<'a> GifFile<'a> {
                 }
                 0x2C => {
                     frames += 1;
-                    let [_, x0, x1, y0, y1, w0, w1, h0, h1, flags] =
-                        *bytes[at..].first_chunk::<10>().ok_or_else(cut_off)?;
+                    let [_, x0, x1, y0, y1, w0, w1, h0, h1, flags] = *bytes[at..].first_chunk::<10>().ok_or_else(cut_off)?;
                     let (x, y, w, h) = (short(x0, x1), short(y0, y1), short(w0, w1), short(h0, h1));
                     if w == 0 || h == 0 || x + w > width || y + h > height {
                         return Err(bad(format!("a frame of {w} x {h} pixels at {x}, {y} of {width} x {height}")));

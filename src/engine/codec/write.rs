@@ -225,8 +225,8 @@ fn to_eight(samples: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::codec::{Decoded, Limits, SourceFormat, decode};
-    use crate::pixmap::Samples;
     use crate::pixmap::Extent;
+    use crate::pixmap::Samples;
 
     const TIFF: Encoding = Encoding::Tiff(Compression::Fast);
 

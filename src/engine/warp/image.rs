@@ -48,7 +48,13 @@ impl Image {
     pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
         let decoded = opened.decode()?;
         let icc = decoded.icc.as_deref().map(Profile::new);
-        Ok(Self { digest, source: Arc::new(Source::new(decoded.pixmap)), icc, profile_dropped: decoded.profile_dropped, grey: opened.header().grey })
+        Ok(Self {
+            digest,
+            source: Arc::new(Source::new(decoded.pixmap)),
+            icc,
+            profile_dropped: decoded.profile_dropped,
+            grey: opened.header().grey,
+        })
     }
 
     /// The warning for every output drawn from this picture.

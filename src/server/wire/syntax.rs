@@ -1,7 +1,7 @@
 //! What a text that is not JSON probably is, or which mistake of writing JSON it has.
 
 /// The formats that are taken for JSON, by their first bytes.
-const BEGINNINGS: [(&[u8], &str); 8] = [
+const BEGINNINGS: [(&[u8], &str); 11] = [
     (b"\xef\xbb\xbf", "the text begins with a byte order mark (BOM); save it as UTF-8 without BOM"),
     (b"\xff\xfe", "the text is UTF-16; send UTF-8"),
     (b"\xfe\xff", "the text is UTF-16; send UTF-8"),

@@ -38,14 +38,7 @@ impl JfifWrite for WhileWanted<'_> {
 
 /// Appends the file, or its beginning if it is no longer wanted. Transparent pixels are blended with `ground`: `(c a + g (255 - a)) /
 /// 255`, rounded. The sides must be valid for JPEG.
-pub(in crate::codec) fn write(
-    shape: PngShape,
-    samples: &[u8],
-    quality: u8,
-    ground: [u8; 3],
-    icc: Option<&[u8]>,
-    out: WhileWanted<'_>,
-) {
+pub(in crate::codec) fn write(shape: PngShape, samples: &[u8], quality: u8, ground: [u8; 3], icc: Option<&[u8]>, out: WhileWanted<'_>) {
     let side = |length: u32| u16::try_from(length).expect("the target was held against the format's longest side");
     let (width, height) = (side(shape.extent.width()), side(shape.extent.height()));
     let mut encoder = Encoder::new(out, quality);

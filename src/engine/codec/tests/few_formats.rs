@@ -98,10 +98,7 @@ fn a_large_claim_is_refused_by_the_header() {
     let mut gif = gif(&[(3, 2)], None);
     gif[6..10].fill(0xFF);
     let side = |file: &[u8], actual| {
-        assert_eq!(
-            decode(file, &Limits::default()).unwrap_err(),
-            CodecError::TooLarge { what: "image_side", limit: 16_384, actual }
-        );
+        assert_eq!(decode(file, &Limits::default()).unwrap_err(), CodecError::TooLarge { what: "image_side", limit: 16_384, actual });
     };
     side(&gif, 65_535);
     let mut bmp = bmp(5, 4, &[0; 60]);

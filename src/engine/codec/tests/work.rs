@@ -30,6 +30,9 @@ fn header_bytes(bytes: &[u8]) -> u64 {
     let head = match bytes {
         [0x89, ..] => 8,
         [0xFF, ..] => 2,
+        // Directories are searched for each tag; sub-blocks may have one byte.
+        [b'I' | b'M', ..] => return 2 * bytes.len() as u64,
+        [b'G' | b'B', ..] => return bytes.len() as u64,
         _ => 12,
     };
     let (mut at, mut header) = (head, head as u64);

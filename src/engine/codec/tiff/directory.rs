@@ -58,13 +58,16 @@ impl<'a> File<'a> {
     /// The first directory, if the file has one page. Copies of a page in less detail and masks are no pages.
     pub(super) fn only_page(self, work: &StepCounter<'_>) -> Result<Directory<'a>, CodecError> {
         let first = self.directory(self.long_at(4)?)?;
-        let (mut pages, mut next) = (1, first.next);
+        let (mut pages, mut next, mut bytes) = (1, first.next, first.entries.len());
         for _ in 0..MOST_DIRECTORIES {
-            work.step(1)?;
             if next == 0 {
                 return if pages == 1 { Ok(first) } else { Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: pages }) };
             }
             let directory = self.directory(next)?;
+            bytes += directory.entries.len();
+            if bytes > self.bytes.len() {
+                return Err(bad("directories that overlap"));
+            }
             pages += u64::from(directory.number(254, 0, work)? & 0b101 == 0);
             next = directory.next;
         }

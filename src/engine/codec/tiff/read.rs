@@ -136,11 +136,7 @@ impl<'a> TiffFile<'a> {
     }
 
     /// The size of a strip or tile, and where they are.
-    fn parts(
-        page: &Directory<'a>,
-        extent: Extent,
-        work: &StepCounter<'_>,
-    ) -> Result<((u32, u32), Values<'a>, Values<'a>), CodecError> {
+    fn parts(page: &Directory<'a>, extent: Extent, work: &StepCounter<'_>) -> Result<((u32, u32), Values<'a>, Values<'a>), CodecError> {
         let tiles = page.values(324, work)?;
         let (part, offsets, lengths) = match tiles {
             Some(offsets) => {
@@ -337,7 +333,6 @@ impl Sample for u8 {
         (value >> 8) as Self
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "held against the largest value")]
     fn divided(self, alpha: Self) -> Self {
         let (sample, alpha) = (u32::from(self), u32::from(alpha));
         (sample * 255 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(255) as Self)
@@ -366,7 +361,6 @@ impl Sample for u16 {
         value as Self
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "held against the largest value")]
     fn divided(self, alpha: Self) -> Self {
         let (sample, alpha) = (u64::from(self), u64::from(alpha));
         (sample * 65_535 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(65_535) as Self)
