@@ -208,7 +208,7 @@ impl OutputSpec {
             Format::Jpeg => {
                 let ground = match self.outside {
                     Outside::Colour([r, g, b, _]) => [r, g, b],
-                    Outside::Transparent | Outside::Edge => [255; 3],
+                    Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
                 };
                 Encoding::Jpeg { quality: self.quality, ground }
             }
