@@ -38,6 +38,7 @@ mod openapi_examples;
 mod oracle;
 mod overload;
 mod page;
+mod points;
 mod problems;
 mod public_path;
 mod real_landmarks;

@@ -29,5 +29,5 @@ pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
-pub use self::transform::{Outline, Transform};
+pub use self::transform::{Edges, Outline, Transform};
 pub use crate::codec::Limits as ImageLimits;

@@ -39,8 +39,29 @@ enum Map<'a> {
 pub struct Outline<'a> {
     /// Its vertices.
     pub places: &'a [Point],
-    /// The last vertex is connected with the first.
-    pub is_closed: bool,
+    /// What connects them.
+    pub edges: Edges,
+}
+
+/// The edges of an outline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// None: single positions.
+    None,
+    /// From each vertex to the next.
+    Open,
+    /// The same, and from the last to the first.
+    Closed,
+}
+
+impl Outline<'_> {
+    const fn edge_count(&self) -> usize {
+        match self.edges {
+            Edges::None => 0,
+            Edges::Open => self.places.len().saturating_sub(1),
+            Edges::Closed => self.places.len(),
+        }
+    }
 }
 
 impl Setup {
@@ -92,8 +113,7 @@ impl<'a> Transform<'a> {
         let mut start = 0;
         for outline in outlines {
             let count = outline.places.len();
-            let steps = if outline.is_closed { count } else { count.saturating_sub(1) };
-            edges.extend((0..steps).map(|k| (start + k, start + (k + 1) % count)));
+            edges.extend((0..outline.edge_count()).map(|k| (start + k, start + (k + 1) % count)));
             start += count;
         }
         let bent = match tolerance {
@@ -106,8 +126,7 @@ impl<'a> Transform<'a> {
             let mut refined = Some(Vec::with_capacity(outline.places.len()));
             for k in 0..outline.places.len() {
                 let vertex = mapped.next().expect("each vertex");
-                let has_edge = outline.is_closed || k + 1 < outline.places.len();
-                let inserted = if has_edge { bent.next().expect("each edge") } else { Some(Vec::new()) };
+                let inserted = if k < outline.edge_count() { bent.next().expect("each edge") } else { Some(Vec::new()) };
                 refined = match (refined, vertex, inserted) {
                     (Some(mut refined), Some(vertex), Some(inserted)) => {
                         refined.extend([vertex].into_iter().chain(inserted).map(|place| self.to_units(place)));
@@ -272,7 +291,7 @@ mod tests {
         let pose = setup.pose(&q).unwrap();
         let f = setup.transform(&pose);
         let places = square(20.0, 180.0);
-        let outline = Outline { places: &places, is_closed: true };
+        let outline = Outline { places: &places, edges: Edges::Closed };
         let bare = f.map_outlines(&[outline], None, NEVER).unwrap().remove(0).unwrap();
         assert_eq!(bare.iter().copied().map(Some).collect::<Vec<_>>(), f.map(&places, NEVER).unwrap());
         for tolerance in [1.0, 0.1, 0.01] {
@@ -300,14 +319,14 @@ mod tests {
         let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
         let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
         let places = square(30.0, 170.0);
-        let there = f.map_outlines(&[Outline { places: &places, is_closed: true }], Some(0.1), NEVER).unwrap().remove(0).unwrap();
-        let again = back.map_outlines(&[Outline { places: &there, is_closed: true }], None, NEVER).unwrap().remove(0).unwrap();
+        let there = f.map_outlines(&[Outline { places: &places, edges: Edges::Closed }], Some(0.1), NEVER).unwrap().remove(0).unwrap();
+        let again = back.map_outlines(&[Outline { places: &there, edges: Edges::Closed }], None, NEVER).unwrap().remove(0).unwrap();
         for place in again {
             let nearest = (0..4).map(|k| to_segment(place, places[k], places[(k + 1) % 4])).fold(f64::INFINITY, f64::min);
             assert!(nearest < 1e-6, "{place:?}");
         }
         let outside = [Point::new(100.0, 100.0), Point::new(-5000.0, 0.0)];
-        assert_eq!(back.map_outlines(&[Outline { places: &outside, is_closed: false }], Some(0.1), NEVER).unwrap(), [None]);
+        assert_eq!(back.map_outlines(&[Outline { places: &outside, edges: Edges::Open }], Some(0.1), NEVER).unwrap(), [None]);
     }
 
     #[test]
@@ -316,10 +335,10 @@ mod tests {
         let pose = setup.pose(&q).unwrap();
         let f = setup.transform(&pose);
         let far: Vec<Point> = (0..3000).map(|k| Point::new(if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k))).collect();
-        let error = f.map_outlines(&[Outline { places: &far, is_closed: true }], Some(0.1), NEVER).unwrap_err();
+        let error = f.map_outlines(&[Outline { places: &far, edges: Edges::Closed }], Some(0.1), NEVER).unwrap_err();
         assert!(matches!(error, WarpError::TooLarge { what: "outline_samples", .. }), "{error}");
         let (near, bad) = (square(1.0, 9.0), [Point::new(0.0, 0.0), Point::new(0.0, 2e6)]);
-        let outlines = [Outline { places: &near, is_closed: true }, Outline { places: &bad, is_closed: false }];
+        let outlines = [Outline { places: &near, edges: Edges::Closed }, Outline { places: &bad, edges: Edges::Open }];
         let error = setup.transform(&pose).map_outlines(&outlines, None, NEVER).unwrap_err();
         assert!(matches!(error, WarpError::BadPlace { index: 5, .. }), "{error}");
         assert_eq!(setup.transform(&pose).map(&near, &|| true), Err(WarpError::Cancelled));

@@ -4,6 +4,7 @@
 //! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
 //! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
+pub mod annotations;
 mod enum_name;
 pub(crate) mod fields;
 mod fit;
@@ -25,13 +26,13 @@ mod write;
 pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
+pub use annotations::{Annotation, Annotations, MappedAnnotations};
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
-use handles::{handles, places};
+use handles::handles;
 use json::{At, Node, optional};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
-use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Folds, OutputSpec, RestSpec};
 use number::{count, whole};
@@ -147,44 +148,28 @@ pub struct PointsObject {
     pub warp: Option<(WarpObject, Extent)>,
     /// Posed handles.
     pub q: Vec<Handle>,
-    /// Places to map, in the spec's units.
-    pub points: Vec<Point>,
+    /// What is mapped.
+    pub annotations: Annotations,
 }
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&fields::WARP_WITH_POINTS)?;
+        let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
         let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
-        let points = read_points([points, polygons, boxes, inverse, refine])?;
+        let annotations = Annotations::read([a, b, c, d, e, f])?;
         let q = warp.posed()?.to_vec();
-        Ok(Self { warp: Some((warp, extent)), q, points })
+        Ok(Self { warp: Some((warp, extent)), q, annotations })
     }
 
     /// Reads the object of `/sessions/{id}/points`.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, points @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
-        let points = read_points(points)?;
-        Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, points })
-    }
-}
-
-/// The contract has polygons, boxes and the inverse; this version maps points only.
-fn read_points([points, polygons, boxes, inverse, refine]: [Option<Node<'_, '_>>; 5]) -> Result<Vec<Point>, Problem> {
-    let unsupported = |node: Node<'_, '_>, what: &str| {
-        node.problem(Code::NotSupported, format!("not supported by this version: {what}; supported: `points`, mapped forwards"))
-    };
-    for (node, name) in [(polygons, "`polygons`"), (boxes, "`boxes`"), (refine, "`refine`")] {
-        if let Some(node) = node {
-            return Err(unsupported(node, name));
-        }
-    }
-    match inverse {
-        Some(node) if node.bool()? => Err(unsupported(node, "the inverse")),
-        _ => Ok(optional(points, places)?.unwrap_or_default()),
+        let [q, annotations @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
+        let annotations = Annotations::read(annotations)?;
+        Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, annotations })
     }
 }
 

@@ -426,20 +426,28 @@ fn points_read_their_fields() {
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
     let warp = WarpObject { rest, q: Some(points.q.clone()), ..WarpObject::default() };
     assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
-    assert_eq!((points.q, points.points), (vec![point(3.0, 4.0)], vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)]));
+    let kinds = vec![Annotation::Points(vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)])];
+    let annotations = Annotations { kinds, is_inverse: false, is_refined: true };
+    assert_eq!((points.q, points.annotations), (vec![point(3.0, 4.0)], annotations));
     let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
-    assert_eq!(posed, PointsObject { warp: None, q: vec![point(3.0, 4.0)], points: vec![] });
+    assert_eq!((posed.warp, posed.q, posed.annotations.kinds), (None, vec![point(3.0, 4.0)], vec![Annotation::Points(vec![])]));
     assert_eq!(PointsObject::parse(b"{\"extent\": [1, 1]}").unwrap().q, []);
 }
 
 #[test]
 fn points_refuse() {
-    use Code::{BadValue as B, NotFinite as N, NotSupported as S};
+    use Code::{BadValue as B, NotFinite as N};
     let posed: &[Expected] = &[
-        ("{\"q\": [], \"polygons\": []}", S, Some("/polygons"), None),
-        ("{\"q\": [], \"boxes\": 1}", S, Some("/boxes"), None),
-        ("{\"q\": [], \"refine\": false}", S, Some("/refine"), None),
-        ("{\"q\": [], \"inverse\": true}", S, Some("/inverse"), None),
+        ("{\"q\": [], \"polygons\": [[1, 2], [3, 4], [5, 6]]}", B, Some("/polygons/0/0"), None),
+        ("{\"q\": [], \"polygons\": [[[1, 2], [3, 4]]]}", B, Some("/polygons/0"), None),
+        ("{\"q\": [], \"boxes\": 1}", B, Some("/boxes"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4], [10, 10, 5, 20]]}", B, Some("/boxes/1"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4, 5]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"geojson\": []}", B, Some("/geojson"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"Feature\"}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"FeatureCollection\"}}", B, Some("/geojson/features"), None),
+        ("{\"q\": [], \"refine\": 0}", B, Some("/refine"), None),
         ("{\"q\": [], \"inverse\": 1}", B, Some("/inverse"), None),
         ("{\"q\": [], \"points\": {}}", B, Some("/points"), None),
         ("{\"q\": [], \"points\": [1]}", B, Some("/points/0"), None),
