@@ -134,7 +134,7 @@ impl Part<'_> {
     pub(super) fn replace(&mut self, points: &[Point]) {
         let mut positions = points.iter().map(|point| Position::from([point.x, point.y]));
         match self {
-            Self::Position(position) => **position = positions.next().expect("one position"),
+            Self::Position(position) => **position = positions.next().unwrap_or_else(|| position.clone()),
             Self::Positions(all) | Self::Line(all) => **all = positions.collect(),
         }
     }

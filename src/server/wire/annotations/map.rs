@@ -37,38 +37,30 @@ impl Annotations {
     /// Errors: A coordinate out of range, too many positions to examine, cancelled.
     pub fn map(self, transform: &Transform<'_>, cancelled: IsCancelled<'_>) -> Result<MappedAnnotations, Problem> {
         let tolerance = self.is_refined.then_some(OUTLINE_WITHIN);
-        let map = |annotation: Annotation| {
-            let name = annotation.name();
-            let at = |error: WarpError, place: &dyn Fn(usize) -> String| match error {
-                WarpError::BadPlace { index, .. } => Problem::from(error).pointer(format!("/{name}/{}", place(index))),
-                WarpError::TooLarge { .. } => Problem::from(error).pointer(format!("/{name}")),
-                error => error.into(),
-            };
-            match annotation {
-                Annotation::Points(points) => {
-                    transform.map(&points, cancelled).map(Mapped::Points).map_err(|error| at(error, &|k| k.to_string()))
-                }
-                Annotation::Polygons(polygons) => {
-                    let outlines: Vec<Outline<'_>> = polygons.iter().map(|places| Outline { places, edges: Edges::Closed }).collect();
-                    let mapped = transform.map_outlines(&outlines, tolerance, cancelled);
-                    mapped.map(Mapped::Polygons).map_err(|error| {
-                        let place = |index| {
-                            let (polygon, vertex) = in_lists(&polygons, index);
-                            format!("{polygon}/{vertex}")
-                        };
-                        at(error, &place)
-                    })
-                }
-                Annotation::Boxes(boxes) => {
-                    let corners: Vec<[Point; 4]> =
-                        boxes.iter().map(|[a, b]| [*a, Point::new(b.x, a.y), *b, Point::new(a.x, b.y)]).collect();
-                    let outlines: Vec<Outline<'_>> = corners.iter().map(|places| Outline { places, edges: Edges::Closed }).collect();
-                    let mapped = transform.map_outlines(&outlines, Some(BOX_WITHIN), cancelled);
-                    let mapped = mapped.map_err(|error| at(error, &|index| (index / 4).to_string()))?;
-                    Ok(Mapped::Boxes(mapped.into_iter().map(|outline| outline.as_deref().map(bounds)).collect()))
-                }
-                Annotation::GeoJson(features) => geojson(features, transform, tolerance, cancelled, &at),
+        let map = |annotation: Annotation| match annotation {
+            Annotation::Points(points) => {
+                let mapped = transform.map(&points, cancelled);
+                mapped.map(Mapped::Points).map_err(|error| located(error, "points", |index| index.to_string()))
             }
+            Annotation::Polygons(polygons) => {
+                let outlines: Vec<Outline<'_>> = polygons.iter().map(|places| Outline { places, edges: Edges::Closed }).collect();
+                let mapped = transform.map_outlines(&outlines, tolerance, cancelled);
+                let lengths = || polygons.iter().map(Vec::len);
+                mapped.map(Mapped::Polygons).map_err(|error| {
+                    located(error, "polygons", |index| {
+                        let (polygon, vertex) = in_lists(lengths(), index);
+                        format!("{polygon}/{vertex}")
+                    })
+                })
+            }
+            Annotation::Boxes(boxes) => {
+                let corners: Vec<[Point; 4]> = boxes.iter().map(|[a, b]| [*a, Point::new(b.x, a.y), *b, Point::new(a.x, b.y)]).collect();
+                let outlines: Vec<Outline<'_>> = corners.iter().map(|places| Outline { places, edges: Edges::Closed }).collect();
+                let mapped = transform.map_outlines(&outlines, Some(BOX_WITHIN), cancelled);
+                let mapped = mapped.map_err(|error| located(error, "boxes", |index| (index / 4).to_string()))?;
+                Ok(Mapped::Boxes(mapped.into_iter().map(|outline| outline.as_deref().map(bounds)).collect()))
+            }
+            Annotation::GeoJson(features) => geojson(features, transform, tolerance, cancelled),
         };
         self.kinds.into_iter().map(map).collect::<Result<_, _>>().map(MappedAnnotations)
     }
@@ -106,40 +98,49 @@ fn geojson(
     transform: &Transform<'_>,
     tolerance: Option<f64>,
     cancelled: IsCancelled<'_>,
-    at: &dyn Fn(WarpError, &dyn Fn(usize) -> String) -> Problem,
 ) -> Result<Mapped, Problem> {
     let mut features = collection.parts();
     let places: Vec<Vec<Vec<Point>>> = features.iter().map(|parts| parts.iter().map(Part::points).collect()).collect();
     let parts = features.iter().flatten().zip(places.iter().flatten());
     let outlines: Vec<Outline<'_>> = parts.map(|(part, places)| Outline { places, edges: part.edges() }).collect();
-    let feature_of = |index: usize| {
-        let lengths: Vec<Vec<()>> = places.iter().map(|parts| vec![(); parts.iter().map(Vec::len).sum()]).collect();
-        in_lists(&lengths, index)
-    };
-    let mapped = transform.map_outlines(&outlines, tolerance, cancelled);
-    let mut mapped = mapped.map_err(|error| at(error, &|index| format!("features/{}/geometry", feature_of(index).0)))?.into_iter();
-    let mut replace = |part: &mut Part<'_>| match mapped.next().flatten() {
-        Some(places) => {
-            part.replace(&places);
-            true
-        }
-        None => false,
-    };
-    let kept: Vec<bool> = features.iter_mut().map(|parts| parts.iter_mut().fold(true, |kept, part| replace(part) && kept)).collect();
+    let lengths = || places.iter().map(|parts| parts.iter().map(Vec::len).sum());
+    let feature = |index| format!("features/{}/geometry", in_lists(lengths(), index).0);
+    let mapped = transform.map_outlines(&outlines, tolerance, cancelled).map_err(|error| located(error, "geojson", feature))?;
+    let mut mapped = mapped.into_iter();
+    let kept: Vec<bool> = features
+        .iter_mut()
+        .map(|parts| {
+            let mapped: Vec<_> = mapped.by_ref().take(parts.len()).collect();
+            let is_whole = mapped.iter().all(Option::is_some);
+            parts.iter_mut().zip(mapped).for_each(|(part, places)| part.replace(&places.unwrap_or_default()));
+            is_whole
+        })
+        .collect();
     drop(features);
     let text = RawValue::from_string(collection.into_text(&kept));
     Ok(Mapped::GeoJson(text.map_err(|error| Problem::new(Code::Internal, format!("the mapped GeoJSON is not JSON: {error}")))?))
 }
 
-/// The list and the index in it of an index into the items of all lists.
-fn in_lists<T>(lists: &[Vec<T>], mut index: usize) -> (usize, usize) {
-    for (k, list) in lists.iter().enumerate() {
-        if index < list.len() {
-            return (k, index);
-        }
-        index -= list.len();
+/// The problem of an error in the field `name`; `place`: the rest of the pointer to the position of an index.
+fn located(error: WarpError, name: &str, place: impl Fn(usize) -> String) -> Problem {
+    match error {
+        WarpError::BadPlace { index, .. } => Problem::from(error).pointer(format!("/{name}/{}", place(index))),
+        WarpError::TooLarge { .. } => Problem::from(error).pointer(format!("/{name}")),
+        error => error.into(),
     }
-    (lists.len(), index)
+}
+
+/// The list, and the index in it, of an index into the items of lists of these lengths.
+fn in_lists(lengths: impl Iterator<Item = usize>, mut index: usize) -> (usize, usize) {
+    let mut list = 0;
+    for length in lengths {
+        if index < length {
+            break;
+        }
+        index -= length;
+        list += 1;
+    }
+    (list, index)
 }
 
 fn bounds(outline: &[Point]) -> [f64; 4] {

@@ -4,6 +4,7 @@ mod contract;
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
+use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
 use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Method, Units};
