@@ -47,7 +47,7 @@ fn tables() {
         let plan = Plan::of_grid(&field, &grid);
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
-        let single = |list: &[mlswarp::geometry::Point]| list.iter().map(|p| (p.x as f32, p.y as f32)).collect::<Vec<_>>();
+        let single = |list: &[Point]| list.iter().map(|p| (p.x as f32, p.y as f32)).collect::<Vec<_>>();
         let (p32, q32) = (single(&p), single(&q));
         let mut piston = deform_grid::DeformGrid::new([0.0, 0.0, sets::SIDE, sets::SIDE], 99, 99);
         for (p, q) in p.iter().zip(&q) {
