@@ -44,7 +44,7 @@ fn warp(seed: u64, tolerance: Option<f64>) -> Value {
         p.push(json!([x, y]));
         q.push(json!([x + 8.0 * noise.next() - 4.0, y + 8.0 * noise.next() - 4.0]));
     }
-    if seed % 3 == 0 {
+    if seed.is_multiple_of(3) {
         let ([x, y], [u, v]) = (noise.place(), noise.place());
         let mut moved = |at: f64| at + 6.0 * noise.next() - 3.0;
         q.push(json!([[moved(x), moved(y)], [moved(u), moved(v)]]));
@@ -87,7 +87,7 @@ async fn what_is_drawn_is_where_points_are_mapped_forwards_and_back() {
     let image = coordinates();
     let (mut compared, mut without_folds) = (0, 0);
     for seed in 0..200 {
-        let (tolerance, bound) = if seed % 4 == 0 { (Some(0.05), 0.1) } else { (None, 0.3) };
+        let (tolerance, bound) = if seed.is_multiple_of(4) { (Some(0.05), 0.1) } else { (None, 0.3) };
         let warp = warp(seed, tolerance);
         let response = server.post("/warp").multipart(form(&image, warp.to_string())).send().await.unwrap();
         assert_eq!(response.status(), 200);
