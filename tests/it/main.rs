@@ -53,6 +53,7 @@ mod socket_abuse;
 mod spline;
 mod stopping;
 mod stores;
+mod strength;
 mod support;
 mod tls;
 mod traces;

@@ -86,7 +86,7 @@ async fn what_is_drawn_is_where_points_are_mapped_forwards_and_back() {
     let server = Server::start(&[]).await;
     let image = coordinates();
     let (mut compared, mut without_folds) = (0, 0);
-    for seed in 0..200 {
+    for seed in 0..200_u64 {
         let (tolerance, bound) = if seed.is_multiple_of(4) { (Some(0.05), 0.1) } else { (None, 0.3) };
         let warp = warp(seed, tolerance);
         let response = server.post("/warp").multipart(form(&image, warp.to_string())).send().await.unwrap();

@@ -54,7 +54,13 @@ impl App {
         let setup = self.session_setup(client, &session.record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let is_long = json.len() > MAX_SEQUENTIAL;
-        let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
+        let record = session.record;
+        let parse = move |_: &_| {
+            let mut object = PointsObject::parse_posed(&json)?;
+            object.q = record.rest.posed_at(object.strength, object.q);
+            Ok::<_, Problem>(object)
+        };
+        let object = self.0.pool.run(&ticket, parse).await??;
         self.map(&ticket, self.response_quota(client), MapJob { owner: id.owner(), setup, object, is_long }).await
     }
 

@@ -4,12 +4,26 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 13] =
-    ["p", "q", "weights", "method", "alpha", "point_mass", "smoothing", "coincident", "units", "grid", "folds", "metric", "output"];
+pub(crate) const WARP: [&str; 14] = [
+    "p",
+    "q",
+    "strength",
+    "weights",
+    "method",
+    "alpha",
+    "point_mass",
+    "smoothing",
+    "coincident",
+    "units",
+    "grid",
+    "folds",
+    "metric",
+    "output",
+];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 20] = {
-    let mut fields = [""; 20];
+pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
+    let mut fields = [""; 21];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "points", "polygons", "boxes", "geojson", "inverse", "refine"]);
@@ -17,7 +31,7 @@ pub(crate) const WARP_WITH_POINTS: [&str; 20] = {
 };
 
 /// The fields of `/sessions/{id}/points`.
-pub(crate) const POINTS_OF_SESSION: [&str; 7] = ["q", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
+pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
 pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
@@ -47,8 +61,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 8] = [
-    ("strength", "q"),
+const UNSUPPORTED: [(&str, &str); 7] = [
     ("layer", "q"),
     ("region", "q"),
     ("holes", "q"),
