@@ -99,7 +99,8 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         .filter(|(_, p)| exceeded.is_empty() || !exceeded.contains(&cell(*p)))
         .collect();
     let mut drawn = Drawn { compared: places.len(), error: 0.0, over: 0, farthest: String::new(), cracks, posed };
-    let map = |places: &[Point]| setup.map(&pose, places, &|| false).unwrap();
+    let f = setup.transform(&pose);
+    let map = |places: &[Point]| f.map(places, &|| false).unwrap().into_iter().map(|place| place.expect("f")).collect::<Vec<_>>();
     // The larger singular value of the derivatives.
     let stretch = |p: Point| {
         const STEP: f64 = 1e-3;

@@ -4,6 +4,7 @@ mod contract;
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
+use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
 use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Method, Units};
@@ -66,6 +67,7 @@ fn warp_reads_the_example_of_the_contract() {
             filter: Filter::Nearest,
             outside: Outside::Colour([1, 128, 255, 64]),
         },
+        strength: 1.0,
         is_auto: false,
     };
     assert_eq!(WarpObject::parse(text), Ok(expected));
@@ -306,9 +308,9 @@ fn numbers_of_the_wrong_kind_are_bad_values() {
 fn drag_reads_its_fields() {
     let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
-    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], seq: Some((1 << 53) + 1), output });
+    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], strength: 1.0, seq: Some((1 << 53) + 1), output });
     let drag = DragObject::parse(b"{\"q\": []}").unwrap();
-    assert_eq!(drag, DragObject { q: vec![], seq: None, output: OutputPatch::default() });
+    assert_eq!(drag, DragObject { q: vec![], strength: 1.0, seq: None, output: OutputPatch::default() });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
         assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
     }
@@ -425,20 +427,28 @@ fn points_read_their_fields() {
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
     let warp = WarpObject { rest, q: Some(points.q.clone()), ..WarpObject::default() };
     assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
-    assert_eq!((points.q, points.points), (vec![point(3.0, 4.0)], vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)]));
+    let kinds = vec![Annotation::Points(vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)])];
+    let annotations = Annotations { kinds, is_inverse: false, is_refined: true };
+    assert_eq!((points.q, points.annotations), (vec![point(3.0, 4.0)], annotations));
     let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
-    assert_eq!(posed, PointsObject { warp: None, q: vec![point(3.0, 4.0)], points: vec![] });
+    assert_eq!((posed.warp, posed.q, posed.annotations.kinds), (None, vec![point(3.0, 4.0)], vec![Annotation::Points(vec![])]));
     assert_eq!(PointsObject::parse(b"{\"extent\": [1, 1]}").unwrap().q, []);
 }
 
 #[test]
 fn points_refuse() {
-    use Code::{BadValue as B, NotFinite as N, NotSupported as S};
+    use Code::{BadValue as B, NotFinite as N};
     let posed: &[Expected] = &[
-        ("{\"q\": [], \"polygons\": []}", S, Some("/polygons"), None),
-        ("{\"q\": [], \"boxes\": 1}", S, Some("/boxes"), None),
-        ("{\"q\": [], \"refine\": false}", S, Some("/refine"), None),
-        ("{\"q\": [], \"inverse\": true}", S, Some("/inverse"), None),
+        ("{\"q\": [], \"polygons\": [[1, 2], [3, 4], [5, 6]]}", B, Some("/polygons/0/0"), None),
+        ("{\"q\": [], \"polygons\": [[[1, 2], [3, 4]]]}", B, Some("/polygons/0"), None),
+        ("{\"q\": [], \"boxes\": 1}", B, Some("/boxes"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4], [10, 10, 5, 20]]}", B, Some("/boxes/1"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4, 5]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"geojson\": []}", B, Some("/geojson"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"Feature\"}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"FeatureCollection\"}}", B, Some("/geojson/features"), None),
+        ("{\"q\": [], \"refine\": 0}", B, Some("/refine"), None),
         ("{\"q\": [], \"inverse\": 1}", B, Some("/inverse"), None),
         ("{\"q\": [], \"points\": {}}", B, Some("/points"), None),
         ("{\"q\": [], \"points\": [1]}", B, Some("/points/0"), None),
@@ -617,7 +627,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         outside,
     });
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
-    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, is_auto: false })
+    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, strength: 1.0, is_auto: false })
 }
 
 /// The object in the form of its values.
