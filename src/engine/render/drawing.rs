@@ -103,7 +103,7 @@ impl Drawing {
             for (row, out) in strip.clone().zip(&mut lines) {
                 let line =
                     if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
-                self.paint(source, channels, line, &scratch, &mut out[part.clone()]);
+                self.paint(source, channels, (row, line), &scratch, &mut out[part.clone()]);
             }
         }
     }
@@ -320,7 +320,7 @@ impl Drawing {
     }
 
     /// Samples a row with known coordinates and fills what is outside.
-    fn paint(&self, source: &Source, channels: Channels, start: usize, scratch: &Scratch, out: &mut [u8]) {
+    fn paint(&self, source: &Source, channels: Channels, (row, start): (u32, usize), scratch: &Scratch, out: &mut [u8]) {
         let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
@@ -336,11 +336,11 @@ impl Drawing {
             }
         }
         for (run, bytes) in scratch.runs.iter().filter_map(drawn) {
-            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run]);
+            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
             match &self.footprints {
                 None => sampler::sample(self.kernel, source.level(self.level), self.filter, u, v, channels, &mut out[bytes]),
                 Some(footprints) => {
-                    footprints.sample(self.kernel, (source, self.level), self.filter, (u, v), channels, &mut out[bytes]);
+                    footprints.sample(self.kernel, (source, self.level), self.filter, (u, v), (row, run.start), channels, &mut out[bytes]);
                 }
             }
         }

@@ -6,20 +6,24 @@
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the grid and to the range of the samples")]
 
+use std::ops::Range;
+
 use super::Filter;
 use super::kernel::Kernel;
-use super::lattice::Lattice;
+use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
 use super::source::Source;
-use crate::geometry::Mesh;
+use crate::geometry::{Mesh, Vec2};
 use crate::pixmap::{Channels, Depth};
 
 /// The shrinking up to which a position is sampled as a point.
 const LEAST: f32 = 1.5;
 /// The shrinking from which the whole footprint is averaged.
 const FULL: f32 = 2.0;
-/// Cells whose vertices shrink the source by less are sampled as points.
-const MARKED: f32 = 1.3;
+/// Cells whose vertices shrink the source by less are sampled as points: between them the shrinking hardly exceeds [`LEAST`].
+const MARKED: f32 = 1.45;
+/// Rows of a target up to which the columns of a cell are kept for each.
+const HIGH: usize = 16;
 /// Longest side of a footprint, px of the source for a px of the posed plane.
 const LONGEST: f32 = 64.0;
 /// Most samples of a pixel.
@@ -45,10 +49,13 @@ type Sides = [[f32; 2]; 2];
 pub(super) struct Footprints {
     columns: usize,
     rows: usize,
-    /// Derivatives of the posed position by the rest position, `[rows][columns]`: of x and y along x, of x and y along y.
+    /// At the corners of marked cells, `[rows][columns]`: derivatives of the posed position by the rest position, of x and y along x, of x
+    /// and y along y.
     jacobians: Vec<[f32; 4]>,
-    /// The cells that may shrink the source, `[rows][columns]`.
+    /// The cells that may shrink the source, and those beside them, `[rows][columns]`.
     marked: Vec<bool>,
+    /// For each row of the target, the columns between which such cells are drawn.
+    drawn: Vec<Range<usize>>,
     /// The sampler's coordinate of the first column and row, and cells per unit.
     origin: [f32; 2],
     cells: [f32; 2],
@@ -56,25 +63,43 @@ pub(super) struct Footprints {
     scale: [[f32; 2]; 2],
 }
 
-/// Whether some cell of a mesh shrinks the source noticeably.
-pub(super) fn shrinks(mesh: &Mesh) -> bool {
+/// Column and row of the cells that shrink the source noticeably.
+pub(super) fn shrinking_cells(mesh: &Mesh) -> Vec<(usize, usize)> {
     let columns = mesh.grid().columns() as usize;
     let (width, height) = mesh.grid().cell();
     let (per_x, per_y) = ((1.0 / width) as f32, (1.0 / height) as f32);
-    let mut lines = mesh.displacement().chunks_exact(columns);
-    let Some(mut above) = lines.next() else { return false };
-    lines.any(|below| {
-        let mut found = 0_u32;
-        for ((a, b), c) in above.iter().zip(&above[1..]).zip(below) {
-            found |= u32::from(is_small(jacobian([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]], per_x, per_y)));
+    let is_small =
+        |a: [f32; 2], b: [f32; 2], c: [f32; 2]| is_small(jacobian([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]], per_x, per_y));
+    let mut found = Vec::new();
+    let mut lines = mesh.displacement().chunks_exact(columns).enumerate();
+    let Some((_, mut above)) = lines.next() else { return found };
+    for (j, below) in lines {
+        let cells = above.iter().zip(&above[1..]).zip(below);
+        // In lanes; most rows have none.
+        if cells.clone().fold(0, |some, ((a, b), c)| some | u32::from(is_small(*a, *b, *c))) != 0 {
+            found.extend(cells.enumerate().filter(|(_, ((a, b), c))| is_small(**a, **b, **c)).map(|(i, _)| (i, j - 1)));
         }
         above = below;
-        found != 0
-    })
+    }
+    found
 }
 
+#[inline(always)]
+#[expect(clippy::inline_always, reason = "a part of a loop in lanes")]
 fn jacobian(along_x: [f32; 2], along_y: [f32; 2], per_x: f32, per_y: f32) -> [f32; 4] {
     [1.0 + along_x[0] * per_x, along_x[1] * per_x, along_y[0] * per_y, 1.0 + along_y[1] * per_y]
+}
+
+/// The Jacobian at a vertex by central differences.
+fn jacobian_at(mesh: &Mesh, i: u32, j: u32) -> [f32; 4] {
+    let grid = mesh.grid();
+    let between = |at: u32, lines: u32| (at.saturating_sub(1), (at + 1).min(lines - 1));
+    let ((left, right), (top, bottom)) = (between(i, grid.columns()), between(j, grid.rows()));
+    let difference = |a: Vec2, b: Vec2| [(b.x - a.x) as f32, (b.y - a.y) as f32];
+    let along_x = difference(mesh.displaced(left, j), mesh.displaced(right, j));
+    let along_y = difference(mesh.displaced(i, top), mesh.displaced(i, bottom));
+    let (width, height) = (grid.x(right) - grid.x(left), grid.y(bottom) - grid.y(top));
+    jacobian(along_x, along_y, (1.0 / width) as f32, (1.0 / height) as f32)
 }
 
 /// Whether a pixel's footprint has a side longer than [`MARKED`].
@@ -87,26 +112,20 @@ fn is_small([xx, yx, xy, yy]: [f32; 4]) -> bool {
 }
 
 impl Footprints {
-    /// `scale`: px of the target per px of the source.
-    pub(super) fn new(mesh: &Mesh, lattice: &Lattice, scale: [f64; 2]) -> Self {
+    /// `cells`: those of [`shrinking_cells`]. `scale`: px of the target per px of the source. `height`: rows of the target.
+    pub(super) fn new(mesh: &Mesh, cells: &[(usize, usize)], lattice: &Lattice, scale: [f64; 2], height: u32) -> Self {
         let grid = mesh.grid();
-        let (columns, rows) = (grid.columns(), grid.rows());
-        let at = |i: u32, j: u32| {
-            let between = |low: u32, high: u32| (low.saturating_sub(1), (low + 1).min(high - 1));
-            let ((left, right), (top, bottom)) = (between(i, columns), between(j, rows));
-            let (along_x, along_y) =
-                (mesh.displaced(right, j) - mesh.displaced(left, j), mesh.displaced(i, bottom) - mesh.displaced(i, top));
-            let narrow = |v: crate::geometry::Vec2| [v.x as f32, v.y as f32];
-            let (width, height) = (grid.x(right) - grid.x(left), grid.y(bottom) - grid.y(top));
-            jacobian(narrow(along_x), narrow(along_y), (1.0 / width) as f32, (1.0 / height) as f32)
-        };
-        let jacobians: Vec<_> = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j))).map(|(i, j)| at(i, j)).collect();
-        let (columns, rows) = (columns as usize, rows as usize);
-        let mut marked = vec![false; jacobians.len()];
-        for j in 0..rows - 1 {
-            for i in 0..columns - 1 {
-                let first = j * columns + i;
-                marked[first] = [first, first + 1, first + columns, first + columns + 1].into_iter().any(|k| is_small(jacobians[k]));
+        let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
+        let mut marked = vec![false; columns * rows];
+        let mut jacobians = vec![[0.0; 4]; columns * rows];
+        let mut drawn = DrawnColumns::new(height as usize);
+        let around = |at: usize, lines: usize| at.saturating_sub(1)..(at + 2).min(lines - 1);
+        for (i, j) in cells.iter().flat_map(|(i, j)| around(*j, rows).flat_map(|j| around(*i, columns).map(move |i| (i, j)))) {
+            if !std::mem::replace(&mut marked[j * columns + i], true) {
+                drawn.add(lattice.cell_extent(i, j), lattice.cell_range(i, j));
+                for (i, j) in [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)] {
+                    jacobians[j * columns + i] = jacobian_at(mesh, i as u32, j as u32);
+                }
             }
         }
         let cell = grid.cell();
@@ -119,21 +138,24 @@ impl Footprints {
             rows,
             jacobians,
             marked,
+            drawn: drawn.finish(),
             origin: [lattice.u[0], lattice.v[0]],
             cells: [(1.0 / (units[0] * cell.0)) as f32, (1.0 / (units[1] * cell.1)) as f32],
             scale: scale.map(|scale| units.map(|unit| (unit / scale) as f32)),
         }
     }
 
+    /// The cell of a coordinate along one axis, and the position in it.
+    fn locate(&self, coordinate: f32, axis: usize) -> (usize, f32) {
+        let lines = [self.columns, self.rows][axis];
+        let at = ((coordinate - self.origin[axis]) * self.cells[axis]).clamp(0.0, (lines - 1) as f32);
+        let cell = (at as usize).min(lines - 2);
+        (cell, (at - cell as f32).min(1.0))
+    }
+
     /// The footprint at a position of the source; `None`: a point.
     fn at(&self, u: f32, v: f32) -> Option<(Shape, Sides)> {
-        let locate = |coordinate: f32, origin: f32, cells: f32, lines: usize| {
-            let at = ((coordinate - origin) * cells).clamp(0.0, (lines - 1) as f32);
-            let cell = (at as usize).min(lines - 2);
-            (cell, (at - cell as f32).min(1.0))
-        };
-        let (i, s) = locate(u, self.origin[0], self.cells[0], self.columns);
-        let (j, t) = locate(v, self.origin[1], self.cells[1], self.rows);
+        let ((i, s), (j, t)) = (self.locate(u, 0), self.locate(v, 1));
         let first = j * self.columns + i;
         if !self.marked[first] {
             return None;
@@ -170,8 +192,36 @@ impl Footprints {
         Some((Shape { across, down, reduction }, sides))
     }
 
-    /// Samples a run of pixels at a reduction by `2^level`, as [`sampler::sample`] does where the source is not shrunk.
+    /// Samples a run of pixels of a row at a reduction by `2^level`, as [`sampler::sample`] does where the source is not shrunk. `at`: the row
+    /// and the column of the first pixel.
     pub(super) fn sample(
+        &self,
+        kernel: Kernel,
+        (source, level): (&Source, u32),
+        filter: Filter,
+        (u, v): (&[f32], &[f32]),
+        (row, column): (u32, usize),
+        channels: Channels,
+        out: &mut [u8],
+    ) {
+        let pixel = channels.count() * source.pixmap().depth().bytes();
+        let marked = self.drawn.get(row as usize).cloned().unwrap_or_default();
+        let at = |column_of: usize| column_of.saturating_sub(column).min(u.len());
+        let (start, end) = if marked.is_empty() { (u.len(), u.len()) } else { (at(marked.start), at(marked.end)) };
+        for run in [0..start, end..u.len()] {
+            if !run.is_empty() {
+                let out = &mut out[run.start * pixel..run.end * pixel];
+                sampler::sample(kernel, source.level(level), filter, &u[run.clone()], &v[run], channels, out);
+            }
+        }
+        if start < end {
+            let out = &mut out[start * pixel..end * pixel];
+            self.sample_shrunken(kernel, (source, level), filter, (&u[start..end], &v[start..end]), channels, out);
+        }
+    }
+
+    /// Samples pixels some of which may have footprints.
+    fn sample_shrunken(
         &self,
         kernel: Kernel,
         (source, level): (&Source, u32),
@@ -182,8 +232,7 @@ impl Footprints {
     ) {
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
-        let (mut us, mut vs) = (Vec::new(), Vec::new());
-        let mut bytes = Vec::new();
+        let (mut us, mut vs, mut bytes) = (Vec::new(), Vec::new(), Vec::new());
         let mut at = 0;
         let mut next = self.footprint(u, v, 0);
         while at < u.len() {
@@ -217,6 +266,47 @@ impl Footprints {
     fn footprint(&self, u: &[f32], v: &[f32], at: usize) -> Option<(Shape, Sides)> {
         self.at(*u.get(at)?, *v.get(at)?)
     }
+}
+
+/// For each row of a target, the columns between which some cells are drawn.
+struct DrawnColumns {
+    lines: Vec<Range<usize>>,
+    /// The rows and columns of cells that are higher than [`HIGH`].
+    high: (Range<usize>, Range<usize>),
+}
+
+impl DrawnColumns {
+    const NONE: Range<usize> = usize::MAX..0;
+
+    fn new(height: usize) -> Self {
+        Self { lines: vec![Self::NONE; height], high: (Self::NONE, Self::NONE) }
+    }
+
+    /// Adds a cell, and a pixel more on every side.
+    fn add(&mut self, (left, right): (i32, i32), range: YRange) {
+        let pixel = |at: i32| usize::try_from(at.div_euclid(ONE)).unwrap_or(0);
+        let lines = pixel(range.top).saturating_sub(1)..(pixel(range.bottom) + 2).min(self.lines.len());
+        let columns = pixel(left).saturating_sub(1)..pixel(right) + 2;
+        if lines.len() > HIGH {
+            self.high = (join(&self.high.0, &lines), join(&self.high.1, &columns));
+        } else {
+            self.join(lines, &columns);
+        }
+    }
+
+    fn join(&mut self, lines: Range<usize>, columns: &Range<usize>) {
+        self.lines.get_mut(lines).unwrap_or_default().iter_mut().for_each(|line| *line = join(line, columns));
+    }
+
+    fn finish(mut self) -> Vec<Range<usize>> {
+        let (lines, columns) = std::mem::replace(&mut self.high, (Self::NONE, Self::NONE));
+        self.join(lines, &columns);
+        self.lines
+    }
+}
+
+fn join(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    a.start.min(b.start)..a.end.max(b.end)
 }
 
 impl Shape {

@@ -140,10 +140,11 @@ impl Renderer {
             if options.filter != Filter::Nearest {
                 reduced.packed();
             }
-            let shrinks = options.filter != Filter::Nearest && footprint::shrinks(mesh);
+            let shrinking = if options.filter == Filter::Nearest { Vec::new() } else { footprint::shrinking_cells(mesh) };
             let draw = |window: Window| {
                 let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
-                let footprints = shrinks.then(|| Footprints::new(mesh, &lattice, placement.scale));
+                let footprints =
+                    (!shrinking.is_empty()).then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, window.rows.end));
                 Drawing::new((lattice, footprints), window, placement.source(mesh.grid()), options, k, kernel)
             };
             let drawings: Vec<_> = placement.windows().into_iter().map(draw).collect();
