@@ -111,7 +111,7 @@ mod tests {
             let one = f64::from(1 << bits);
             for (k, w) in table.iter().enumerate() {
                 assert_eq!(w.iter().sum::<i32>(), 1 << bits, "{k}");
-                assert_eq!(w[2] - w[0] + 2 * w[3], (k as i32) << (bits - 7), "{k}");
+                assert_eq!(w[2] - w[0] + 2 * w[3], i32::try_from(k).unwrap() << (bits - 7), "{k}");
                 let t = k as f64 / 128.0;
                 let exact = [
                     (-t + 2.0 * t * t - t * t * t) / 2.0,

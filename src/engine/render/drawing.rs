@@ -340,7 +340,14 @@ impl Drawing {
             match &self.footprints {
                 None => sampler::sample(self.kernel, source.level(self.level), self.filter, u, v, channels, &mut out[bytes]),
                 Some(footprints) => {
-                    footprints.sample(self.kernel, (source, self.level), self.filter, (u, v), (row, run.start), channels, &mut out[bytes]);
+                    footprints.sample(
+                        self.kernel,
+                        (source, self.level),
+                        self.filter,
+                        (u, v),
+                        (row, run.start),
+                        (channels, &mut out[bytes]),
+                    );
                 }
             }
         }

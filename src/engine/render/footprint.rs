@@ -168,6 +168,10 @@ impl Footprints {
         let [xx, yx, xy, yy] = [blend(0), blend(1), blend(2), blend(3)];
         // Where cells have no area, the longest footprint.
         let det = (xx * yy - xy * yx).abs().max(f32::MIN_POSITIVE);
+        let least = LEAST * LEAST * det * det;
+        if yy * yy + yx * yx <= least && xx * xx + xy * xy <= least {
+            return None;
+        }
         let mut sides = [[yy, -yx], [-xy, xx]];
         let mut lengths = [0.0_f32; 2];
         for ((side, length), scale) in sides.iter_mut().zip(&mut lengths).zip(&self.scale) {
@@ -201,8 +205,7 @@ impl Footprints {
         filter: Filter,
         (u, v): (&[f32], &[f32]),
         (row, column): (u32, usize),
-        channels: Channels,
-        out: &mut [u8],
+        (channels, out): (Channels, &mut [u8]),
     ) {
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let marked = self.drawn.get(row as usize).cloned().unwrap_or_default();
@@ -276,7 +279,8 @@ struct DrawnColumns {
 }
 
 impl DrawnColumns {
-    const NONE: Range<usize> = usize::MAX..0;
+    /// No columns; joined with others, those.
+    const NONE: Range<usize> = Range { start: usize::MAX, end: 0 };
 
     fn new(height: usize) -> Self {
         Self { lines: vec![Self::NONE; height], high: (Self::NONE, Self::NONE) }

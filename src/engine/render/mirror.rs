@@ -127,8 +127,9 @@ mod tests {
         let shown: String = (-13..14).map(|at| char::from(b'a' + u8::try_from(mirrored(at, 6)).unwrap())).collect();
         assert_eq!(shown, "aabcdeffedcbaabcdeffedcbaab");
         assert!((-5..5).all(|at| mirrored(at, 1) == 0));
-        for at in [-13.75, -6.5, -0.25, 0.0, 2.5, 6.0, 6.25, 12.5] {
-            let pixel = mirrored((at as f64).floor() as i64, 6);
+        for at in [-13.75_f64, -6.5, -0.25, 0.0, 2.5, 6.0, 6.25, 12.5] {
+            #[expect(clippy::cast_possible_truncation, reason = "a few pixels")]
+            let pixel = mirrored(at.floor() as i64, 6);
             assert!((folded(at, [0.0, 6.0]) - (pixel as f64 + 0.5)).abs() <= 0.5, "{at}");
         }
     }
