@@ -162,7 +162,7 @@ impl Renderer {
 
     /// Samples points from now on, also where the source is shrunk.
     #[cfg(test)]
-    fn sample_points(&mut self) {
+    pub(crate) fn sample_points(&mut self) {
         if let Work::Draw(drawings) = &mut self.work {
             drawings.iter_mut().for_each(Drawing::sample_points);
         }
