@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
-use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp, WarpError};
+use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp};
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{DragObject, PointsObject, WarpObject};
 
