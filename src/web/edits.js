@@ -173,7 +173,7 @@ export function keepingFocus(before, after) {
   return after.handles.some((h) => before.handles.includes(h) && isPosed(h)) ? { ...after, alpha: alphaOf(before) } : after;
 }
 
-/** The content outside the warped picture: `transparent`, `edge` or `#rrggbbaa`. Documents of older pages lack it. */
+/** The content outside the warped picture: `transparent`, `edge`, `reflect` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
 /** What happens to coincident handles by default: they follow the mean of their targets. */

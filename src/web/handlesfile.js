@@ -131,7 +131,7 @@ function documentFrom(warp) {
   const cell = grid === "auto" || isTolerance ? grid : grid?.cell;
   demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
-  demand(outside !== null, "/output/outside", '"transparent", "edge" or a colour "#rrggbbaa"');
+  demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect" or a colour "#rrggbbaa"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
   const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, canvas };
@@ -149,7 +149,7 @@ function isCanvas(canvas) {
 
 /** The server's form of a colour, or null. */
 function outsideFrom(told) {
-  if (told === "transparent" || told === "edge") return told;
+  if (told === "transparent" || told === "edge" || told === "reflect") return told;
   const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
   return colour ? colour + alpha : null;
 }

@@ -107,7 +107,7 @@ export class Painter {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.round(boxX + zoom * box[2]) - left, Math.round(height - boxY) - bottom);
     gl.uniform4f(this.view, (2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height);
-    if (outside === "edge") this.#paintEdge(mesh);
+    if (outside === "edge" || outside === "reflect") this.#paintEdge(mesh);
     else if (outside !== "transparent") this.#paintColour(outside);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
     gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
@@ -124,7 +124,7 @@ export class Painter {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  /** Draws the extended edge; depth is the distance from the border. */
+  /** Draws the extended edge, also in place of a mirrored one, which only the server draws; depth is the distance from the border. */
   #paintEdge(mesh) {
     const gl = this.#gl;
     const vertices = edgeTriangles(mesh);

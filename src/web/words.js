@@ -126,6 +126,7 @@ export function cutWords({ left, top, right, bottom }) {
 export const OUTSIDE = {
   transparent: "Transparent outside the warped picture.",
   edge: "Extends the edge pixels outside the warped picture.",
+  reflect: "Mirrors the picture at its warped border. During a drag, the edge pixels are extended instead.",
   colour: "Fills the outside of the warped picture with this colour.",
 };
 
@@ -157,6 +158,7 @@ export const EXPORT = {
   backgrounds: {
     transparent: "JPEG has no transparency: transparent pixels get this colour.",
     edge: "JPEG has no transparency: transparent pixels become white.",
+    reflect: "JPEG has no transparency: transparent pixels become white.",
     colour: "JPEG has no transparency: transparent pixels get the colour chosen for the outside.",
   },
 };

@@ -1,4 +1,5 @@
-//! Posing 10,000 vertices from the A_j table, beside merely reading a table of that size, and beside the crates that deform the same vertices.
+//! Posing 10,000 vertices from the A_j table, beside merely reading a table of that size, and beside the crates that deform the same vertices;
+//! and 100,000 points mapped exactly, forwards and back.
 
 #![allow(
     missing_docs,
@@ -17,8 +18,10 @@ mod sets;
 use std::hint::black_box;
 
 use harness::{Report, contender, pool};
-use mlswarp::deform::{Method, Plan};
-use mlswarp::geometry::Grid;
+use mlswarp::deform::{Handle, Method, Plan};
+use mlswarp::geometry::{Grid, Point};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Folds, Limits, Posed, RestSpec, Setup};
 
 /// Reads a table once: the sum of its numbers, in as many chains as keep the loads busy.
 fn read(table: &[[f32; 64]]) -> f32 {
@@ -44,7 +47,7 @@ fn tables() {
         let plan = Plan::of_grid(&field, &grid);
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
-        let single = |list: &[mlswarp::geometry::Point]| list.iter().map(|p| (p.x as f32, p.y as f32)).collect::<Vec<_>>();
+        let single = |list: &[Point]| list.iter().map(|p| (p.x as f32, p.y as f32)).collect::<Vec<_>>();
         let (p32, q32) = (single(&p), single(&q));
         let mut piston = deform_grid::DeformGrid::new([0.0, 0.0, sets::SIDE, sets::SIDE], 99, 99);
         for (p, q) in p.iter().zip(&q) {
@@ -71,8 +74,32 @@ fn tables() {
         contenders.push(contender("piston2d-deform_grid 0.15 (f64, rigid)", move || piston.update()));
         report.table(&format!("{n} handles, table of {:.2} MB", plan.bytes() as f64 / 1e6), 31, &mut contenders);
     }
+    annotations(&mut report);
     levels(&mut report);
     growth(&mut report);
+}
+
+/// 100,000 points by the exact map and back.
+fn annotations(report: &mut Report) {
+    let p = sets::points(7).0.into_iter().map(Handle::Point).collect();
+    let rest = RestSpec { p, ..RestSpec::default() };
+    let side = sets::SIDE as u32;
+    let extent = Extent::new(side, side).expect("a size");
+    let setup = Setup::new(&rest, extent, &Limits::default()).expect("seven points");
+    let pose = setup.pose(&sets::points(7).1.into_iter().map(Handle::Point).collect::<Vec<_>>()).expect("seven points");
+    let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
+    let place = |k: u32| Point::new(f64::from(k * 7919 % 99_991) * sets::SIDE / 99_991.0, f64::from(k) * sets::SIDE / 1e5);
+    let places: Vec<Point> = (0..100_000).map(place).collect();
+    let there: Vec<Point> = setup.transform(&pose).map(&places, &|| false).expect("in range").into_iter().flatten().collect();
+    let mut contenders = vec![
+        contender("f", || {
+            black_box(setup.transform(&pose).map(black_box(&places), &|| false).expect("in range"));
+        }),
+        contender("its inverse", || {
+            black_box(setup.inverse(&pose, posed.mesh()).map(black_box(&there), &|| false).expect("in range"));
+        }),
+    ];
+    report.table("100,000 points, 7 handles", 7, &mut contenders);
 }
 
 /// Log-log slope in vertices and in handles: 1 is linear. All tables lie in L2 (1 MB and more on the processors of today) and not in L1: across

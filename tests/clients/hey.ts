@@ -24,9 +24,9 @@ await save("dragged.png", (await warpSession({ path, body: { q, seq: 1, output }
 assert.equal((await getSession({ path })).data?.seq, 1);
 
 const mapped = await mapPoints({ body: { p: [[120, 80], [200, 160]], q: [[130, 60], [200, 160]], extent: [640, 480], points: [[0, 0]] } });
-const [x, y]: [number, number] = mapped.data!.points[0]!;
+const [x, y]: [number, number] = mapped.data!.points![0]!;
 assert.deepEqual([x.toFixed(2), y.toFixed(2)], ["26.96", "-37.88"]);
-assert.equal((await mapSessionPoints({ path, body: { q, points: [[0, 0], [320.5, 240.5]] } })).data?.points.length, 2);
+assert.equal((await mapSessionPoints({ path, body: { q, points: [[0, 0], [320.5, 240.5]] } })).data?.points?.length, 2);
 // @ts-expect-error: a place has two numbers.
 const wrong: PosedHandles = [[1, 2, 3]];
 const problem = (await warpSession({ path, body: { q: wrong } })).error;

@@ -114,7 +114,7 @@ def test_it_is_taken_along(shifted, visits, picture, tmp_path):
 
 def test_what_is_no_choice_is_refused(opened, tmp_path):
     wrong = tmp_path / "wrong-handles.json"
-    wrong.write_text(json.dumps({"p": [[1, 2]], "q": [[3, 4]], "output": {"outside": "reflect"}}))
+    wrong.write_text(json.dumps({"p": [[1, 2]], "q": [[3, 4]], "output": {"outside": "wrap"}}))
     opened.page.set_input_files("#file", wrong)
     opened.body("[data-problem=bad_handles_file][data-handles='0']")
 

@@ -90,7 +90,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"output": {"canvas": {"x": 0}}}"#, "bad_value", "/output/canvas", &["expected `x`, `y`, `width` and `height`"]),
         (r#"{"output": {"canvas": "fitt"}}"#, "bad_value", "/output/canvas", &["did you mean `fit`?"]),
         (r#"{"output": {"subsampling": "4:2:0"}}"#, "not_supported", "/output/subsampling", &["supported: `format`"]),
-        (r#"{"strength": 0.5}"#, "not_supported", "/strength", &["not supported by this version: `strength`"]),
+        (r#"{"region": 1}"#, "not_supported", "/region", &["not supported by this version: `region`"]),
         (r#"{"p": [], "coincident": "mean"}"#, "bad_value", "/coincident", &["expected an object", "found a string"]),
         (r#"{"p": [], "coincident": {"policy": "average"}}"#, "bad_value", "/coincident/policy", &["`mean`, `reject`; found `average`"]),
         (
@@ -99,13 +99,13 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
             "/coincident/within",
             &["a distance in pixels, 0 to 1000000; found -1"],
         ),
-        (r#"{"strength": 0.5}"#, "not_supported", "/strength", &["supported: `p`, `q`"]),
+        (r#"{"region": 1}"#, "not_supported", "/region", &["supported: `p`, `q`"]),
         (r#"{"p": [], "frobnicate": 1}"#, "unknown_field", "/frobnicate", &["unknown field: `frobnicate`; known fields: `p`, `q`"]),
     ];
     for (warp, code, pointer, words) in cases {
         told(server.post("/warp").multipart(form(&image, *warp)), 422, code, Some(pointer), words).await;
     }
-    let nulls = r#"{"coincident": null, "strength": null, "grid": {"tolerance": null, "cell": 9}, "output": {"subsampling": null}}"#;
+    let nulls = r#"{"coincident": null, "region": null, "grid": {"tolerance": null, "cell": 9}, "output": {"subsampling": null}}"#;
     assert_eq!(server.post("/warp").multipart(form(&image, nulls)).send().await.unwrap().status(), 200);
     for name in ["format", "quality", "compression", "width", "filter", "outside"] {
         let warp = json!({"p": [[10, 10]], "q": [[12, 10]], name: 1}).to_string();

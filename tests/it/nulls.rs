@@ -37,8 +37,14 @@ fn sample(name: &str) -> Value {
             })
         }
         "seq" => json!(3),
+        "strength" => json!(0.5),
         "extent" => json!([16, 12]),
         "points" => json!([[1, 1], [5, 6.5]]),
+        "polygons" => json!([[[1, 1], [9, 1], [5, 6.5]]]),
+        "boxes" => json!([[1, 1, 5, 6.5]]),
+        "geojson" => json!({"type": "FeatureCollection", "features": []}),
+        "inverse" => json!(false),
+        "refine" => json!(false),
         "candidates" => json!([{"method": "tps"}, {"method": "rigid", "alpha": 2}]),
         other => panic!("`{other}` is new: say here what it may hold"),
     }

@@ -178,7 +178,9 @@ impl<'a> Inverse<'a> {
             }
             offs = next;
         }
-        x.into_iter().zip(offs).map(|(x, off)| (off.norm() <= SOLVED).then_some(x)).collect()
+        // One more step costs nothing.
+        let last = x.into_iter().zip(inverses).zip(offs);
+        last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off))).collect()
     }
 
     /// Newton's method with shorter steps where whole ones lead away.

@@ -10,6 +10,7 @@ use std::ops::Range;
 
 use super::kernel::UNCOVERED;
 use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
+use super::mirror::Mirror;
 use crate::geometry::Point;
 
 /// Segments in a leaf of the tree.
@@ -30,23 +31,24 @@ pub(super) struct Border {
     vertices: Vec<Corner>,
     /// Boxes of a complete binary tree, the root first, the children of k at 2k + 1 and 2k + 2; empty until [`Border::index`].
     boxes: Vec<[f64; 4]>,
+    /// For `Outside::Reflect`.
+    mirror: Option<Mirror>,
 }
 
 impl Border {
     /// Clockwise (y down) at rest: top row, right column, bottom row, left column.
     pub(super) fn new(lattice: &Lattice) -> Self {
-        let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
-        // The first vertex of each edge, and the cell with that edge.
-        let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
-        let right_column = (0..bottom).map(|j| ((right, j), (right - 1, j), 1));
-        let bottom_row = (0..right).rev().map(|i| ((i + 1, bottom), (i, bottom - 1), 2));
-        let left_column = (0..bottom).rev().map(|j| ((0, j + 1), (0, j), 3));
-        let edges = top_row.chain(right_column).chain(bottom_row).chain(left_column);
-        let vertices = edges
+        let vertices = edges(lattice)
             .flat_map(|((i, j), cell, edge)| std::iter::once(lattice.corner(i, j)).chain(lattice.fine.edge(cell.0, cell.1, edge)))
             .chain([lattice.corner(0, 0)])
             .collect();
-        Self { vertices, boxes: Vec::new() }
+        Self { vertices, boxes: Vec::new(), mirror: None }
+    }
+
+    /// Prepares `Outside::Reflect`.
+    pub(super) fn mirror(&mut self, lattice: &Lattice) {
+        let counts: Vec<_> = edges(lattice).map(|(_, cell, edge)| 1 + lattice.fine.edge(cell.0, cell.1, edge).count()).collect();
+        self.mirror = Some(Mirror::new(lattice, &counts));
     }
 
     fn segments(&self) -> impl Iterator<Item = (Corner, Corner)> + '_ {
@@ -115,6 +117,16 @@ impl Border {
         let left_is_first = box_distance(&self.boxes[a], place) <= box_distance(&self.boxes[b], place);
         left_is_first == (segment < other)
     }
+}
+
+/// The outer edges of the grid, clockwise (y down) at rest from the top left corner: the first vertex, the cell, and its edge.
+fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usize), usize)> {
+    let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
+    let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
+    let right_column = (0..bottom).map(move |j| ((right, j), (right - 1, j), 1));
+    let bottom_row = (0..right).rev().map(move |i| ((i + 1, bottom), (i, bottom - 1), 2));
+    let left_column = (0..bottom).rev().map(|j| ((0, j + 1), (0, j), 3));
+    top_row.chain(right_column).chain(bottom_row).chain(left_column)
 }
 
 /// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to `width` are filled.
@@ -280,7 +292,7 @@ impl Border {
         nearest
     }
 
-    /// The sampler's coordinates of the position nearest to `place` on the listed segments.
+    /// The sampler's coordinates of the position nearest to `place` on the listed segments, or mirrored beyond it.
     fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
         let mut best = (f64::INFINITY, (self.vertices[0].u, self.vertices[0].v), usize::MAX);
         for &(_, index) in list {
@@ -291,7 +303,10 @@ impl Border {
                 best = (distance, coordinates, index);
             }
         }
-        best.1
+        match &self.mirror {
+            Some(mirror) if best.2 != usize::MAX => mirror.at(&self.vertices, best.2, place),
+            _ => best.1,
+        }
     }
 }
 
@@ -335,7 +350,7 @@ mod tests {
     fn polygon(vertices: &[(i32, i32)]) -> Border {
         let closed = vertices.iter().chain(vertices.first());
         let vertices = closed.map(|&(x, y)| Corner { x: x * ONE, y: y * ONE, u: x as f32, v: y as f32 }).collect();
-        Border { vertices, boxes: Vec::new() }
+        Border { vertices, boxes: Vec::new(), mirror: None }
     }
 
     #[test]
@@ -411,7 +426,7 @@ mod tests {
     fn steps(vertices: &[(i32, i32)]) -> Border {
         let closed = vertices.iter().chain(vertices.first()).zip(0_u16..);
         let vertices = closed.map(|(&(x, y), k)| Corner { x, y, u: f32::from(k), v: -f32::from(k) }).collect();
-        Border { vertices, boxes: Vec::new() }
+        Border { vertices, boxes: Vec::new(), mirror: None }
     }
 
     fn numbers(seed: u32) -> impl FnMut(i32) -> i32 {

@@ -8,6 +8,7 @@ use super::border::{Border, Rows, Search};
 use super::canvas::Window;
 use super::cell;
 use super::edge::Edge;
+use super::footprint::Footprints;
 use super::kernel::{Kernel, LANES, NOTES, Raster, Spans, UNCOVERED};
 use super::lattice::{BLOCK, Lattice, row_centre};
 use super::row_split::{DOUBT, RowSplit};
@@ -25,6 +26,7 @@ const SLACK: usize = LANES;
 #[derive(Debug)]
 pub(super) struct Drawing {
     pub(super) lattice: Lattice,
+    footprints: Option<Footprints>,
     border: Border,
     filter: Filter,
     outside: Outside,
@@ -58,14 +60,24 @@ struct Scratch {
 
 impl Drawing {
     /// `source` is the size of the whole source at the scale of the target.
-    pub(super) fn new(lattice: Lattice, window: Window, source: Extent, options: RenderOptions, level: u32, kernel: Kernel) -> Self {
+    pub(super) fn new(
+        (lattice, footprints): (Lattice, Option<Footprints>),
+        window: Window,
+        source: Extent,
+        options: RenderOptions,
+        level: u32,
+        kernel: Kernel,
+    ) -> Self {
         let mut border = Border::new(&lattice);
         let covered = border.surrounds(&window.columns, &window.rows);
-        if !covered && options.outside == Outside::Edge {
+        if !covered && matches!(options.outside, Outside::Edge | Outside::Reflect) {
             border.index();
+            if options.outside == Outside::Reflect {
+                border.mirror(&lattice);
+            }
         }
         let strategies = RowStrategies::new(&lattice, window.rows.end, source.height(), kernel);
-        Self { lattice, border, filter: options.filter, outside: options.outside, kernel, window, level, strategies, covered }
+        Self { lattice, footprints, border, filter: options.filter, outside: options.outside, kernel, window, level, strategies, covered }
     }
 
     /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
@@ -76,7 +88,6 @@ impl Drawing {
         if start >= end {
             return;
         }
-        let source = source.level(self.level);
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let pitch = out.len() / rows.len();
         let part = left * pixel..(left + columns.len()) * pixel;
@@ -92,7 +103,7 @@ impl Drawing {
             for (row, out) in strip.clone().zip(&mut lines) {
                 let line =
                     if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
-                self.paint(source, channels, line, &scratch, &mut out[part.clone()]);
+                self.paint(source, channels, (row, line), &scratch, &mut out[part.clone()]);
             }
         }
     }
@@ -102,9 +113,9 @@ impl Drawing {
         self.window.columns.end
     }
 
-    /// Whether uncovered pixels show the picture's edge.
+    /// Whether uncovered pixels show the picture's edge, or what is mirrored there.
     fn is_extended(&self) -> bool {
-        !self.covered && self.outside == Outside::Edge
+        !self.covered && matches!(self.outside, Outside::Edge | Outside::Reflect)
     }
 
     /// Computes the coordinates of all pixels of a strip.
@@ -309,7 +320,7 @@ impl Drawing {
     }
 
     /// Samples a row with known coordinates and fills what is outside.
-    fn paint(&self, source: &Source, channels: Channels, start: usize, scratch: &Scratch, out: &mut [u8]) {
+    fn paint(&self, source: &Source, channels: Channels, (row, start): (u32, usize), scratch: &Scratch, out: &mut [u8]) {
         let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
@@ -325,9 +336,27 @@ impl Drawing {
             }
         }
         for (run, bytes) in scratch.runs.iter().filter_map(drawn) {
-            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run]);
-            sampler::sample(self.kernel, source, self.filter, u, v, channels, &mut out[bytes]);
+            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
+            match &self.footprints {
+                None => sampler::sample(self.kernel, source.level(self.level), self.filter, u, v, channels, &mut out[bytes]),
+                Some(footprints) => {
+                    footprints.sample(
+                        self.kernel,
+                        (source, self.level),
+                        self.filter,
+                        (u, v),
+                        (row, run.start),
+                        (channels, &mut out[bytes]),
+                    );
+                }
+            }
         }
+    }
+
+    /// Samples points from now on.
+    #[cfg(test)]
+    pub(super) fn sample_points(&mut self) {
+        self.footprints = None;
     }
 
     /// Whether a row is drawn by column crossings, with or without fixups.

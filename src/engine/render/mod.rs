@@ -10,6 +10,8 @@ use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
 #[forbid(unsafe_code)]
+mod bicubic;
+#[forbid(unsafe_code)]
 mod border;
 #[forbid(unsafe_code)]
 mod canvas;
@@ -21,9 +23,13 @@ mod drawing;
 mod edge;
 #[forbid(unsafe_code)]
 mod fine;
+#[forbid(unsafe_code)]
+mod footprint;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lattice;
+#[forbid(unsafe_code)]
+mod mirror;
 #[forbid(unsafe_code)]
 mod patch;
 #[forbid(unsafe_code)]
@@ -49,6 +55,7 @@ pub use source::Source;
 
 use canvas::{Placement, Window};
 use drawing::Drawing;
+use footprint::Footprints;
 use kernel::Kernel;
 use lattice::Lattice;
 
@@ -60,6 +67,8 @@ pub enum Filter {
     /// Linear in x and y between the four nearest pixel centres.
     #[default]
     Bilinear,
+    /// Catmull-Rom in x and y, over the sixteen nearest pixel centres.
+    Bicubic,
 }
 
 /// What fills target pixels that the posed picture does not cover.
@@ -70,6 +79,8 @@ pub enum Outside {
     Transparent,
     /// The colour of the nearest position on the posed border.
     Edge,
+    /// The source mirrored beyond the posed border, its outermost pixels repeated.
+    Reflect,
     /// One colour, straight 8-bit RGBA.
     Colour([u8; 4]),
 }
@@ -137,12 +148,15 @@ impl Renderer {
             let k = source.level_for(placement.source(mesh.grid()));
             // Makes the copies now, not in the first band.
             let reduced = source.level(k);
-            if options.filter == Filter::Bilinear {
+            if options.filter != Filter::Nearest {
                 reduced.packed();
             }
+            let shrinking = if options.filter == Filter::Nearest { Vec::new() } else { footprint::shrinking_cells(mesh) };
             let draw = |window: Window| {
                 let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
-                Drawing::new(lattice, window, placement.source(mesh.grid()), options, k, kernel)
+                let footprints =
+                    (!shrinking.is_empty()).then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, window.rows.end));
+                Drawing::new((lattice, footprints), window, placement.source(mesh.grid()), options, k, kernel)
             };
             let drawings: Vec<_> = placement.windows().into_iter().map(draw).collect();
             let uncovered = drawings.iter().any(|drawing| !drawing.covered);
@@ -151,10 +165,18 @@ impl Renderer {
         let clear = match options.outside {
             Outside::Transparent => uncovered,
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
-            Outside::Edge => false,
+            Outside::Edge | Outside::Reflect => false,
         };
         let channels = if clear { Channels::Rgba } else { pixmap.channels() };
         Self { source, options, channels, level: kernel.level(), work }
+    }
+
+    /// Samples points from now on, also where the source is shrunk.
+    #[cfg(test)]
+    pub(crate) fn sample_points(&mut self) {
+        if let Work::Draw(drawings) = &mut self.work {
+            drawings.iter_mut().for_each(Drawing::sample_points);
+        }
     }
 
     /// Size of the target.

@@ -5,7 +5,9 @@
 
 use std::ops::Range;
 
+use super::bicubic;
 use super::kernel::{Kernel, ROUND_SAMPLE, fixed};
+use super::mirror::mirrored;
 use super::source::Source;
 use super::{Canvas, Filter, Outside};
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
@@ -18,7 +20,16 @@ pub(super) fn sample(kernel: Kernel, source: &Source, filter: Filter, u: &[f32],
             let picture = Texels::new(source.pixmap(), samples);
             each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(picture.bilinear(u, v), pixel), Depth::Sixteen);
         }
-        (Filter::Nearest | Filter::Bilinear, _, Samples::Eight(samples)) => {
+        (Filter::Bicubic, Some(packed), _) => {
+            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put(bicubic::narrow(packed, u, v), pixel), Depth::Eight);
+        }
+        (Filter::Bicubic, None, Samples::Sixteen(samples)) => {
+            let picture = Texels::new(source.pixmap(), samples);
+            let side = (picture.width, picture.height);
+            let sample = |u, v| bicubic::wide(side, u, v, |x, y| picture.at(x, y));
+            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(sample(u, v), pixel), Depth::Sixteen);
+        }
+        (_, _, Samples::Eight(samples)) => {
             let picture = Texels::new(source.pixmap(), samples);
             each(u, v, channels, out, |u, v, pixel: &mut [u8]| put(picture.nearest(u, v), pixel), Depth::Eight);
         }
@@ -122,7 +133,7 @@ pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     let colour = match outside {
         Outside::Transparent => [0; 4],
         Outside::Colour(colour) => colour,
-        Outside::Edge => return None,
+        Outside::Edge | Outside::Reflect => return None,
     };
     let mut bytes = [0; 8];
     match depth {
@@ -181,7 +192,9 @@ pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, ch
     // The pixels of the row before which the source begins and ends.
     let before = |x: i64| usize::try_from(x).unwrap_or(0).min(pixels);
     let (first, end) = (before(-x), before(width - x));
-    let source = y.clamp(0, height - 1) as usize * width as usize;
+    let is_mirrored = outside == Outside::Reflect;
+    let line = if is_mirrored { mirrored(y, height) } else { y.clamp(0, height - 1) };
+    let source = line as usize * width as usize;
     let put = |from: usize, out: &mut [u8]| {
         let stored = pixmap.channels().count();
         for (k, out) in out.chunks_exact_mut(pixel).enumerate() {
@@ -197,6 +210,11 @@ pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, ch
         let out = &mut out[range.start * pixel..range.end * pixel];
         match &colour {
             Some(colour) => fill(out, &colour[..pixel]),
+            None if is_mirrored => {
+                for (at, out) in (x..).skip(range.start).zip(out.chunks_exact_mut(pixel)) {
+                    put(source + mirrored(at, width) as usize, out);
+                }
+            }
             None => out.chunks_exact_mut(pixel).for_each(|out| put(source + nearest, out)),
         }
     }

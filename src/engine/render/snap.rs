@@ -28,7 +28,7 @@ impl Axis {
         match filter {
             Filter::Nearest => Self { scale: pixels, offset: 0.0 },
             // 1/128 px from the first pixel's centre; the half turns truncation into rounding.
-            Filter::Bilinear => Self { scale: 128.0 * pixels, offset: 0.5 - 128.0 * PIXEL_CENTER },
+            Filter::Bilinear | Filter::Bicubic => Self { scale: 128.0 * pixels, offset: 0.5 - 128.0 * PIXEL_CENTER },
         }
     }
 
@@ -79,7 +79,7 @@ impl Lattice {
         let (row_ranges, block_ranges) = y_ranges(&y, pitch, kernel);
         let unit = match filter {
             Filter::Nearest => 1.0,
-            Filter::Bilinear => 128.0,
+            Filter::Bilinear | Filter::Bicubic => 128.0,
         };
         // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
         let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);

@@ -118,11 +118,13 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, exte
     let filter = match output.filter {
         Filter::Nearest => 0,
         Filter::Bilinear => 1,
+        Filter::Bicubic => 2,
     };
     let outside = match output.outside {
         Outside::Transparent => [0; 5],
         Outside::Edge => [1, 0, 0, 0, 0],
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
+        Outside::Reflect => [3, 0, 0, 0, 0],
     };
     let digest = Collector::new("mlswarp answer 4")
         .bytes(&image.digest().0)

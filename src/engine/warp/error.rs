@@ -35,7 +35,7 @@ pub enum WarpError {
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `scaled_source_side`.
+        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `scaled_source_side`, `outline_samples`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -134,6 +134,7 @@ fn measured(what: &str, actual: u64) -> String {
         "handle_columns" => format!("the handles need {actual} columns (1 for each point, 2 for each segment)"),
         "spline_handles" => format!("the method `tps` would have {actual} handles"),
         "fit_handles" => format!("methods would be compared on {actual} handles"),
+        "outline_samples" => format!("the outlines would be examined at {actual} positions or more"),
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),

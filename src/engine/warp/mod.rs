@@ -17,6 +17,7 @@ mod strip_scheduler;
 mod target;
 #[cfg(test)]
 mod tests;
+mod transform;
 
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
@@ -28,4 +29,5 @@ pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
+pub use self::transform::{Edges, Outline, Transform};
 pub use crate::codec::Limits as ImageLimits;

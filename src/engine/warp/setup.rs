@@ -3,14 +3,11 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::digest::Collector;
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
 use super::{Digest, GridSpec, Limits, Method, RestSpec, Units, Warning, WarpError, plausibility};
 use crate::deform::{
-    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, Inverse, IsCancelled, MAX_COORDINATE, Pose, PoseQuality, Refined,
-    Refiner, pose_without_table,
+    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner, pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -37,8 +34,6 @@ const FINE_COEFFICIENTS: usize = 1 << 28;
 /// Memory for exact rows, bytes for each byte of the table, up to a size of the rows that larger tables alone exceed.
 const EXACT_PER_BYTE: u64 = 4;
 const EXACT_ALWAYS: u64 = 64 << 20;
-/// Positions that one task maps.
-const PLACES_PER_TASK: usize = 64;
 
 /// Everything that a warp depends on except the pixels and the pose.
 #[derive(Clone, Debug)]
@@ -210,58 +205,6 @@ impl Setup {
     #[must_use]
     pub const fn grid(&self) -> (u32, u32) {
         (self.grid.columns(), self.grid.rows())
-    }
-
-    /// Maps positions by f exactly, not by the grid. Input and output are in the client's units. CPU work, in parallel on the current
-    /// rayon pool for many positions; stops when `cancelled` returns true.
-    ///
-    /// # Errors
-    /// A coordinate that is not finite or out of range; cancelled.
-    pub fn map(&self, pose: &Pose, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Point>, WarpError> {
-        let f = self.field.deformation(pose);
-        self.map_by(places, cancelled, |places| f.map_all(places), |p, (ux, uy)| Point::new(p.x / ux, p.y / uy))
-    }
-
-    /// The rest positions of posed ones, like [`Setup::map`]; `None` where nothing of the picture is posed. `posed`: the mesh of the pose,
-    /// which decides where several rest positions have the same posed one.
-    ///
-    /// # Errors
-    /// A coordinate that is not finite or out of range; cancelled.
-    pub fn map_inverse(
-        &self,
-        pose: &Pose,
-        posed: &Mesh,
-        places: &[Point],
-        cancelled: IsCancelled<'_>,
-    ) -> Result<Vec<Option<Point>>, WarpError> {
-        let inverse = Inverse::new(&self.field, pose, posed);
-        let to_units = |p: Option<Point>, (ux, uy): (f64, f64)| p.map(|p| Point::new(p.x / ux, p.y / uy));
-        self.map_by(places, cancelled, |places| inverse.map(places), to_units)
-    }
-
-    /// Maps positions a few at a time; `map` takes px, `to_units` converts a result to the client's units.
-    fn map_by<P: Send, T: Send>(
-        &self,
-        places: &[Point],
-        cancelled: IsCancelled<'_>,
-        map: impl Fn(&[Point]) -> Vec<P> + Sync,
-        to_units: impl Fn(P, (f64, f64)) -> T + Sync,
-    ) -> Result<Vec<T>, WarpError> {
-        let unit @ (ux, uy) = self.unit();
-        for (index, p) in places.iter().enumerate() {
-            if let Some(value) = [p.x * ux, p.y * uy].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
-                return Err(WarpError::BadPlace { index, value, limit: MAX_COORDINATE });
-            }
-        }
-        let task = |places: &[Point]| {
-            if cancelled() {
-                return Err(WarpError::Cancelled);
-            }
-            let places: Vec<Point> = places.iter().map(|p| Point::new(p.x * ux, p.y * uy)).collect();
-            Ok(map(&places).into_iter().map(|p| to_units(p, unit)).collect::<Vec<T>>())
-        };
-        let tasks: Result<Vec<Vec<T>>, WarpError> = places.par_chunks(PLACES_PER_TASK).map(task).collect();
-        Ok(tasks?.into_iter().flatten().collect())
     }
 
     /// Distance of neighbouring grid lines, px; the last ones may be nearer.

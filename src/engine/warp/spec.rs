@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use super::{CanvasSpec, WarpError};
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
 use crate::deform::{self, Coincident, Handle};
+use crate::geometry::Point;
 use crate::render::{Filter, Outside};
 
 /// Limits of a warp; each is a flag of the service.
@@ -154,6 +155,25 @@ pub struct RestSpec {
 }
 
 impl RestSpec {
+    /// The strengths that can be requested.
+    pub const STRENGTHS: RangeInclusive<f64> = -10.0..=10.0;
+
+    /// The handles at `p + strength (q - p)`; exactly `q` at 1. Handles of another shape than those of `p` stay as they are.
+    #[must_use]
+    pub fn posed_at(&self, strength: f64, q: Vec<Handle>) -> Vec<Handle> {
+        // Handles that are where they rest stay there exactly.
+        let at = |p: &Point, q: Point| *p + (q - *p) * strength;
+        let handle = |(k, q): (usize, Handle)| match (self.p.get(k), q) {
+            (Some(Handle::Point(p)), Handle::Point(q)) => Handle::Point(at(p, q)),
+            (Some(Handle::Polyline(p)), Handle::Polyline(q)) if p.len() == q.len() => {
+                Handle::Polyline(p.iter().zip(q).map(|(p, q)| at(p, q)).collect())
+            }
+            (_, q) => q,
+        };
+        // The sum of a position and a difference is rounded.
+        if strength.to_bits() == 1.0_f64.to_bits() { q } else { q.into_iter().enumerate().map(handle).collect() }
+    }
+
     /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
     /// is allocated.
     #[must_use]
@@ -208,7 +228,7 @@ impl OutputSpec {
             Format::Jpeg => {
                 let ground = match self.outside {
                     Outside::Colour([r, g, b, _]) => [r, g, b],
-                    Outside::Transparent | Outside::Edge => [255; 3],
+                    Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
                 };
                 Encoding::Jpeg { quality: self.quality, ground }
             }

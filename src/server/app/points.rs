@@ -1,39 +1,26 @@
-//! `POST /points` and `/sessions/{id}/points`: points, mapped by the exact deformation instead of the grid.
+//! `POST /points` and `/sessions/{id}/points`: annotations, mapped by the exact deformation or its inverse instead of the grid.
 
 use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use mlswarp::geometry::Point;
-use mlswarp::warp::{GridSpec, OutputSpec, Setup, Warning};
-use serde::Serialize;
+use mlswarp::warp::{Folds, GridSpec, OutputSpec, Posed, Setup, Warning};
 
 use super::App;
 use super::json_text::json_unless;
 use super::warp::Resolved;
-use crate::client::Client;
+use crate::client::{Client, Owner};
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{AsJson, PointsObject, method_text};
+use crate::wire::{PointsObject, method_text};
 
-/// Number of points up to which one thread is faster than several.
-const MAX_SEQUENTIAL: usize = 256;
-
-/// Longest text of a mapped point, bytes: two numbers of 24 characters, brackets, commas.
-const POINT_TEXT: usize = 52;
-
-/// Length of the response without its points, bytes.
-const EMPTY_TEXT: usize = r#"{"points":[]}"#.len();
-
-/// The response.
-#[derive(Serialize)]
-struct Mapped<'a> {
-    points: AsJson<&'a [Point]>,
-}
+/// Text of a request up to which one thread is faster than several, bytes.
+const MAX_SEQUENTIAL: usize = 4096;
 
 /// The JSON of the response, and the warnings of the handles.
 type MappedPoints = (Bytes, Vec<Warning>);
@@ -43,17 +30,21 @@ impl App {
     /// Errors: Wrong handles, or too little capacity.
     pub async fn map_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let length = json.len();
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
-        // The exact deformation needs no grid; this one is within all limits.
-        warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
+        if !object.annotations.is_inverse {
+            // The exact deformation needs no grid; this one is within all limits.
+            warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
+        }
         // Nothing is drawn.
         warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        Ok((self.map(&ticket, self.response_quota(client), setup, object).await?, method))
+        let job = MapJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL };
+        Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
     }
 
     /// Maps points by the deformation of a session.
@@ -62,22 +53,42 @@ impl App {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let object = self.0.pool.run(&ticket, move |_| PointsObject::parse_posed(&json)).await??;
-        self.map(&ticket, self.response_quota(client), setup, object).await
+        let is_long = json.len() > MAX_SEQUENTIAL;
+        let record = session.record;
+        let parse = move |_: &_| {
+            let mut object = PointsObject::parse_posed(&json)?;
+            object.q = record.rest.posed_at(object.strength, object.q);
+            Ok::<_, Problem>(object)
+        };
+        let object = self.0.pool.run(&ticket, parse).await??;
+        self.map(&ticket, self.response_quota(client), MapJob { owner: id.owner(), setup, object, is_long }).await
     }
 
-    async fn map(&self, ticket: &Ticket, quota: ClientQuota, setup: Arc<Setup>, object: PointsObject) -> Result<MappedPoints, Problem> {
+    async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: MapJob) -> Result<MappedPoints, Problem> {
+        let MapJob { owner, setup, object: PointsObject { q, annotations, .. }, is_long } = job;
+        // The posed grid shows where to look for the inverse.
+        let planned = if annotations.is_inverse { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
         let app = self.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
-            let began = Instant::now();
-            let PointsObject { q, points, .. } = object;
-            let text = EMPTY_TEXT + POINT_TEXT * points.len();
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, (text + size_of_val(points.as_slice())) as u64)?;
+            let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
+            let posed_bytes = planned.as_ref().map_or(0, |_| setup.posed_bytes());
+            let mut reservation = app.reserve_for(Purpose::Frame, &quota, annotations.least_mapped_bytes() + posed_bytes)?;
             let pose = setup.pose(&q)?;
-            let map = || setup.map(&pose, &points, &|| cancel.is_cancelled());
-            let mapped = if points.len() > MAX_SEQUENTIAL { app.0.pool.run_parallel(map) } else { map() }?;
+            let map = || {
+                let posed = planned.as_ref().map(|planned| Posed::coarse(&setup, &planned.plan, &pose, Folds::Report, &is_cancelled));
+                let posed = posed.transpose()?;
+                let transform = match &posed {
+                    Some(posed) => setup.inverse(&pose, posed.mesh()),
+                    None => setup.transform(&pose),
+                };
+                annotations.map(&transform, &is_cancelled)
+            };
+            let mapped = if is_long || planned.is_some() { app.0.pool.run_parallel(map) } else { map() }?;
             stage("deform", began);
-            let mut body = json_unless(cancel, &Mapped { points: AsJson(&mapped) }, text)?;
+            let text = mapped.text_bytes();
+            // Outlines may have more vertices now.
+            app.reserve_more(&mut reservation, text as u64)?;
+            let mut body = json_unless(cancel, &mapped, text)?;
             // The client may read it slowly.
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);
@@ -85,4 +96,12 @@ impl App {
         });
         mapped.await?
     }
+}
+
+/// Annotations and the deformation by which they are mapped.
+struct MapJob {
+    owner: Owner,
+    setup: Arc<Setup>,
+    object: PointsObject,
+    is_long: bool,
 }

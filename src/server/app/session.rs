@@ -81,7 +81,7 @@ impl App {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-            let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output, is_auto: false };
+            let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output, strength: 1.0, is_auto: false };
             let (app, json, extent) = (self.clone(), json.clone(), old.extent);
             let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, cancel);
             let Resolved { object, setup, held: _held } = self.0.pool.run(&ticket, resolve).await??;

@@ -102,7 +102,8 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        self.draw(ticket, DrawJob { image, planned, q: drag.q, folds, output, preview: None, quota }).await
+        let q = record.rest.posed_at(drag.strength, drag.q);
+        self.draw(ticket, DrawJob { image, planned, q, folds, output, preview: None, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
@@ -110,7 +111,8 @@ impl App {
     pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, form)).await?;
-        self.pose_mesh(plan, drag.q, &request.record, form, self.response_quota(client)).await
+        let q = request.record.rest.posed_at(drag.strength, drag.q);
+        self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
     /// The image and plan of a session. If the session was replaced while this waited, its old file is gone: then those of the current

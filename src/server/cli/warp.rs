@@ -128,6 +128,7 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     if let Some(landmarks) = landmarks {
         landmarks.place_in(&mut object, image.extent())?;
     }
+    object.apply_strength();
     if object.is_auto {
         object.require_choice()?;
         let (q, most) = (object.posed()?, config.max_fit_handles as u64);

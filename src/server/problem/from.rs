@@ -26,6 +26,7 @@ impl From<WarpError> for Problem {
                 match what {
                     "handle_columns" | "spline_handles" | "fit_handles" => problem.pointer("/p"),
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
+                    "outline_samples" => problem.pointer("/polygons"),
                     output if output.starts_with("output_") || output == "scaled_source_side" => problem.pointer("/output/width"),
                     canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
                     _ => problem,

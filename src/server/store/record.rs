@@ -70,6 +70,7 @@ fn base() -> WarpObject {
             filter: Filter::Bilinear,
             outside: Outside::Transparent,
         },
+        strength: 1.0,
         is_auto: false,
     }
 }
@@ -368,7 +369,7 @@ mod tests {
         let others = [
             changed("\"version\":1", "\"version\":2"),
             changed("\"version\":1", "\"version\":1,\"layers\":{}"),
-            with_warp(&record, r#"{"strength":0.5}"#),
+            with_warp(&record, r#"{"region":1}"#),
             with_warp(&record, r#"{"method":"arap"}"#),
             with_warp(&record, r#"{"method":"auto"}"#),
             with_warp(&record, r#"{"output":{"filter":"lanczos"}}"#),

@@ -107,6 +107,6 @@ enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", C
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
-enum_names!(Filter, unsupported["bicubic"], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest");
+enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

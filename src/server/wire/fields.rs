@@ -4,20 +4,34 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 13] =
-    ["p", "q", "weights", "method", "alpha", "point_mass", "smoothing", "coincident", "units", "grid", "folds", "metric", "output"];
+pub(crate) const WARP: [&str; 14] = [
+    "p",
+    "q",
+    "strength",
+    "weights",
+    "method",
+    "alpha",
+    "point_mass",
+    "smoothing",
+    "coincident",
+    "units",
+    "grid",
+    "folds",
+    "metric",
+    "output",
+];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 19] = {
-    let mut fields = [""; 19];
+pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
+    let mut fields = [""; 21];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
-    own.copy_from_slice(&["extent", "points", "polygons", "boxes", "inverse", "refine"]);
+    own.copy_from_slice(&["extent", "points", "polygons", "boxes", "geojson", "inverse", "refine"]);
     fields
 };
 
 /// The fields of `/sessions/{id}/points`.
-pub(crate) const POINTS_OF_SESSION: [&str; 6] = ["q", "points", "polygons", "boxes", "inverse", "refine"];
+pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
 pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
@@ -39,7 +53,7 @@ pub(crate) const OUTPUT: [&str; 7] = ["format", "quality", "compression", "width
 pub(crate) const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
 
 /// Fields that this version accepts with one value only: nobody needs to send them.
-const ONE_VALUED: [&str; 5] = ["metric", "polygons", "boxes", "inverse", "refine"];
+const ONE_VALUED: [&str; 1] = ["metric"];
 
 /// The names without those that this version accepts with one value only.
 pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
@@ -47,12 +61,10 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 9] = [
-    ("strength", "q"),
+const UNSUPPORTED: [(&str, &str); 7] = [
     ("layer", "q"),
     ("region", "q"),
     ("holes", "q"),
-    ("geojson", "points"),
     ("subsampling", "quality"),
     ("region", "image"),
     ("window", "frames"),

@@ -4,6 +4,7 @@
 //! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
 //! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
+pub mod annotations;
 mod enum_name;
 pub(crate) mod fields;
 mod fit;
@@ -25,18 +26,19 @@ mod write;
 pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
+pub use annotations::{Annotation, Annotations, MappedAnnotations};
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
-use handles::{handles, places};
+use handles::handles;
 use json::{At, Node, optional};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
-use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Folds, OutputSpec, RestSpec};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use rest::WarpPatch;
+use rest::strength;
 pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
@@ -48,18 +50,27 @@ const HANDLES: &str = "an array of handles";
 pub struct AsJson<T>(pub T);
 
 /// The warp object of api.md section 3.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct WarpObject {
     /// Everything that stays while q moves.
     pub rest: RestSpec,
     /// Posed handles, if given.
     pub q: Option<Vec<Handle>>,
+    /// How much of the way from p to q the handles are moved.
+    pub strength: f64,
     /// The treatment of folds.
     pub folds: Folds,
     /// How the picture is made.
     pub output: OutputSpec,
     /// The method is still to be chosen.
     pub is_auto: bool,
+}
+
+impl Default for WarpObject {
+    fn default() -> Self {
+        let (rest, folds, output) = (RestSpec::default(), Folds::default(), OutputSpec::default());
+        Self { rest, q: None, strength: 1.0, folds, output, is_auto: false }
+    }
 }
 
 impl WarpObject {
@@ -90,6 +101,12 @@ impl WarpObject {
         self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
     }
 
+    /// Moves the posed handles to where the strength has them, once.
+    pub fn apply_strength(&mut self) {
+        let strength = std::mem::replace(&mut self.strength, 1.0);
+        self.q = self.q.take().map(|q| self.rest.posed_at(strength, q));
+    }
+
     /// The posed handles; none if there are none at rest.
     /// Errors: `bad_value` at `/q` if there are handles at rest and no `q`.
     pub fn posed(&self) -> Result<&[Handle], Problem> {
@@ -108,10 +125,11 @@ impl WarpObject {
     }
 }
 
-/// One step of a drag: `{"q", "seq"?, "output"?}`.
+/// One step of a drag: `{"q", "strength"?, "seq"?, "output"?}`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DragObject {
     pub(crate) q: Vec<Handle>,
+    pub(crate) strength: f64,
     pub(crate) seq: Option<u64>,
     /// Replaces fields of the session's output.
     pub(crate) output: OutputPatch,
@@ -121,19 +139,20 @@ impl DragObject {
     /// Reads the object.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(&root, root.fields(&["q", "seq", "output"])?)
+        Self::read(&root, root.fields(&["q", "strength", "seq", "output"])?)
     }
 
-    /// Reads the object of a request for the mesh: `q` and `seq`.
+    /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
     pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, seq] = root.fields(&["q", "seq"])?;
-        Self::read(&root, [q, seq, None])
+        let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
+        Self::read(&root, [q, strength, seq, None])
     }
 
-    fn read(root: &Node<'_, '_>, [q, seq, output]: [Option<Node<'_, '_>>; 3]) -> Result<Self, Problem> {
+    fn read(root: &Node<'_, '_>, [q, strength_, seq, output]: [Option<Node<'_, '_>>; 4]) -> Result<Self, Problem> {
         Ok(Self {
             q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
+            strength: optional(strength_, strength)?.unwrap_or(1.0),
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
         })
@@ -147,44 +166,32 @@ pub struct PointsObject {
     pub warp: Option<(WarpObject, Extent)>,
     /// Posed handles.
     pub q: Vec<Handle>,
-    /// Places to map, in the spec's units.
-    pub points: Vec<Point>,
+    /// How much of the way from p to q the handles are moved.
+    pub strength: f64,
+    /// What is mapped.
+    pub annotations: Annotations,
 }
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [warp @ .., extent, points, polygons, boxes, inverse, refine] = root.fields(&fields::WARP_WITH_POINTS)?;
-        let warp = WarpPatch::read(warp)?.into_object()?;
+        let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
+        let mut warp = WarpPatch::read(warp)?.into_object()?;
+        warp.apply_strength();
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
-        let points = read_points([points, polygons, boxes, inverse, refine])?;
+        let annotations = Annotations::read([a, b, c, d, e, f])?;
         let q = warp.posed()?.to_vec();
-        Ok(Self { warp: Some((warp, extent)), q, points })
+        Ok(Self { warp: Some((warp, extent)), q, strength: 1.0, annotations })
     }
 
     /// Reads the object of `/sessions/{id}/points`.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, points @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
-        let points = read_points(points)?;
-        Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, points })
-    }
-}
-
-/// The contract has polygons, boxes and the inverse; this version maps points only.
-fn read_points([points, polygons, boxes, inverse, refine]: [Option<Node<'_, '_>>; 5]) -> Result<Vec<Point>, Problem> {
-    let unsupported = |node: Node<'_, '_>, what: &str| {
-        node.problem(Code::NotSupported, format!("not supported by this version: {what}; supported: `points`, mapped forwards"))
-    };
-    for (node, name) in [(polygons, "`polygons`"), (boxes, "`boxes`"), (refine, "`refine`")] {
-        if let Some(node) = node {
-            return Err(unsupported(node, name));
-        }
-    }
-    match inverse {
-        Some(node) if node.bool()? => Err(unsupported(node, "the inverse")),
-        _ => Ok(optional(points, places)?.unwrap_or_default()),
+        let [q, strength_, annotations @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
+        let annotations = Annotations::read(annotations)?;
+        let strength = optional(strength_, strength)?.unwrap_or(1.0);
+        Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, strength, annotations })
     }
 }
 

@@ -17,7 +17,7 @@ use crate::problem::{Code, Problem};
 const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
 /// The longest side of a canvas: from one farthest edge to the other.
 const LONGEST: u32 = 2 * FARTHEST.unsigned_abs();
-const OUTSIDE: &str = "`transparent`, `edge`, `#rrggbb`, `#rrggbbaa`";
+const OUTSIDE: &str = "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`";
 
 /// The fields that a request gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -123,12 +123,12 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
     match text.as_str() {
         "transparent" => Ok(Outside::Transparent),
         "edge" => Ok(Outside::Edge),
-        "reflect" => Err(unknown_name(node, &text, &["reflect"], &[], OUTSIDE)),
+        "reflect" => Ok(Outside::Reflect),
         _ => match text.strip_prefix('#').and_then(colour) {
             Some(colour) => Ok(Outside::Colour(colour)),
             None => {
                 let colour = suggest::colour(&text);
-                let meant = suggest::value(&text, &["transparent", "edge"]).or(colour.as_deref());
+                let meant = suggest::value(&text, &["transparent", "edge", "reflect"]).or(colour.as_deref());
                 Err(node.unexpected(&format!("one of {OUTSIDE}"), format_args!("{}{}", quote(&text), did_you_mean(meant))))
             }
         },

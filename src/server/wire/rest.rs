@@ -21,6 +21,7 @@ const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"col
 pub(crate) struct WarpPatch {
     pub(crate) p: Option<Vec<Handle>>,
     pub(crate) q: Option<Vec<Handle>>,
+    pub(crate) strength: Option<f64>,
     pub(crate) weights: Option<Vec<f64>>,
     pub(crate) method: Option<RequestedMethod>,
     pub(crate) alpha: Option<f64>,
@@ -39,13 +40,14 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
-            13],
+        [p, q, strength_, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
+            14],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
             p: optional(p, handles)?,
             q: optional(q, handles)?,
+            strength: optional(strength_, strength)?,
             weights: optional(weights_, weights)?,
             method: optional(method, enum_name)?,
             alpha: optional(alpha, |n| number(n, "a number"))?,
@@ -103,11 +105,17 @@ impl WarpPatch {
                 grid: self.grid.unwrap_or(base.rest.grid),
             },
             q: self.q,
+            strength: self.strength.unwrap_or(1.0),
             folds: self.folds.unwrap_or(base.folds),
             output: self.output.merge_onto(&base.output),
             is_auto,
         }
     }
+}
+
+/// How much of the way from p to q the handles are moved.
+pub(crate) fn strength(node: &Node<'_, '_>) -> Result<f64, Problem> {
+    number_in(node, RestSpec::STRENGTHS, "a number between -10 and 10")
 }
 
 fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {

@@ -2,12 +2,14 @@
 
 use mlswarp::deform::{Contradiction, Handle};
 use mlswarp::render::Canvas;
+use mlswarp::warp::RestSpec;
 use serde::Serialize;
 
 use super::handles::handles;
 use super::json;
 use super::json::{At, Node, optional};
 use super::number::whole;
+use super::rest::strength;
 use super::{AsJson, HANDLES};
 use crate::problem::{Code, Problem};
 
@@ -24,17 +26,22 @@ pub(crate) enum DragMessage {
 }
 
 /// Handles as well-formed JSON that is not parsed yet: most poses are superseded before they are drawn.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct UnreadHandles(Box<str>);
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UnreadHandles {
+    text: Box<str>,
+    strength: f64,
+}
 
 impl UnreadHandles {
     /// Bytes of text.
     pub(crate) const fn len(&self) -> usize {
-        self.0.len()
+        self.text.len()
     }
 
-    pub(crate) fn read(&self) -> Result<Vec<Handle>, Problem> {
-        handles(&Node { text: &self.0, at: At::Field(&At::Root, "q") })
+    /// `rest`: what the handles are at rest, which a strength needs.
+    pub(crate) fn read(&self, rest: &RestSpec) -> Result<Vec<Handle>, Problem> {
+        let q = handles(&Node { text: &self.text, at: At::Field(&At::Root, "q") })?;
+        Ok(rest.posed_at(self.strength, q))
     }
 }
 
@@ -53,12 +60,15 @@ impl DragMessage {
 
     fn read(json: &[u8], number: &mut Option<u64>) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [seq, q, ack] = root.fields(&["seq", "q", "ack"])?;
+        let [seq, q, strength_, ack] = root.fields(&["seq", "q", "strength", "ack"])?;
         *number = optional(seq, |n| whole(n, NUMBER))?;
+        let strength = optional(strength_, strength)?;
         match (optional(ack, |n| whole(n, NUMBER))?, *number, q) {
-            (Some(ack), None, None) => Ok(Self::Ack(ack)),
+            (Some(ack), None, None) if strength.is_none() => Ok(Self::Ack(ack)),
             (Some(_), ..) => Err(Problem::new(Code::BadValue, "send `ack` in a message of its own, without a pose").pointer("/ack")),
-            (None, Some(seq), Some(q)) => Ok(Self::Pose { seq, q: UnreadHandles(q.text.into()) }),
+            (None, Some(seq), Some(q)) => {
+                Ok(Self::Pose { seq, q: UnreadHandles { text: q.text.into(), strength: strength.unwrap_or(1.0) } })
+            }
             (None, None, _) => Err(root.missing("seq", NUMBER)),
             (None, _, None) => Err(root.missing("q", HANDLES)),
         }
@@ -111,7 +121,10 @@ mod tests {
     fn messages_are_poses_and_acknowledgements() {
         let read = |text: &str| DragMessage::parse(text.as_bytes());
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
-        assert_eq!(q.read(), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
+        assert_eq!(q.read(&RestSpec::default()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
+        let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]], "strength": -0.5}"#) else { panic!() };
+        let rest = RestSpec { p: vec![Handle::Point(Point::new(3.0, 8.0))], ..RestSpec::default() };
+        assert_eq!(q.read(&rest), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"ack": 7, "seq": null, "q": null}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"seq": 7, "q": [], "ack": null}"#), read(r#"{"seq": 7, "q": []}"#));
@@ -126,6 +139,8 @@ mod tests {
             (r#"{"seq": -1, "q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": 3, "q": [], "output": {}}"#, None, Code::UnknownField, Some("/output")),
             (r#"{"seq": 3, "ack": 3}"#, Some(3), Code::BadValue, Some("/ack")),
+            (r#"{"ack": 3, "strength": 1}"#, None, Code::BadValue, Some("/ack")),
+            (r#"{"seq": 3, "q": [], "strength": 11}"#, Some(3), Code::BadValue, Some("/strength")),
             (r#"{"ack": "3"}"#, None, Code::BadValue, Some("/ack")),
         ] {
             let bad = read(text).unwrap_err();
@@ -136,7 +151,7 @@ mod tests {
             [("7", Code::BadValue, "/q"), ("[[1]]", Code::BadValue, "/q/0"), ("[[1, 1e999]]", Code::NotFinite, "/q/0/1")]
         {
             let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
-            let bad = q.read().unwrap_err();
+            let bad = q.read(&RestSpec::default()).unwrap_err();
             assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
         }
     }

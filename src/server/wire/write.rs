@@ -90,6 +90,7 @@ impl Serialize for AsJson<Outside> {
         match self.0 {
             Outside::Transparent => s.serialize_str("transparent"),
             Outside::Edge => s.serialize_str("edge"),
+            Outside::Reflect => s.serialize_str("reflect"),
             Outside::Colour([r, g, b, a]) => s.collect_str(&format_args!("#{r:02x}{g:02x}{b:02x}{a:02x}")),
         }
     }

@@ -50,7 +50,7 @@ fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
 /// A drawing of the whole target.
 fn drawing(lattice: Lattice, target: Extent) -> Drawing {
     let window = Window { columns: 0..target.width() as usize, rows: 0..target.height(), first: (0, 0), origin: [0.0; 2] };
-    Drawing::new(lattice, window, target, options(target), 0, Kernel::new(Level::detect()))
+    Drawing::new((lattice, None), window, target, options(target), 0, Kernel::new(Level::detect()))
 }
 
 fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {

@@ -8,6 +8,7 @@ mod extremes;
 mod photograph;
 mod pictures;
 mod reference;
+mod sampling;
 
 use std::sync::Arc;
 

@@ -42,10 +42,12 @@ fn coordinates(extent: Extent) -> Arc<Source> {
     Arc::new(Source::new(Pixmap::new(extent, Channels::Rgb, Samples::Sixteen(samples))))
 }
 
-/// What every pixel of a drawn picture shows, if it is covered.
+/// The position of the source that every pixel of a drawn picture shows, if it is covered.
 fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
     let options = RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent };
-    let renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
+    let mut renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
+    // A mean over what a pixel shows is no position.
+    renderer.sample_points();
     let (pixels, channels) = (extent.width() as usize * extent.height() as usize, renderer.channels().count());
     let mut out = vec![0; pixels * channels * 2];
     renderer.band(0..extent.height(), &mut out);
@@ -99,7 +101,8 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         .filter(|(_, p)| exceeded.is_empty() || !exceeded.contains(&cell(*p)))
         .collect();
     let mut drawn = Drawn { compared: places.len(), error: 0.0, over: 0, farthest: String::new(), cracks, posed };
-    let map = |places: &[Point]| setup.map(&pose, places, &|| false).unwrap();
+    let f = setup.transform(&pose);
+    let map = |places: &[Point]| f.map(places, &|| false).unwrap().into_iter().map(|place| place.expect("f")).collect::<Vec<_>>();
     // The larger singular value of the derivatives.
     let stretch = |p: Point| {
         const STEP: f64 = 1e-3;

@@ -99,7 +99,7 @@ async fn try_draw_frame(
         Form::Picture(format) => {
             let (record, image, plan) = app.admit_newest(client, record).await?;
             drop(permit);
-            let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
+            let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, request.width);
             let AdmittedPlan { ticket, planned } = plan;
@@ -113,7 +113,7 @@ async fn try_draw_frame(
         Form::Mesh => {
             let plan = app.admit_mesh(client, &record, MeshForm::Numbers).await?;
             drop(permit);
-            let q = read_handles(&app, &plan.ticket, request.pose.q).await?;
+            let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let shape = plan.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
             let target = Target { canvas: None, extent: record.extent };
@@ -127,8 +127,12 @@ async fn try_draw_frame(
 const MAX_PARSED_HERE: usize = 16 << 10;
 
 /// Parses the handles of a pose.
-async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>) -> Result<Vec<Handle>, Problem> {
-    if q.len() <= MAX_PARSED_HERE { q.read() } else { app.0.pool.run(ticket, move |_| q.read()).await? }
+async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
+    if q.len() <= MAX_PARSED_HERE {
+        return q.read(&record.rest);
+    }
+    let record = Arc::clone(record);
+    app.0.pool.run(ticket, move |_| q.read(&record.rest)).await?
 }
 
 /// All pieces of an image.

@@ -4,6 +4,7 @@ mod contract;
 
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
+use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
 use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Method, Units};
@@ -66,6 +67,7 @@ fn warp_reads_the_example_of_the_contract() {
             filter: Filter::Nearest,
             outside: Outside::Colour([1, 128, 255, 64]),
         },
+        strength: 1.0,
         is_auto: false,
     };
     assert_eq!(WarpObject::parse(text), Ok(expected));
@@ -89,6 +91,7 @@ fn warp_reads_every_form_of_grid_and_outside() {
     assert_eq!(grid("{\"rows\": 2, \"columns\": 3.0}"), Ok(GridSpec::Counts { columns: 3, rows: 2 }));
     let outside = |text: &str| WarpObject::parse(format!("{{\"output\": {{\"outside\": {text}}}}}").as_bytes()).map(|w| w.output.outside);
     assert_eq!(outside("\"edge\""), Ok(Outside::Edge));
+    assert_eq!(outside("\"reflect\""), Ok(Outside::Reflect));
     assert_eq!(outside("\"#0a141e\""), Ok(Outside::Colour([10, 20, 30, 255])));
     assert_eq!(outside("\"\\u0065dge\""), Ok(Outside::Edge));
 }
@@ -223,11 +226,9 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
         ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
-        ("{\"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None),
-        ("{\"output\": {\"outside\": \"reflect\"}}", S, Some("/output/outside"), None),
     ];
     check(WarpObject::parse, table);
-    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"filter\": \"bicubic\"}}", S, Some("/output/filter"), None)]);
+    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"format\": \"tiff\"}}", S, Some("/output/format"), None)]);
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
         "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `auto`"
@@ -307,9 +308,9 @@ fn numbers_of_the_wrong_kind_are_bad_values() {
 fn drag_reads_its_fields() {
     let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
-    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], seq: Some((1 << 53) + 1), output });
+    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], strength: 1.0, seq: Some((1 << 53) + 1), output });
     let drag = DragObject::parse(b"{\"q\": []}").unwrap();
-    assert_eq!(drag, DragObject { q: vec![], seq: None, output: OutputPatch::default() });
+    assert_eq!(drag, DragObject { q: vec![], strength: 1.0, seq: None, output: OutputPatch::default() });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
         assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
     }
@@ -426,20 +427,28 @@ fn points_read_their_fields() {
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
     let warp = WarpObject { rest, q: Some(points.q.clone()), ..WarpObject::default() };
     assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
-    assert_eq!((points.q, points.points), (vec![point(3.0, 4.0)], vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)]));
+    let kinds = vec![Annotation::Points(vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)])];
+    let annotations = Annotations { kinds, is_inverse: false, is_refined: true };
+    assert_eq!((points.q, points.annotations), (vec![point(3.0, 4.0)], annotations));
     let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
-    assert_eq!(posed, PointsObject { warp: None, q: vec![point(3.0, 4.0)], points: vec![] });
+    assert_eq!((posed.warp, posed.q, posed.annotations.kinds), (None, vec![point(3.0, 4.0)], vec![Annotation::Points(vec![])]));
     assert_eq!(PointsObject::parse(b"{\"extent\": [1, 1]}").unwrap().q, []);
 }
 
 #[test]
 fn points_refuse() {
-    use Code::{BadValue as B, NotFinite as N, NotSupported as S};
+    use Code::{BadValue as B, NotFinite as N};
     let posed: &[Expected] = &[
-        ("{\"q\": [], \"polygons\": []}", S, Some("/polygons"), None),
-        ("{\"q\": [], \"boxes\": 1}", S, Some("/boxes"), None),
-        ("{\"q\": [], \"refine\": false}", S, Some("/refine"), None),
-        ("{\"q\": [], \"inverse\": true}", S, Some("/inverse"), None),
+        ("{\"q\": [], \"polygons\": [[1, 2], [3, 4], [5, 6]]}", B, Some("/polygons/0/0"), None),
+        ("{\"q\": [], \"polygons\": [[[1, 2], [3, 4]]]}", B, Some("/polygons/0"), None),
+        ("{\"q\": [], \"boxes\": 1}", B, Some("/boxes"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4], [10, 10, 5, 20]]}", B, Some("/boxes/1"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, 3, 4, 5]]}", B, Some("/boxes/0"), None),
+        ("{\"q\": [], \"geojson\": []}", B, Some("/geojson"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"Feature\"}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"FeatureCollection\"}}", B, Some("/geojson/features"), None),
+        ("{\"q\": [], \"refine\": 0}", B, Some("/refine"), None),
         ("{\"q\": [], \"inverse\": 1}", B, Some("/inverse"), None),
         ("{\"q\": [], \"points\": {}}", B, Some("/points"), None),
         ("{\"q\": [], \"points\": [1]}", B, Some("/points/0"), None),
@@ -582,7 +591,8 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         (0.05..=4.0).prop_map(GridSpec::Tolerance),
         (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
     ];
-    let outside = prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), any::<[u8; 4]>().prop_map(Outside::Colour)];
+    let outside =
+        prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), Just(Outside::Reflect), any::<[u8; 4]>().prop_map(Outside::Colour)];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
     let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
@@ -617,7 +627,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         outside,
     });
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
-    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, is_auto: false })
+    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, strength: 1.0, is_auto: false })
 }
 
 /// The object in the form of its values.

@@ -1,0 +1,346 @@
+//! Positions and outlines mapped by f or by its inverse: exactly, not by the grid. Outlines get more vertices where the map bends them.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::{Setup, WarpError};
+use crate::deform::{Deformation, Inverse, IsCancelled, MAX_COORDINATE, Pose};
+use crate::geometry::{Mesh, Point};
+
+/// Positions and edges that one task maps.
+const PLACES_PER_TASK: usize = 64;
+const EDGES_PER_TASK: usize = 16;
+/// An edge is first examined at positions this far apart, px, but at no more than this many.
+const SPACING: f64 = 8.0;
+const MOST_PARTS: usize = 1024;
+/// A part of an edge is halved at most this often.
+const HALVINGS: usize = 6;
+/// Positions at which the edges of one request are examined.
+const MOST_SAMPLES: usize = 1 << 21;
+
+/// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse, positions at which nothing of the picture
+/// is posed have none.
+#[derive(Debug)]
+pub struct Transform<'a> {
+    map: Map<'a>,
+    unit: (f64, f64),
+    samples: AtomicUsize,
+}
+
+#[derive(Debug)]
+enum Map<'a> {
+    Forward(Deformation<'a>),
+    Inverse(Inverse<'a>),
+}
+
+/// A line or ring of an annotation.
+#[derive(Clone, Copy, Debug)]
+pub struct Outline<'a> {
+    /// Its vertices.
+    pub places: &'a [Point],
+    /// What connects them.
+    pub edges: Edges,
+}
+
+/// The edges of an outline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// None: single positions.
+    None,
+    /// From each vertex to the next.
+    Open,
+    /// The same, and from the last to the first.
+    Closed,
+}
+
+impl Outline<'_> {
+    const fn edge_count(&self) -> usize {
+        match self.edges {
+            Edges::None => 0,
+            Edges::Open => self.places.len().saturating_sub(1),
+            Edges::Closed => self.places.len(),
+        }
+    }
+}
+
+impl Setup {
+    /// f of a pose.
+    #[must_use]
+    pub fn transform<'a>(&'a self, pose: &'a Pose) -> Transform<'a> {
+        Transform::new(Map::Forward(self.field().deformation(pose)), self.unit())
+    }
+
+    /// The inverse of f. `mesh`: of the same pose; it decides where several rest positions have the same posed one.
+    #[must_use]
+    pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
+        Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self.unit())
+    }
+}
+
+impl<'a> Transform<'a> {
+    const fn new(map: Map<'a>, unit: (f64, f64)) -> Self {
+        Self { map, unit, samples: AtomicUsize::new(0) }
+    }
+
+    /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// A coordinate that is not finite or out of range; cancelled.
+    pub fn map(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+        let mut mapped = self.map_px(&self.to_px(places, 0)?, cancelled)?;
+        mapped.iter_mut().flatten().for_each(|place| *place = self.to_units(*place));
+        Ok(mapped)
+    }
+
+    /// Maps outlines; `None` if any position of an outline has none. With a `tolerance`, px, vertices are added where the mapped outline
+    /// would differ from straight lines by more. CPU work like [`Transform::map`].
+    ///
+    /// # Errors
+    /// Those of [`Transform::map`], with the index of the position in all outlines; more than 2,097,152 positions have to be examined.
+    pub fn map_outlines(
+        &self,
+        outlines: &[Outline<'_>],
+        tolerance: Option<f64>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Vec<Point>>>, WarpError> {
+        let mut places = Vec::new();
+        for outline in outlines {
+            places.extend(self.to_px(outline.places, places.len())?);
+        }
+        let mapped = self.map_px(&places, cancelled)?;
+        let mut edges = Vec::new();
+        let mut start = 0;
+        for outline in outlines {
+            let count = outline.places.len();
+            edges.extend((0..outline.edge_count()).map(|k| (start + k, start + (k + 1) % count)));
+            start += count;
+        }
+        let bent = match tolerance {
+            Some(tolerance) => self.bends(&edges, &places, &mapped, tolerance, cancelled)?,
+            None => vec![Some(Vec::new()); edges.len()],
+        };
+        let mut bent = bent.into_iter();
+        let mut mapped = mapped.into_iter();
+        let outlines = outlines.iter().map(|outline| {
+            let mut refined = Some(Vec::with_capacity(outline.places.len()));
+            for k in 0..outline.places.len() {
+                let vertex = mapped.next().expect("each vertex");
+                let inserted = if k < outline.edge_count() { bent.next().expect("each edge") } else { Some(Vec::new()) };
+                refined = match (refined, vertex, inserted) {
+                    (Some(mut refined), Some(vertex), Some(inserted)) => {
+                        refined.extend([vertex].into_iter().chain(inserted).map(|place| self.to_units(place)));
+                        Some(refined)
+                    }
+                    _ => None,
+                };
+            }
+            refined
+        });
+        Ok(outlines.collect())
+    }
+
+    /// The vertices to be inserted into each edge.
+    fn bends(
+        &self,
+        edges: &[(usize, usize)],
+        places: &[Point],
+        mapped: &[Option<Point>],
+        tolerance: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Vec<Point>>>, WarpError> {
+        let task = |edges: &[(usize, usize)]| {
+            let bend = |&(a, b): &(usize, usize)| match (mapped[a], mapped[b]) {
+                (Some(fa), Some(fb)) => self.bend([(places[a], fa), (places[b], fb)], tolerance, cancelled),
+                _ => Ok(None),
+            };
+            edges.iter().map(bend).collect::<Result<Vec<_>, WarpError>>()
+        };
+        let tasks: Result<Vec<_>, WarpError> = edges.par_chunks(EDGES_PER_TASK).map(task).collect();
+        Ok(tasks?.into_iter().flatten().collect())
+    }
+
+    /// The vertices to be inserted between the images of two positions; `None` if the edge has a position without an image.
+    fn bend(
+        &self,
+        [(a, fa), (b, fb)]: [(Point, Point); 2],
+        tolerance: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Option<Vec<Point>>, WarpError> {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a bounded number, at least 1")]
+        let pairs = (a.distance(b) / (2.0 * SPACING)).ceil().clamp(1.0, MOST_PARTS as f64 / 2.0) as usize;
+        let at = |k: usize| k as f64 / (2 * pairs) as f64;
+        let inner: Vec<f64> = (1..2 * pairs).map(at).collect();
+        let Some(inner) = self.samples(a, b, inner, cancelled)? else { return Ok(None) };
+        let mut samples = vec![(0.0, fa)];
+        samples.extend(inner);
+        samples.push((1.0, fb));
+        // A quarter of the distance of the middle of three remains if both halves are straight.
+        let is_bent = |[a, m, b]: [(f64, Point); 3]| to_segment(m.1, a.1, b.1) > 4.0 * (tolerance / 2.0);
+        let mut triples: Vec<[(f64, Point); 3]> = (0..pairs).map(|k| [samples[2 * k], samples[2 * k + 1], samples[2 * k + 2]]).collect();
+        for _ in 0..HALVINGS {
+            triples.retain(|triple| is_bent(*triple));
+            if triples.is_empty() {
+                break;
+            }
+            let halves: Vec<f64> = triples.iter().flat_map(|[a, m, b]| [0.5 * (a.0 + m.0), 0.5 * (m.0 + b.0)]).collect();
+            let Some(halves) = self.samples(a, b, halves, cancelled)? else { return Ok(None) };
+            let smaller = triples.iter().zip(halves.as_chunks::<2>().0).flat_map(|([a, m, b], [am, mb])| [[*a, *am, *m], [*m, *mb, *b]]);
+            triples = smaller.collect();
+            samples.extend(halves);
+        }
+        samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(Some(simplified(&samples, tolerance / 2.0)))
+    }
+
+    /// The images of positions on an edge.
+    fn samples(&self, a: Point, b: Point, at: Vec<f64>, cancelled: IsCancelled<'_>) -> Result<Option<Vec<(f64, Point)>>, WarpError> {
+        if cancelled() {
+            return Err(WarpError::Cancelled);
+        }
+        if self.samples.fetch_add(at.len(), Ordering::Relaxed) + at.len() > MOST_SAMPLES {
+            return Err(WarpError::TooLarge { what: "outline_samples", limit: MOST_SAMPLES as u64, actual: MOST_SAMPLES as u64 + 1 });
+        }
+        let places: Vec<Point> = at.iter().map(|t| a.lerp(b, *t)).collect();
+        let mapped = self.map_block(&places);
+        Ok(at.into_iter().zip(mapped).map(|(t, place)| Some((t, place?))).collect())
+    }
+
+    fn map_block(&self, places: &[Point]) -> Vec<Option<Point>> {
+        match &self.map {
+            Map::Forward(f) => f.map_all(places).into_iter().map(Some).collect(),
+            Map::Inverse(inverse) => inverse.map(places),
+        }
+    }
+
+    fn map_px(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+        let task = |places: &[Point]| if cancelled() { Err(WarpError::Cancelled) } else { Ok(self.map_block(places)) };
+        let tasks: Result<Vec<_>, WarpError> = places.par_chunks(PLACES_PER_TASK).map(task).collect();
+        Ok(tasks?.into_iter().flatten().collect())
+    }
+
+    /// `before`: positions before these ones.
+    fn to_px(&self, places: &[Point], before: usize) -> Result<Vec<Point>, WarpError> {
+        let to_px = |(index, place): (usize, &Point)| {
+            let px = Point::new(place.x * self.unit.0, place.y * self.unit.1);
+            match [px.x, px.y].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
+                Some(value) => Err(WarpError::BadPlace { index: before + index, value, limit: MAX_COORDINATE }),
+                None => Ok(px),
+            }
+        };
+        places.iter().enumerate().map(to_px).collect()
+    }
+
+    fn to_units(&self, place: Point) -> Point {
+        Point::new(place.x / self.unit.0, place.y / self.unit.1)
+    }
+}
+
+/// The distance of a position from a segment.
+fn to_segment(p: Point, a: Point, b: Point) -> f64 {
+    let (along, to) = (b - a, p - a);
+    let squared = along.dot(along);
+    let t = if squared > 0.0 { (to.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    p.distance(a.lerp(b, t))
+}
+
+/// The fewest samples between the first and the last by the method of Douglas and Peucker: the others are within the tolerance of the lines
+/// between them.
+fn simplified(samples: &[(f64, Point)], tolerance: f64) -> Vec<Point> {
+    let mut kept = vec![false; samples.len()];
+    let mut parts = vec![(0, samples.len() - 1)];
+    while let Some((first, last)) = parts.pop() {
+        let distance = |k: usize| to_segment(samples[k].1, samples[first].1, samples[last].1);
+        let farthest = (first + 1..last).map(|k| (distance(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((distance, k)) = farthest
+            && distance > tolerance
+        {
+            kept[k] = true;
+            parts.extend([(first, k), (k, last)]);
+        }
+    }
+    samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| sample.1).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::Handle;
+    use crate::pixmap::Extent;
+    use crate::warp::{Folds, Limits, Posed, RestSpec};
+
+    const NEVER: IsCancelled<'static> = &|| false;
+
+    const P: [(f64, f64); 7] = [(40.0, 30.0), (250.0, 40.0), (150.0, 100.0), (60.0, 160.0), (230.0, 170.0), (120.0, 60.0), (180.0, 140.0)];
+    const D: [(f64, f64); 7] = [(8.0, -6.0), (-5.0, 9.0), (12.0, 4.0), (-7.0, -8.0), (4.0, -12.0), (-9.0, 3.0), (6.0, 11.0)];
+
+    /// Seven handles, each moved by its displacement times `strength`.
+    fn set(strength: f64) -> (Setup, Vec<Handle>) {
+        let rest = RestSpec { p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(), ..RestSpec::default() };
+        let q = P.iter().zip(D).map(|((x, y), (dx, dy))| Handle::Point(Point::new(x + strength * dx, y + strength * dy)));
+        (Setup::new(&rest, Extent::new(300, 200).unwrap(), &Limits::default()).unwrap(), q.collect())
+    }
+
+    fn square(from: f64, to: f64) -> Vec<Point> {
+        [(from, from), (to, from), (to, to), (from, to)].map(|(x, y)| Point::new(x, y)).to_vec()
+    }
+
+    #[test]
+    fn refined_outlines_follow_the_map_and_straight_ones_stay() {
+        let (setup, q) = set(1.0);
+        let pose = setup.pose(&q).unwrap();
+        let f = setup.transform(&pose);
+        let places = square(20.0, 180.0);
+        let outline = Outline { places: &places, edges: Edges::Closed };
+        let bare = f.map_outlines(&[outline], None, NEVER).unwrap().remove(0).unwrap();
+        assert_eq!(bare.iter().copied().map(Some).collect::<Vec<_>>(), f.map(&places, NEVER).unwrap());
+        for tolerance in [1.0, 0.1, 0.01] {
+            let refined = f.map_outlines(&[outline], Some(tolerance), NEVER).unwrap().remove(0).unwrap();
+            assert!(refined.len() > 8, "{}", refined.len());
+            assert!(bare.iter().all(|vertex| refined.contains(vertex)));
+            let segments: Vec<(Point, Point)> = (0..refined.len()).map(|k| (refined[k], refined[(k + 1) % refined.len()])).collect();
+            for k in 0..4 {
+                for step in 0..=1000 {
+                    let y = f.map(&[places[k].lerp(places[(k + 1) % 4], f64::from(step) / 1000.0)], NEVER).unwrap()[0].unwrap();
+                    let nearest = segments.iter().map(|(a, b)| to_segment(y, *a, *b)).fold(f64::INFINITY, f64::min);
+                    assert!(nearest <= tolerance, "{tolerance}: {y:?} is {nearest} px away");
+                }
+            }
+        }
+        let still = setup.pose(&set(0.0).1).unwrap();
+        let straight = setup.transform(&still).map_outlines(&[outline], Some(0.1), NEVER).unwrap();
+        assert_eq!(straight, [Some(places.clone())]);
+    }
+
+    #[test]
+    fn the_inverse_of_a_mapped_outline_is_the_outline() {
+        let (setup, q) = set(1.0);
+        let pose = setup.pose(&q).unwrap();
+        let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
+        let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
+        let places = square(30.0, 170.0);
+        let there = f.map_outlines(&[Outline { places: &places, edges: Edges::Closed }], Some(0.1), NEVER).unwrap().remove(0).unwrap();
+        let again = back.map_outlines(&[Outline { places: &there, edges: Edges::Closed }], None, NEVER).unwrap().remove(0).unwrap();
+        for place in again {
+            let nearest = (0..4).map(|k| to_segment(place, places[k], places[(k + 1) % 4])).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 1e-6, "{place:?}");
+        }
+        let outside = [Point::new(100.0, 100.0), Point::new(-5000.0, 0.0)];
+        assert_eq!(back.map_outlines(&[Outline { places: &outside, edges: Edges::Open }], Some(0.1), NEVER).unwrap(), [None]);
+    }
+
+    #[test]
+    fn work_is_bounded_and_positions_are_checked() {
+        let (setup, q) = set(1.0);
+        let pose = setup.pose(&q).unwrap();
+        let f = setup.transform(&pose);
+        let far: Vec<Point> = (0..3000).map(|k| Point::new(if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k))).collect();
+        let error = f.map_outlines(&[Outline { places: &far, edges: Edges::Closed }], Some(0.1), NEVER).unwrap_err();
+        assert!(matches!(error, WarpError::TooLarge { what: "outline_samples", .. }), "{error}");
+        let (near, bad) = (square(1.0, 9.0), [Point::new(0.0, 0.0), Point::new(0.0, 2e6)]);
+        let outlines = [Outline { places: &near, edges: Edges::Closed }, Outline { places: &bad, edges: Edges::Open }];
+        let error = setup.transform(&pose).map_outlines(&outlines, None, NEVER).unwrap_err();
+        assert!(matches!(error, WarpError::BadPlace { index: 5, .. }), "{error}");
+        assert_eq!(setup.transform(&pose).map(&near, &|| true), Err(WarpError::Cancelled));
+    }
+}
