@@ -5,7 +5,7 @@
     tests/fuzz/seeds.py
 
 The files are kept in git; this is how they were made. PNG chunk by chunk, because encoders choose for themselves; JPEG by libjpeg-turbo and
-WebP by libwebp, both through Pillow, so that what is mutated is what real encoders write.
+WebP by libwebp, TIFF by libtiff, GIF and BMP, all through Pillow, so that what is mutated is what real encoders write.
 """
 
 import io
@@ -147,6 +147,36 @@ def webps():
     yield "webp-animated-2", written(rgb, "WEBP", save_all=True, append_images=[rgb.rotate(180)], duration=50)
 
 
+def tiffs():
+    rgb, rgba, grey = photo(WIDTH, HEIGHT, "RGB"), photo(WIDTH, HEIGHT, "RGBA"), photo(WIDTH, HEIGHT, "L")
+    deep = Image.new("I;16", (WIDTH, HEIGHT))
+    deep.putdata([sample(x, y, 0) * 256 + x * 7 + y for y in range(HEIGHT) for x in range(WIDTH)])
+    yield "tiff-rgb", written(rgb, "TIFF")
+    yield "tiff-rgb-lzw", written(rgb, "TIFF", compression="tiff_lzw", tiffinfo={317: 2})
+    yield "tiff-rgb-deflate", written(rgb, "TIFF", compression="tiff_adobe_deflate", tiffinfo={317: 2})
+    yield "tiff-rgb-packbits", written(rgb, "TIFF", compression="packbits")
+    yield "tiff-rgb-rich", written(rgb, "TIFF", compression="tiff_lzw", icc_profile=PROFILE, tiffinfo={274: 6})
+    yield "tiff-rgba-lzw", written(rgba, "TIFF", compression="tiff_lzw")
+    yield "tiff-grey", written(grey, "TIFF", compression="tiff_lzw")
+    yield "tiff-grey-alpha", written(photo(WIDTH, HEIGHT, "LA"), "TIFF", compression="tiff_lzw")
+    yield "tiff-grey-16", written(deep, "TIFF", compression="tiff_adobe_deflate")
+    yield "tiff-grey-1", written(grey.convert("1"), "TIFF")
+    yield "tiff-palette", written(rgb.quantize(12), "TIFF", compression="packbits")
+    yield "tiff-cmyk", written(photo(WIDTH, HEIGHT, "CMYK"), "TIFF")
+    yield "tiff-two-pages", written(grey, "TIFF", save_all=True, append_images=[grey])
+
+
+def gifs_and_bmps():
+    rgb, rgba = photo(WIDTH, HEIGHT, "RGB"), photo(WIDTH, HEIGHT, "RGBA")
+    yield "gif", written(rgb.quantize(12), "GIF")
+    yield "gif-interlaced-transparent", written(rgb.quantize(12), "GIF", interlace=1, transparency=3)
+    yield "gif-animated", written(rgb.quantize(12), "GIF", save_all=True, append_images=[rgb.rotate(180).quantize(12)], duration=50)
+    yield "bmp-1", written(rgb.convert("1"), "BMP")
+    yield "bmp-8", written(rgb.quantize(12), "BMP")
+    yield "bmp-24", written(rgb, "BMP")
+    yield "bmp-32", written(rgba, "BMP")
+
+
 def one_frame(still):
     """An animation of one frame, in the container of a still picture's chunk."""
     at = still.index(b"VP8L")
@@ -205,7 +235,7 @@ def hostile():
 
 def main():
     SEEDS.mkdir(parents=True, exist_ok=True)
-    for kind in (pngs, jpegs, webps, hostile):
+    for kind in (pngs, jpegs, webps, tiffs, gifs_and_bmps, hostile):
         for name, data in kind():
             (SEEDS / name).write_bytes(data)
     files = list(SEEDS.iterdir())

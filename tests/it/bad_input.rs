@@ -114,7 +114,7 @@ async fn files() {
         async move { server.post("/warp").multipart(form(&file, r#"{"p": [], "q": []}"#)).send().await.unwrap() }
     };
     problem(send(Vec::new()).await, 415, "unsupported_format").await;
-    problem(send(b"GIF89a\x01\x00\x01\x00".to_vec()).await, 415, "unsupported_format").await;
+    problem(send(b"GIF89a\x01\x00\x01\x00".to_vec()).await, 422, "bad_image").await;
     problem(send(b"<svg xmlns=\"http://www.w3.org/2000/svg\"/>".to_vec()).await, 415, "unsupported_format").await;
     server.is_well().await;
 

@@ -179,7 +179,7 @@ async fn the_page_shows_what_is_said() {
     same("method_not_allowed", server.get("/warp")).await;
     same("not_acceptable", server.post("/warp").header("accept", "image/avif").multipart(form(&image, "{}"))).await;
     same("unsupported_media_type", server.post("/warp").json(&json!({"p": [[1, 1]], "q": [[1, 1]]}))).await;
-    same("unsupported_format", server.post("/warp").multipart(form(b"GIF89a\x01\0\x01\0\0\0\0;", "{}"))).await;
+    same("unsupported_format", server.post("/warp").multipart(form(b"\0\0\0\x18ftypheic\0\0\0\0", "{}"))).await;
     same("bad_image", server.post("/warp").multipart(form(&image[..image.len() / 2], "{}"))).await;
     let files = Form::new().text("landmarks_p", "x,y\n1,2\n168,112\n").text("landmarks_q", "x,y\n1,2\n150,1O4\n");
     same("bad_landmarks", server.post("/landmarks").multipart(files)).await;

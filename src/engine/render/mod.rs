@@ -90,7 +90,7 @@ impl Outside {
     #[must_use]
     pub fn is_grey(self) -> bool {
         match self {
-            Self::Transparent | Self::Edge => true,
+            Self::Transparent | Self::Edge | Self::Reflect => true,
             Self::Colour([r, g, b, _]) => r == g && g == b,
         }
     }
