@@ -344,7 +344,7 @@ fn schemas_and_parsers_agree_on_a_table() {
         "candidates: [{\"method\": \"tps\"}]",
         "candidates: [{\"method\": \"auto\"}]",
         "candidates: [{\"method\": \"rigid\", \"alpha\": null, \"beta\": 1}]",
-        "output: {\"format\": \"tiff\"}",
+        "output: {\"format\": \"gif\"}",
         "output: {\"canvas\": {\"x\": 0}}",
         "output: \"jpeg\"",
     ];

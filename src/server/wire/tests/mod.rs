@@ -228,7 +228,6 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
         ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
     ];
     check(WarpObject::parse, table);
-    check(DragObject::parse, &[("{\"q\": [], \"output\": {\"format\": \"tiff\"}}", S, Some("/output/format"), None)]);
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
         "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `auto`"
