@@ -62,6 +62,15 @@ impl Format {
             Self::WebP => 1 << 14,
         }
     }
+
+    /// The most pixels that the format can store: a TIFF has offsets of 32 bits, and up to 8 bytes per pixel.
+    #[must_use]
+    pub const fn max_pixels(self) -> u64 {
+        match self {
+            Self::Tiff => u32::MAX as u64 / 9,
+            Self::Png | Self::Jpeg | Self::WebP => u64::MAX,
+        }
+    }
 }
 
 impl SourceFormat {

@@ -104,20 +104,22 @@ impl OutputSpec {
     fn extent_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
         let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
         let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
+        let max_pixels = limits.image.max_pixels.min(self.format.max_pixels());
         let Some(width) = self.width else {
             if self.canvas == CanvasSpec::Same {
                 // The source is within the limits of pictures.
                 at_most("output_side", self.format.max_side().into(), w.max(h))?;
+                at_most("output_pixels", self.format.max_pixels(), w * h)?;
             } else {
                 at_most("canvas_side", max_side, w.max(h))?;
-                at_most("canvas_pixels", limits.image.max_pixels, w * h)?;
+                at_most("canvas_pixels", max_pixels, w * h)?;
             }
             return Ok(canvas.extent);
         };
         at_most("output_side", max_side, width.into())?;
         let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
         at_most("output_side", max_side, height)?;
-        at_most("output_pixels", limits.image.max_pixels, height * u64::from(width))?;
+        at_most("output_pixels", max_pixels, height * u64::from(width))?;
         at_most("scaled_source_side", LONGEST_SCALED_SOURCE, u64::from(source.width().max(source.height())) * u64::from(width) / w)?;
         let height = u32::try_from(height).expect("at most max_side");
         Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })

@@ -11,9 +11,11 @@ use rayon::prelude::*;
 
 use self::drawn::{Drawn, PoseAs, draw};
 use self::sets::{Case, Kind, MANY, MORE, contours, examples, extent, face, oracle, random, randoms};
-use super::{Folds, GridSpec, Limits, Method, Plan, Posed, RestSpec, Setup, Warning};
+use super::{Folds, GridSpec, Limits, Method, OutputSpec, Plan, Posed, RestSpec, Setup, Warning, WarpError};
+use crate::codec::Format;
 use crate::deform::Handle;
 use crate::geometry::Point;
+use crate::pixmap::Extent;
 
 fn is_full() -> bool {
     std::env::var_os("MLSWARP_TESTS_FULL").is_some()
@@ -162,4 +164,14 @@ fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
             }
         }
     });
+}
+
+#[test]
+fn a_tiff_that_32_bit_offsets_cannot_address_is_too_large() {
+    let limits = Limits { image: crate::codec::Limits { max_pixels: u64::MAX, max_side: u32::MAX }, ..Limits::default() };
+    let source = Extent::new(30_000, 30_000).unwrap();
+    let check = |format| OutputSpec { format, ..OutputSpec::default() }.check(source, &limits);
+    let limit = u64::from(u32::MAX) / 9;
+    assert_eq!(check(Format::Tiff), Err(WarpError::TooLarge { what: "output_pixels", limit, actual: 900_000_000 }));
+    assert_eq!(check(Format::Png), Ok(()));
 }
