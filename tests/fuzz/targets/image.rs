@@ -18,7 +18,8 @@ fn within<T>(most: u64, read: impl FnOnce(&StepCounter<'_>) -> T) -> T {
 pub(super) fn decode(bytes: &[u8]) {
     let length = bytes.len() as u64;
     // The bounds are those of the codec's own test of its corpus, with the whole file in the place of its header.
-    let header = within(8 + length, |work| probe(bytes, work));
+    // A TIFF's directory is searched for each of some twenty tags; an entry has twelve bytes.
+    let header = within(64 + 2 * length, |work| probe(bytes, work));
     let pixels = header.as_ref().ok().filter(|header| LIMITS.check(header.extent).is_ok()).map_or(0, |header| header.extent.pixels());
     within(256 + 64 * length, |work| drop(codec::open(bytes, &LIMITS, work)));
     let decoded = within(4_096 + 66 * length + 2 * pixels, |work| codec::open(bytes, &LIMITS, work)?.decode());
