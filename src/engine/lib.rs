@@ -10,7 +10,7 @@
 //! use std::{ops::ControlFlow, sync::Arc};
 //! use mlswarp::deform::Handle;
 //! use mlswarp::geometry::Point;
-//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec, Setup, Warp, WarpError};
+//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec, Setup, Subject, Warp, WarpError};
 //!
 //! /// Moves the third handle 30 px down; the other two keep their places.
 //! fn longer_nose(file: &[u8]) -> Result<Vec<u8>, WarpError> {
@@ -27,7 +27,7 @@
 //!     let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
 //!     let pose = setup.pose(&q)?;
 //!     let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &|| false)?;
-//!     let warp = Warp::new(&image, &posed, &OutputSpec::default(), &limits)?;
+//!     let warp = Warp::new(Subject::Image(&image), &posed, &OutputSpec::default(), &limits)?;
 //!
 //!     let mut png = Vec::new();
 //!     let _ = warp.write(0, &(), &mut |bytes| {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use mlswarp::codec::{self, Limits as ImageLimits};
 use mlswarp::pixmap::{Pixmap, Samples};
-use mlswarp::warp::{Image, Limits, Method, OutputSpec, Posed, Setup, Warp};
+use mlswarp::warp::{Image, Limits, Method, OutputSpec, Posed, Setup, Subject, Warp};
 use mlswarp_server::wire::WarpObject;
 
 use crate::support::picture::decoded;
@@ -42,7 +42,7 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
-    let warp = Warp::new(&image, &posed, &object.output, &limits()).unwrap();
+    let warp = Warp::new(Subject::Image(&image), &posed, &object.output, &limits()).unwrap();
     let mut bytes = Vec::new();
     let written = warp.write(1, &(), &mut |strip| {
         bytes.extend(strip);

@@ -7,7 +7,7 @@ use mlswarp::codec::{self, Compression, Limits as ImageLimits, PngShape, PngWrit
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::{Channels, Depth, Extent};
-use mlswarp::warp::{Folds, GridSpec, Image, Method, OutputSpec, Posed, RestSpec, Setup, Warp};
+use mlswarp::warp::{Folds, GridSpec, Image, Method, OutputSpec, Posed, RestSpec, Setup, Subject, Warp};
 
 use crate::golden::limits;
 use crate::support::picture::decoded;
@@ -59,7 +59,7 @@ fn identity_returns_the_decoded_pixels() {
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
                         let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false).unwrap();
-                        let warp = Warp::new(&image, &posed, &output, &limits()).unwrap();
+                        let warp = Warp::new(Subject::Image(&image), &posed, &output, &limits()).unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);

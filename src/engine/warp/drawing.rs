@@ -1,20 +1,20 @@
-//! A prepared warp: renderer and writer are ready, and only writing can still fail.
+//! A prepared warp: drawer and writer are ready, and only writing can still fail.
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::digest::Collector;
+use super::drawer::Drawer;
 use super::posed::Posed;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
-use super::{Digest, Image, Limits, OutputSpec, Target, WarpError};
-use crate::codec::{Compression, Encoding, Format, PngShape, Writer};
-use crate::render::{Canvas, Filter, Outside, RenderOptions, Renderer};
+use super::{Digest, Limits, OutputSpec, Subject, Target, WarpError};
+use crate::codec::{Compression, Encoding, Format, Writer};
+use crate::render::{Canvas, Filter, Outside};
 
 /// A prepared warp.
 #[derive(Debug)]
 pub struct Warp {
-    pub(super) renderer: Renderer,
+    pub(super) drawer: Drawer,
     pub(super) writer: Writer,
     format: Format,
     etag: Digest,
@@ -22,26 +22,23 @@ pub struct Warp {
 }
 
 impl Warp {
-    /// Prepares the renderer for a posed mesh: tens of microseconds.
+    /// Prepares the drawing of a posed mesh: tens of microseconds.
     ///
     /// # Errors
     /// Those of [`OutputSpec::target`].
-    pub fn new(image: &Image, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
-        Ok(Self::onto(output.target(image.extent(), posed.mesh(), limits)?, image, posed, output))
+    pub fn new(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
+        Ok(Self::onto(output.target(subject.extent(), posed.mesh(), limits)?, subject, posed, output))
     }
 
-    /// Prepares the renderer for a target of `output`.
+    /// Prepares the drawing of a target of `output`.
     #[must_use]
-    pub fn onto(target: Target, image: &Image, posed: &Posed, output: &OutputSpec) -> Self {
-        let options = RenderOptions { target: target.extent, canvas: target.canvas, filter: output.filter, outside: output.outside };
-        let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
-        let grey = image.grey && output.outside.is_grey();
-        let shape = PngShape { extent: target.extent, channels: renderer.channels(), grey, depth: renderer.depth() };
-        let writer = Writer::new(shape, output.encoding(), image.icc.as_ref());
-        Self { renderer, writer, format: output.format, etag: etag(image, posed, output, target), target }
+    pub fn onto(target: Target, subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Self {
+        let drawer = subject.drawer(target, posed, output);
+        let writer = Writer::new(drawer.shape(), output.encoding(), drawer.icc());
+        Self { drawer, writer, format: output.format, etag: etag(subject, posed, output, target), target }
     }
 
-    /// Digest of image, resolved request and version: the ETag.
+    /// Digest of subject, resolved request and version: the ETag.
     #[must_use]
     pub const fn etag(&self) -> Digest {
         self.etag
@@ -104,7 +101,7 @@ impl Warp {
     }
 }
 
-fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, extent }: Target) -> Digest {
+fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent }: Target) -> Digest {
     let encoding = match output.encoding() {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
@@ -127,7 +124,7 @@ fn etag(image: &Image, posed: &Posed, output: &OutputSpec, Target { canvas, exte
         Outside::Reflect => [3, 0, 0, 0, 0],
     };
     let digest = Collector::new("mlswarp answer 4")
-        .bytes(&image.digest().0)
+        .bytes(&subject.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)
         .integer(filter)

@@ -5,6 +5,7 @@
 //! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 
 mod digest;
+mod drawer;
 mod drawing;
 mod error;
 mod fit;
@@ -14,6 +15,7 @@ mod posed;
 mod setup;
 mod spec;
 mod strip_scheduler;
+mod subject;
 mod target;
 #[cfg(test)]
 mod tests;
@@ -28,6 +30,7 @@ pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
+pub use self::subject::Subject;
 pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
 pub use self::transform::{Edges, Outline, Transform};
 pub use crate::codec::Limits as ImageLimits;

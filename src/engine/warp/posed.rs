@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::setup::FINE_BYTES;
-use super::{Digest, Folds, Image, Plan, Setup, Target, Warning, WarpError};
+use super::{Digest, Folds, Plan, Setup, Subject, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::{Mesh, Point, Vec2};
 use crate::render::Canvas;
@@ -127,13 +127,13 @@ impl Posed {
         self.digest
     }
 
-    /// The report of a target drawn from `image`.
+    /// The report of a target that shows `subject`.
     ///
     /// # Errors
     /// Cancelled.
-    pub fn into_report_on(self, image: &Image, target: &Target, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
-        let mut report = self.into_report(Some(target.canvas.unwrap_or(Canvas::of(image.extent()))), cancelled)?;
-        report.warnings.extend(image.warning());
+    pub fn into_report_on(self, subject: Subject<'_>, target: &Target, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+        let mut report = self.into_report(Some(target.canvas.unwrap_or(Canvas::of(subject.extent()))), cancelled)?;
+        report.warnings.extend(subject.warning());
         Ok(report)
     }
 

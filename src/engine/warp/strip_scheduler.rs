@@ -82,8 +82,8 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
     /// Takes strips until none is left, the output is no longer needed, or the observer stops this thread. Returns true for the one call
     /// that passed on the last piece.
     pub fn work(&self, watch: &dyn WriteObserver) -> bool {
-        let Warp { renderer, writer, .. } = &*self.warp;
-        let row = renderer.target().width() as usize * renderer.channels().count() * renderer.depth().bytes();
+        let Warp { drawer, writer, .. } = &*self.warp;
+        let row = drawer.target().width() as usize * drawer.channels().count() * drawer.depth().bytes();
         let mut samples = SAMPLES.take();
         let mut ended = false;
         while !self.cancelled.load(Ordering::Relaxed) && watch.goes_on() {
@@ -93,11 +93,11 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let step = (BAND / renderer.computed_width().max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+            let step = (BAND / drawer.computed_width().max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
             let bands = (rows.start..rows.end).step_by(step as usize).zip(samples.chunks_mut(step as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {
-                    watch.around(Stage::Render, &mut || renderer.band(first..rows.end.min(first + step), band));
+                    watch.around(Stage::Render, &mut || drawer.band(first..rows.end.min(first + step), band));
                 }
             }
             if !watch.is_wanted() {

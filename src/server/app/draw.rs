@@ -12,7 +12,8 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::warp::{
-    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target, Warp, WarpError, WriteObserver,
+    Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Subject, Target, Warp, WarpError,
+    WriteObserver,
 };
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
@@ -303,8 +304,8 @@ impl DrawTask {
             let (posed, target) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
             drop(halved);
             self.app.reserve_more(&mut reservation, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
-            let warp = Warp::onto(target, &job.image, &posed, &job.output);
-            let report = posed.into_report_on(&job.image, &target, &is_cancelled)?;
+            let warp = Warp::onto(target, Subject::Image(&job.image), &posed, &job.output);
+            let report = posed.into_report_on(Subject::Image(&job.image), &target, &is_cancelled)?;
             self.app.reserve_more(&mut reservation, warp.work_bytes())?;
             Ok((warp, report, reservation))
         };

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, Posed, Report, Setup, Warp, WarpError, choose};
+use mlswarp::warp::{Image, Posed, Report, Setup, Subject, Warp, WarpError, choose};
 
 use crate::config::Config;
 use crate::problem::words::quote;
@@ -139,10 +139,10 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     let pose = setup.pose(object.posed()?)?;
     object.output.check(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
-    let warp = Warp::new(&image, &posed, &object.output, &config.limits())?;
+    let warp = Warp::new(Subject::Image(&image), &posed, &object.output, &config.limits())?;
     write_to(&warp, config.work.workers.saturating_sub(1), out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
     let target = warp.target();
-    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(&image, &target, &|| false)?;
+    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(Subject::Image(&image), &target, &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
     let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
     let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };

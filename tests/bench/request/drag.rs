@@ -6,7 +6,7 @@ use std::sync::Arc;
 use mlswarp::deform::{self, Falloff, Field, Handle, Handles, Method, Pose};
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::{Channels, Extent, Pixmap};
-use mlswarp::warp::{Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, RestSpec, Setup, Warp};
+use mlswarp::warp::{Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, RestSpec, Setup, Subject, Warp};
 
 use crate::harness::pictures::{VERTICES, bytes, encode, handles};
 
@@ -57,7 +57,7 @@ impl Drag {
         let pose = self.setup.pose(&self.poses[self.turn]).expect("a pose of these handles");
         let (limits, output) = (Limits::default(), OutputSpec::default());
         let posed = Posed::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false).expect("folds are drawn");
-        let warp = Warp::new(&self.image, &posed, &output, &limits);
+        let warp = Warp::new(Subject::Image(&self.image), &posed, &output, &limits);
         self.strips.clear();
         let _ = warp.expect("nothing is too large").write(helpers, &(), &mut |bytes| {
             self.strips.push(bytes);

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
-use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Warp};
+use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Subject, Warp};
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{DragObject, PointsObject, WarpObject};
 
@@ -61,7 +61,7 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
     assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
     assert!(posed.vertices().flatten().all(f64::is_finite), "a vertex is nowhere");
     let mut bytes = 0;
-    let warp = Warp::new(&IMAGE, &posed, &object.output, &LIMITS)?;
+    let warp = Warp::new(Subject::Image(&IMAGE), &posed, &object.output, &LIMITS)?;
     let _ = warp.write(0, &(), &mut |strip| {
         bytes += strip.len();
         ControlFlow::Continue(())
