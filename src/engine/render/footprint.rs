@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use super::Filter;
-use super::kernel::Kernel;
+use super::kernel::{Kernel, is_shrinking, jacobian};
 use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
 use super::source::Source;
@@ -20,8 +20,6 @@ use crate::pixmap::{Channels, Depth};
 const LEAST: f32 = 1.5;
 /// The shrinking from which the whole footprint is averaged.
 const FULL: f32 = 2.0;
-/// Cells whose vertices shrink the source by less are sampled as points: between them the shrinking hardly exceeds [`LEAST`].
-const MARKED: f32 = 1.45;
 /// Rows of a target up to which the columns of a cell are kept for each.
 const HIGH: usize = 16;
 /// Longest side of a footprint, px of the source for a px of the posed plane.
@@ -64,30 +62,22 @@ pub(super) struct Footprints {
 }
 
 /// Column and row of the cells that shrink the source noticeably.
-pub(super) fn shrinking_cells(mesh: &Mesh) -> Vec<(usize, usize)> {
+pub(super) fn shrinking_cells(mesh: &Mesh, kernel: Kernel) -> Vec<(usize, usize)> {
     let columns = mesh.grid().columns() as usize;
     let (width, height) = mesh.grid().cell();
-    let (per_x, per_y) = ((1.0 / width) as f32, (1.0 / height) as f32);
-    let is_small =
-        |a: [f32; 2], b: [f32; 2], c: [f32; 2]| is_small(jacobian([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]], per_x, per_y));
+    let per = [(1.0 / width) as f32, (1.0 / height) as f32];
     let mut found = Vec::new();
     let mut lines = mesh.displacement().chunks_exact(columns).enumerate();
     let Some((_, mut above)) = lines.next() else { return found };
     for (j, below) in lines {
-        let cells = above.iter().zip(&above[1..]).zip(below);
-        // In lanes; most rows have none.
-        if cells.clone().fold(0, |some, ((a, b), c)| some | u32::from(is_small(*a, *b, *c))) != 0 {
-            found.extend(cells.enumerate().filter(|(_, ((a, b), c))| is_small(**a, **b, **c)).map(|(i, _)| (i, j - 1)));
+        // Most rows have none.
+        if kernel.shrinks(above, below, per) {
+            let cells = above.iter().zip(&above[1..]).zip(below).enumerate();
+            found.extend(cells.filter(|(_, ((a, right), below))| is_shrinking(**a, **right, **below, per)).map(|(i, _)| (i, j - 1)));
         }
         above = below;
     }
     found
-}
-
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "a part of a loop in lanes")]
-fn jacobian(along_x: [f32; 2], along_y: [f32; 2], per_x: f32, per_y: f32) -> [f32; 4] {
-    [1.0 + along_x[0] * per_x, along_x[1] * per_x, along_y[0] * per_y, 1.0 + along_y[1] * per_y]
 }
 
 /// The Jacobian at a vertex by central differences.
@@ -99,16 +89,7 @@ fn jacobian_at(mesh: &Mesh, i: u32, j: u32) -> [f32; 4] {
     let along_x = difference(mesh.displaced(left, j), mesh.displaced(right, j));
     let along_y = difference(mesh.displaced(i, top), mesh.displaced(i, bottom));
     let (width, height) = (grid.x(right) - grid.x(left), grid.y(bottom) - grid.y(top));
-    jacobian(along_x, along_y, (1.0 / width) as f32, (1.0 / height) as f32)
-}
-
-/// Whether a pixel's footprint has a side longer than [`MARKED`].
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "a part of a loop in lanes")]
-fn is_small([xx, yx, xy, yy]: [f32; 4]) -> bool {
-    let det = xx * yy - xy * yx;
-    let limit = MARKED * MARKED * det * det;
-    (yy * yy + yx * yx > limit) | (xx * xx + xy * xy > limit)
+    jacobian(along_x, along_y, [(1.0 / width) as f32, (1.0 / height) as f32])
 }
 
 impl Footprints {

@@ -151,7 +151,7 @@ impl Renderer {
             if options.filter != Filter::Nearest {
                 reduced.packed();
             }
-            let shrinking = if options.filter == Filter::Nearest { Vec::new() } else { footprint::shrinking_cells(mesh) };
+            let shrinking = if options.filter == Filter::Nearest { Vec::new() } else { footprint::shrinking_cells(mesh, kernel) };
             let draw = |window: Window| {
                 let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
                 let footprints =

@@ -34,6 +34,7 @@ widened! {
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
+    shrinks(above: &[[f32; 2]], below: &[[f32; 2]], per: [f32; 2], any: &mut bool);
     classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
 

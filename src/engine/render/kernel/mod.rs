@@ -25,7 +25,7 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
-pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed};
+pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, is_shrinking, jacobian};
 
 /// The kernels of a level that this machine has.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +85,13 @@ impl Kernel {
     /// The bend of the columns at the line between two rows of cells: squared jump of the derivative along them.
     pub(super) fn bends(self, above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
         dispatch!(self, bends(above, below, bends));
+    }
+
+    /// Whether any cell between two lines of vertices shrinks the source. `above`, `below`: displacements, px; `per`: cells per px.
+    pub(super) fn shrinks(self, above: &[[f32; 2]], below: &[[f32; 2]], per: [f32; 2]) -> bool {
+        let mut any = false;
+        dispatch!(self, shrinks(above, below, per, &mut any));
+        any
     }
 
     /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is
