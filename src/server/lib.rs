@@ -15,6 +15,7 @@ pub mod client;
 pub mod config;
 pub mod drag;
 pub mod http;
+pub mod layer;
 pub mod limits;
 pub mod observe;
 pub mod pool;

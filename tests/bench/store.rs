@@ -6,6 +6,7 @@
 #[path = "../it/support/redis.rs"]
 mod redis;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -16,7 +17,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use mlswarp_server::client::Owner;
 use mlswarp_server::session::{Revision, SessionId};
-use mlswarp_server::store::{Bounds, Record, Store, StoreUrl, open};
+use mlswarp_server::store::{Bounds, NamedFile, Record, Store, StoreUrl, open};
 
 const SESSIONS: usize = 1000;
 const FILE: usize = 300 << 10;
@@ -29,6 +30,8 @@ fn made(k: usize) -> (Arc<Record>, Bytes) {
         id: SessionId::random(Owner::ANYBODY),
         revision: Revision::random(),
         image: Digest::of(&file),
+        layers: BTreeMap::new(),
+        made_with_region: None,
         extent: Extent::new(500, 500).unwrap(),
         rest: RestSpec { p, ..RestSpec::default() },
         folds: Folds::default(),
@@ -49,7 +52,7 @@ async fn measure(name: &str, store: &dyn Store, all: &[(Arc<Record>, Bytes)]) {
     let timed = |times: &mut Vec<Duration>, began: Instant| times.push(began.elapsed());
     for (record, file) in all {
         let began = Instant::now();
-        store.put(Arc::clone(record), file.clone()).await.unwrap();
+        store.put(Arc::clone(record), vec![NamedFile { digest: record.image, bytes: file.clone() }]).await.unwrap();
         timed(&mut times[0], began);
     }
     for (seq, (record, _)) in (0..).zip(all) {
@@ -60,11 +63,11 @@ async fn measure(name: &str, store: &dyn Store, all: &[(Arc<Record>, Bytes)]) {
         store.peek(record.id).await.unwrap();
         timed(&mut times[2], began);
         let began = Instant::now();
-        store.image(record.id, record.image).await.unwrap();
+        store.file(record.id, record.image).await.unwrap();
         timed(&mut times[3], began);
         let began = Instant::now();
         let next = Arc::new(Record { revision: Revision::random(), ..(**record).clone() });
-        store.revise(record.revision, next).await.unwrap().unwrap();
+        store.revise(record.revision, next, None).await.unwrap().unwrap();
         timed(&mut times[4], began);
     }
     let what = ["put, a file of 300 KiB", "touch, a step of a drag", "peek", "image, 300 KiB", "revise, 12 handles"];

@@ -6,22 +6,23 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Each module with the modules that it may name. Modules of the server may name every module of the engine.
-const SERVER: [(&str, &[&str]); 15] = [
+const SERVER: [(&str, &[&str]); 16] = [
     ("cli", &["http", "app", "config", "auth", "problem", "wire"]),
-    ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "client"]),
-    ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "client"]),
+    ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "layer", "client"]),
+    ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "layer", "client"]),
     ("config", &["store", "observe", "auth", "limits"]),
     ("drag", &["wire"]),
     ("pool", &["observe", "limits", "session", "client"]),
     ("cache", &["observe", "limits", "problem", "client"]),
-    ("store", &["observe", "limits", "wire", "problem", "session", "client"]),
+    ("store", &["observe", "limits", "wire", "problem", "session", "layer", "client"]),
     ("observe", &["auth", "limits", "problem"]),
     ("auth", &["limits", "problem", "client"]),
     ("limits", &["problem", "session", "client"]),
-    ("wire", &["problem"]),
+    ("wire", &["problem", "layer"]),
     ("problem", &[]),
     ("session", &["client"]),
     ("client", &[]),
+    ("layer", &[]),
 ];
 const ENGINE: [(&str, &[&str]); 7] = [
     ("warp", &["codec", "render", "deform", "pixmap", "geometry", "level"]),

@@ -14,7 +14,7 @@ use mlswarp::warp::Digest;
 use crate::client::Tenant;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::store::{Bounds, Record, record_bytes};
+use crate::store::{Bounds, NamedFile, Record, record_bytes};
 
 /// Seconds after which a rejected client may retry.
 const RETRY: u32 = 30;
@@ -38,11 +38,11 @@ struct Counted {
     claims: u64,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct CountedSession {
     tenant: Tenant,
-    image: Digest,
-    file: u64,
+    /// The files that it names, with their sizes.
+    files: Vec<(Digest, u64)>,
     record: u64,
     used: Instant,
     /// The number of the claim that counted it.
@@ -56,7 +56,7 @@ struct CountedSession {
 struct Total {
     sessions: u64,
     bytes: u64,
-    /// Number of sessions by file; a file is stored once per client.
+    /// How often sessions name each file; it is stored once per client.
     files: HashMap<Digest, usize>,
 }
 
@@ -68,13 +68,20 @@ pub struct Claim {
     before: Option<CountedSession>,
 }
 
+fn sized(file: &NamedFile) -> (Digest, u64) {
+    (file.digest, file.bytes.len() as u64)
+}
+
 impl Counted {
     fn add(&mut self, id: SessionId, session: CountedSession) {
         let total = self.totals.entry(session.tenant).or_default();
-        let files = total.files.entry(session.image).or_default();
-        *files += 1;
         total.sessions += 1;
-        total.bytes += session.record + if *files == 1 { session.file } else { 0 };
+        total.bytes += session.record;
+        for (digest, len) in &session.files {
+            let names = total.files.entry(*digest).or_default();
+            *names += 1;
+            total.bytes += if *names == 1 { *len } else { 0 };
+        }
         self.sessions.insert(id, session);
     }
 
@@ -83,11 +90,12 @@ impl Counted {
         if let Some(total) = self.totals.get_mut(&session.tenant) {
             total.sessions -= 1;
             total.bytes -= session.record;
-            if let Some(files) = total.files.get_mut(&session.image) {
-                *files -= 1;
-                if *files == 0 {
-                    total.files.remove(&session.image);
-                    total.bytes -= session.file;
+            for (digest, len) in &session.files {
+                let Some(names) = total.files.get_mut(digest) else { continue };
+                *names -= 1;
+                if *names == 0 {
+                    total.files.remove(digest);
+                    total.bytes -= *len;
                 }
             }
             if total.sessions == 0 {
@@ -130,20 +138,25 @@ impl ClientSessions {
 
     /// Counts a session that is about to be stored, instead of the one with the same id.
     /// Errors: [`Code::RateLimited`]: the client has reached a limit.
-    pub fn claim(&self, tenant: Tenant, record: &Record, file: u64) -> Result<Claim, Problem> {
-        let used = Instant::now();
+    pub fn claim(&self, tenant: Tenant, record: &Record, files: &[NamedFile]) -> Result<Claim, Problem> {
+        let (files, used) = (files.iter().map(sized).collect::<Vec<_>>(), Instant::now());
         self.change(record.id, |_| {
-            Some(CountedSession { tenant, image: record.image, file, record: record_bytes(record), used, claim: 0, is_pending: true })
+            Some(CountedSession { tenant, files: files.clone(), record: record_bytes(record), used, claim: 0, is_pending: true })
         })
     }
 
-    /// Counts a record that is about to replace another one of its session.
+    /// Counts a record that is about to replace another one of its session. `layer`: the file that only this one names.
     /// Errors: As [`ClientSessions::claim`].
-    pub fn claim_revision(&self, record: &Record) -> Result<Claim, Problem> {
-        self.change(record.id, |before| before.map(|before| CountedSession { record: record_bytes(record), ..before }))
+    pub fn claim_revision(&self, record: &Record, layer: Option<&NamedFile>) -> Result<Claim, Problem> {
+        self.change(record.id, |before| {
+            let before = before?;
+            let known: HashMap<Digest, u64> = before.files.iter().copied().chain(layer.map(sized)).collect();
+            let files = record.files().filter_map(|digest| Some((digest, *known.get(&digest)?))).collect();
+            Some(CountedSession { files, record: record_bytes(record), ..before.clone() })
+        })
     }
 
-    fn change(&self, id: SessionId, to: impl Fn(Option<CountedSession>) -> Option<CountedSession>) -> Result<Claim, Problem> {
+    fn change(&self, id: SessionId, to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>) -> Result<Claim, Problem> {
         let mut counted = self.lock();
         self.try_change(&mut counted, id, &to).or_else(|_| {
             counted.sweep(self.0.idle);
@@ -155,14 +168,15 @@ impl ClientSessions {
         &self,
         counted: &mut Counted,
         id: SessionId,
-        to: impl Fn(Option<CountedSession>) -> Option<CountedSession>,
+        to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>,
     ) -> Result<Claim, Problem> {
         counted.claims += 1;
         let before = counted.remove(id);
         let claim = Claim { id, number: counted.claims, before };
-        let Some(session) = to(before) else { return Ok(claim) };
+        let Some(session) = to(claim.before.as_ref()) else { return Ok(claim) };
+        let tenant = session.tenant;
         counted.add(id, CountedSession { claim: claim.number, is_pending: true, ..session });
-        let total = &counted.totals[&session.tenant];
+        let total = &counted.totals[&tenant];
         let limits = [
             ("client_sessions", "sessions", self.0.max_sessions, total.sessions),
             ("client_store_bytes", "bytes", self.0.max_bytes, total.bytes),
@@ -178,6 +192,19 @@ impl ClientSessions {
         if let Some(session) = self.lock().sessions.get_mut(&claim.id).filter(|session| session.claim == claim.number) {
             session.is_pending = false;
         }
+    }
+
+    /// The claimed session had been stored before and stays as it is, with the layers that it has.
+    pub fn confirm_same(&self, claim: &Claim) {
+        let mut counted = self.lock();
+        if let Some(before) = &claim.before
+            && counted.sessions.get(&claim.id).is_some_and(|session| session.claim == claim.number)
+            && let Some(session) = counted.remove(claim.id)
+        {
+            counted.add(claim.id, CountedSession { files: before.files.clone(), record: before.record, ..session });
+        }
+        drop(counted);
+        self.confirm(claim);
     }
 
     /// The claimed session was not stored.
@@ -213,16 +240,24 @@ impl ClientSessions {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
     use std::net::IpAddr;
     use std::time::SystemTime;
 
     use super::*;
     use crate::client::Client;
+    use crate::layer::{LayerKind, LayerName};
     use crate::session::Revision;
+    use crate::store::StoredLayer;
     use mlswarp::pixmap::Extent;
     use mlswarp::warp::{Folds, OutputSpec, RestSpec};
 
     const FILE: u64 = 1000;
+
+    /// The picture's file of a record, with that many bytes.
+    fn file(record: &Record, len: u64) -> [NamedFile; 1] {
+        [NamedFile { digest: record.image, bytes: vec![0; usize::try_from(len).unwrap()].into() }]
+    }
 
     fn tenant(n: u8) -> Tenant {
         Client { address: IpAddr::from([192, 0, 2, n]), ..Client::default() }.tenant()
@@ -234,6 +269,8 @@ mod tests {
             id: SessionId::from_bytes(&[[0; 16], [n; 16]].concat().try_into().unwrap()),
             revision: Revision::random(),
             image: Digest([n; 32]),
+            layers: BTreeMap::new(),
+            made_with_region: None,
             extent: Extent::new(8, 8).unwrap(),
             rest: RestSpec::default(),
             folds: Folds::default(),
@@ -264,19 +301,20 @@ mod tests {
     fn a_client_keeps_its_part_and_another_client_keeps_as_much() {
         let held = client_sessions(Duration::from_secs(60), 4, 1 << 20);
         let records: Vec<_> = (1..6).map(record).collect();
-        held.claim(tenant(1), &records[0], FILE).unwrap();
-        held.claim(tenant(1), &records[1], FILE).unwrap();
-        let refused = held.claim(tenant(1), &records[2], FILE).unwrap_err();
+        held.claim(tenant(1), &records[0], &file(&records[0], FILE)).unwrap();
+        held.claim(tenant(1), &records[1], &file(&records[1], FILE)).unwrap();
+        let refused = held.claim(tenant(1), &records[2], &file(&records[2], FILE)).unwrap_err();
         assert_eq!((refused.code, refused.what, refused.retry_after), (Code::RateLimited, Some("client_sessions"), Some(RETRY)));
-        held.claim(tenant(2), &records[3], FILE).unwrap();
+        held.claim(tenant(2), &records[3], &file(&records[3], FILE)).unwrap();
         // The same name again is the same session, also with another picture.
-        held.claim(tenant(1), &Record { image: records[4].image, ..records[0].clone() }, 2 * FILE).unwrap();
+        let other = Record { image: records[4].image, ..records[0].clone() };
+        held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap();
         let each = record_bytes(&records[0]);
         assert_eq!((sum(&held, 1), sum(&held, 2)), ((2, 3 * FILE + 2 * each), (1, FILE + each)));
         end(&held, records[1].id);
-        held.claim(tenant(1), &records[2], FILE).unwrap();
+        held.claim(tenant(1), &records[2], &file(&records[2], FILE)).unwrap();
         // Of another address now: it counts there.
-        held.claim(tenant(2), &records[2], FILE).unwrap();
+        held.claim(tenant(2), &records[2], &file(&records[2], FILE)).unwrap();
         assert_eq!((sum(&held, 1).0, sum(&held, 2).0), (1, 2));
         records.iter().for_each(|ended| end(&held, ended.id));
         assert!(held.lock().totals.is_empty() && held.lock().sessions.is_empty());
@@ -288,24 +326,54 @@ mod tests {
         let each = record_bytes(&record(0));
         let held = client_sessions(Duration::from_secs(60), 1000, 2 * (FILE + 3 * each));
         for n in 0..3 {
-            held.claim(tenant(1), &record(n), FILE).unwrap();
+            held.claim(tenant(1), &record(n), &file(&record(n), FILE)).unwrap();
         }
-        let refused = held.claim(tenant(1), &record(3), FILE).unwrap_err();
+        let refused = held.claim(tenant(1), &record(3), &file(&record(3), FILE)).unwrap_err();
         assert_eq!(
             (refused.what, refused.limit, refused.actual),
             (Some("client_store_bytes"), Some((FILE + 3 * each).into()), Some((FILE + 4 * each).into()))
         );
         let mut larger = record(0);
         larger.rest.weights = Some(vec![1.0; 100]);
-        assert_eq!(held.claim_revision(&larger).unwrap_err().what, Some("client_store_bytes"));
+        assert_eq!(held.claim_revision(&larger, None).unwrap_err().what, Some("client_store_bytes"));
         assert_eq!(sum(&held, 1), (3, FILE + 3 * each));
         end(&held, record(1).id);
         end(&held, record(2).id);
-        held.claim_revision(&larger).unwrap();
+        held.claim_revision(&larger, None).unwrap();
         assert_eq!(sum(&held, 1), (1, FILE + each + 800));
         // Made by another process: nobody here keeps it.
-        held.claim_revision(&record(7)).unwrap();
+        held.claim_revision(&record(7), None).unwrap();
         assert_eq!(held.lock().sessions.len(), 1);
+    }
+
+    #[test]
+    fn layers_count_with_their_session() {
+        let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
+        let plain = record(1);
+        held.claim(tenant(1), &plain, &file(&plain, FILE)).unwrap();
+        let layer = |n: u8| NamedFile { digest: Digest([n; 32]), bytes: vec![0; 300].into() };
+        let with = |names: &[(&str, u8)]| {
+            let stored = |n: u8| StoredLayer { kind: LayerKind::Image, digest: layer(n).digest };
+            let layers = names.iter().map(|(name, n)| (LayerName::parse(name).unwrap(), stored(*n))).collect();
+            Record { layers, ..plain.clone() }
+        };
+        let bytes = |record: &Record, files: u64| (1, record_bytes(record) + FILE + files);
+        let (one, two) = (with(&[("a", 2)]), with(&[("a", 2), ("b", 2)]));
+        held.claim_revision(&one, Some(&layer(2))).unwrap();
+        assert_eq!(sum(&held, 1), bytes(&one, 300));
+        held.claim_revision(&two, Some(&layer(2))).unwrap();
+        assert_eq!(sum(&held, 1), bytes(&two, 300), "one file of two names");
+        // The session's `PUT` again: the layers stay.
+        let again = held.claim(tenant(1), &plain, &file(&plain, FILE)).unwrap();
+        held.confirm_same(&again);
+        assert_eq!(sum(&held, 1), bytes(&two, 300));
+        let other = with(&[("a", 3), ("b", 2)]);
+        held.undo(held.claim_revision(&other, Some(&layer(3))).unwrap());
+        assert_eq!(sum(&held, 1), bytes(&two, 300));
+        held.claim_revision(&other, Some(&layer(3))).unwrap();
+        assert_eq!(sum(&held, 1), bytes(&other, 600));
+        held.claim_revision(&plain, None).unwrap();
+        assert_eq!(sum(&held, 1), bytes(&plain, 0));
     }
 
     #[test]
@@ -313,13 +381,13 @@ mod tests {
         let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let record = record(1);
         let end = |claim| held.ended(record.id, claim);
-        let first = held.claim(tenant(1), &record, FILE).unwrap();
+        let first = held.claim(tenant(1), &record, &file(&record, FILE)).unwrap();
         end(held.claim_of(record.id));
         assert_eq!(sum(&held, 1).0, 1, "it is pending");
         held.confirm(&first);
         let before = held.claim_of(record.id);
         // A delete is under way, and the same name is stored again before it is counted.
-        let second = held.claim(tenant(1), &record, FILE).unwrap();
+        let second = held.claim(tenant(1), &record, &file(&record, FILE)).unwrap();
         held.confirm(&second);
         end(before);
         assert_eq!(sum(&held, 1).0, 1, "it was stored since");
@@ -332,15 +400,15 @@ mod tests {
         let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let (a, b) = (record(1), record(2));
         let other = Record { image: b.image, ..a.clone() };
-        held.undo(held.claim(tenant(1), &a, FILE).unwrap());
+        held.undo(held.claim(tenant(1), &a, &file(&a, FILE)).unwrap());
         assert_eq!(sum(&held, 1), (0, 0));
-        held.claim(tenant(1), &a, FILE).unwrap();
+        held.claim(tenant(1), &a, &file(&a, FILE)).unwrap();
         let before = sum(&held, 1);
-        held.undo(held.claim(tenant(1), &other, 2 * FILE).unwrap());
+        held.undo(held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap());
         assert_eq!(sum(&held, 1), before);
         // The first of two fails when the second is there already.
-        let first = held.claim(tenant(1), &other, 2 * FILE).unwrap();
-        held.claim(tenant(1), &a, 3 * FILE).unwrap();
+        let first = held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap();
+        held.claim(tenant(1), &a, &file(&a, 3 * FILE)).unwrap();
         held.undo(first);
         assert_eq!(sum(&held, 1), (1, 3 * FILE + record_bytes(&a)));
     }
@@ -350,12 +418,12 @@ mod tests {
         let idle = Duration::from_secs(60);
         let held = client_sessions(idle, 2, 1 << 20);
         let unused = |n: u8| held.lock().sessions.get_mut(&record(n).id).unwrap().used -= idle;
-        held.claim(tenant(1), &record(1), FILE).unwrap();
+        held.claim(tenant(1), &record(1), &file(&record(1), FILE)).unwrap();
         unused(1);
         held.used(record(1).id);
-        assert!(held.claim(tenant(1), &record(2), FILE).is_err());
+        assert!(held.claim(tenant(1), &record(2), &file(&record(2), FILE)).is_err());
         unused(1);
-        held.claim(tenant(1), &record(3), FILE).unwrap();
+        held.claim(tenant(1), &record(3), &file(&record(3), FILE)).unwrap();
         assert_eq!(sum(&held, 1).0, 1);
         unused(3);
         held.sweep();

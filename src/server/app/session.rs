@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::warp::Setup;
+use mlswarp::warp::{Digest, Setup};
 
 use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, build_aborted, image_key, revision_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, build_aborted, revision_key, setup_weight};
 use crate::cache::{CacheEntry, Key};
-use crate::client::Client;
+use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
@@ -55,14 +55,15 @@ impl App {
     /// Stores a session, counted for its client.
     async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<Resulting<Put>, Problem> {
         let method = prepared.chosen_method();
-        let (record, file, setup, _held) = prepared.into_session(id);
+        let (record, files, setup, _held) = prepared.into_session(id);
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
-        let claim = self.0.client_sessions.claim(client.tenant(), &record, file.len() as u64)?;
+        let claim = self.0.client_sessions.claim(client.tenant(), &record, &files)?;
         // If this future is dropped while the store works, the session may have been stored: it stays counted.
-        let put = in_stage("store", self.0.store.put(record, file)).await;
+        let put = in_stage("store", self.0.store.put(record, files)).await;
         drop(ticket);
         match &put {
+            Ok(Put::Same(_)) => self.0.client_sessions.confirm_same(&claim),
             Ok(_) => self.0.client_sessions.confirm(&claim),
             Err(_) => self.0.client_sessions.undo(claim),
         }
@@ -91,8 +92,8 @@ impl App {
             let method = object.is_auto.then(|| method_text(&object.rest));
             let WarpObject { rest, folds, output, .. } = object;
             let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
-            let claim = self.0.client_sessions.claim_revision(&new)?;
-            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new))).await;
+            let claim = self.0.client_sessions.claim_revision(&new, None)?;
+            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new), None)).await;
             match revised {
                 Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
                 _ => self.0.client_sessions.undo(claim),
@@ -135,12 +136,23 @@ impl App {
         // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same
         // extent and handles builds the plan again.
         let owner = record.id.owner();
-        if !self.0.store.names(owner, record.image) {
-            self.0.images.remove(image_key(record));
-            if let Some(setup) = setup {
-                self.0.plans.remove(Key::new(owner, setup.plan_key()));
-            }
+        if self.evict_file(owner, record.image)
+            && let Some(setup) = setup
+        {
+            self.0.plans.remove(Key::new(owner, setup.plan_key()));
         }
+        for layer in record.layers.values() {
+            self.evict_file(owner, layer.digest);
+        }
+    }
+
+    /// Evicts what was decoded from a file, unless a session of the owner still uses it.
+    pub(super) fn evict_file(&self, owner: Owner, digest: Digest) -> bool {
+        let is_unused = !self.0.store.names(owner, digest);
+        if is_unused {
+            self.0.images.remove(Key::new(owner, digest));
+        }
+        is_unused
     }
 
     /// Reads the session without extending its life.
@@ -168,21 +180,20 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::client::Owner;
+    use crate::app::warp::image_key;
     use crate::config::Config;
     use crate::problem::Code;
-    use crate::store::{Answer, Figures, Store};
-    use mlswarp::warp::Digest;
+    use crate::store::{Answer, Figures, NamedFile, Store};
 
     /// A store on which somebody else is always faster.
     #[derive(Debug)]
     struct Contended(Arc<dyn Store>, AtomicUsize);
 
     impl Store for Contended {
-        fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-            self.0.put(record, image)
+        fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+            self.0.put(record, files)
         }
-        fn revise(&self, _: Revision, _: Arc<Record>) -> Answer<'_, Option<Session>> {
+        fn revise(&self, _: Revision, _: Arc<Record>, _: Option<NamedFile>) -> Answer<'_, Option<Session>> {
             self.1.fetch_add(1, Ordering::Relaxed);
             Box::pin(std::future::ready(Ok(None)))
         }
@@ -195,11 +206,11 @@ mod tests {
         fn delete(&self, id: SessionId) -> Answer<'_, ()> {
             self.0.delete(id)
         }
-        fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
-            self.0.image_bytes(id, digest)
+        fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+            self.0.file_bytes(id, digest)
         }
-        fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-            self.0.image(id, digest)
+        fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+            self.0.file(id, digest)
         }
         fn names(&self, owner: Owner, digest: Digest) -> bool {
             self.0.names(owner, digest)

@@ -1,6 +1,7 @@
 //! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
 //! computation runs on the pool with one ticket per request.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -20,7 +21,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
-use crate::store::Record;
+use crate::store::{NamedFile, Record};
 use crate::wire::formats::Formats;
 use crate::wire::{WarpObject, WarpPatch, method_text};
 
@@ -67,20 +68,22 @@ impl PreparedWarp {
         self.object.is_auto.then(|| method_text(&self.object.rest))
     }
 
-    /// The record, file and setup of a session, and the memory of the setup.
-    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Bytes, Arc<Setup>, Option<Reservation>) {
+    /// The record, files and setup of a session, and the memory of the setup.
+    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Vec<NamedFile>, Arc<Setup>, Option<Reservation>) {
         let Self { file, digest, object, image, setup, held, .. } = self;
         let record = Record {
             id,
             revision: Revision::random(),
             image: digest,
+            layers: BTreeMap::new(),
+            made_with_region: None,
             extent: image.extent(),
             rest: object.rest,
             folds: object.folds,
             output: object.output,
             created: SystemTime::now(),
         };
-        (Arc::new(record), file, setup, held)
+        (Arc::new(record), vec![NamedFile { digest, bytes: file }], setup, held)
     }
 }
 
@@ -233,9 +236,9 @@ impl App {
         let (app, fetched) = (self.clone(), Arc::clone(record));
         let fetch = async move {
             let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, fetched.id)).await?;
-            let bytes = in_stage("store", app.0.store.image_bytes(fetched.id, fetched.image)).await?;
+            let bytes = in_stage("store", app.0.store.file_bytes(fetched.id, fetched.image)).await?;
             let mut reservation = app.reserve(Purpose::Image, bytes.max(MIN_WEIGHT))?;
-            let file = in_stage("store", app.0.store.image(fetched.id, fetched.image)).await?;
+            let file = in_stage("store", app.0.store.file(fetched.id, fetched.image)).await?;
             reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
             Ok(CacheEntry::new(file, reservation))
         };

@@ -11,7 +11,7 @@ use bytes::Bytes;
 use lru::LruCache;
 use mlswarp::warp::Digest;
 
-use super::{Bounds, Put, Record, Session, StoreError};
+use super::{Bounds, NamedFile, Put, Record, Session, StoreError};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
 
@@ -19,6 +19,8 @@ use crate::session::{Revision, SessionId};
 #[derive(Debug)]
 pub(crate) struct Index {
     bounds: Bounds,
+    /// The files' contents are kept here. Otherwise only their sizes are.
+    keeps_contents: bool,
     sessions: HashMap<SessionId, Entry>,
     files: HashMap<Digest, File>,
     bytes: u64,
@@ -30,7 +32,7 @@ pub(crate) struct Index {
 struct Entry {
     /// `None`: another version of the program has written it. Such a session does not expire.
     record: Option<Arc<Record>>,
-    /// The files that it names: one if the record can be read.
+    /// The files that it names.
     files: Vec<Digest>,
     bytes: u64,
     seq: Option<u64>,
@@ -40,10 +42,10 @@ struct Entry {
 #[derive(Debug)]
 struct File {
     bytes: u64,
-    /// Empty in the file store.
+    /// Empty unless contents are kept here.
     content: Bytes,
-    /// How many sessions name it.
-    sessions: usize,
+    /// How often sessions name it.
+    names: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -72,8 +74,8 @@ pub(crate) enum PutOutcome {
 }
 
 impl Index {
-    pub(crate) fn new(bounds: Bounds) -> Self {
-        Self { bounds, sessions: HashMap::new(), files: HashMap::new(), bytes: 0, tombstones: LruCache::unbounded() }
+    pub(crate) fn new(bounds: Bounds, keeps_contents: bool) -> Self {
+        Self { bounds, keeps_contents, sessions: HashMap::new(), files: HashMap::new(), bytes: 0, tombstones: LruCache::unbounded() }
     }
 
     /// The number of sessions, expired ones included that are not swept yet.
@@ -137,7 +139,7 @@ impl Index {
     }
 
     /// What putting the record will do, if there is room for it.
-    pub(crate) fn check_put(&self, record: &Record, file: u64) -> Result<PutOutcome, StoreError> {
+    pub(crate) fn check_put(&self, record: &Record, files: &[NamedFile]) -> Result<PutOutcome, StoreError> {
         let outcome = match self.living(record.id) {
             Ok((_, old)) if old.is_made_like(record) => return Ok(PutOutcome::Stay),
             Ok(_) => PutOutcome::Replace,
@@ -149,11 +151,16 @@ impl Index {
         if sessions > self.bounds.sessions {
             return Err(StoreError::Full { what: "sessions", limit: self.bounds.sessions as u64, actual: sessions as u64 });
         }
-        // The answer must not tell whether another owner has the same file.
-        let file = if self.names(record.id.owner(), record.image) { 0 } else { file };
-        // The old file counts until it has been replaced.
-        self.check_bytes(self.bytes - old.map_or(0, |old| old.bytes) + record_bytes(record) + file)?;
+        self.check_bytes(self.bytes - old.map_or(0, |old| old.bytes) + record_bytes(record) + self.added_bytes(record.id, files))?;
         Ok(outcome)
+    }
+
+    /// The bytes that these files of a session add. The files that they replace count until they are replaced.
+    fn added_bytes(&self, id: SessionId, files: &[NamedFile]) -> u64 {
+        let is_first = |(k, file): &(usize, &NamedFile)| !files[..*k].iter().any(|before| before.digest == file.digest);
+        // The answer must not tell whether another owner has the same file.
+        let is_new = |(_, file): &(usize, &NamedFile)| !self.names(id.owner(), file.digest);
+        files.iter().enumerate().filter(is_first).filter(is_new).map(|(_, file)| file.len()).sum()
     }
 
     fn check_bytes(&self, bytes: u64) -> Result<(), StoreError> {
@@ -161,14 +168,16 @@ impl Index {
         if bytes > limit { Err(StoreError::Full { what: "store_bytes", limit, actual: bytes }) } else { Ok(()) }
     }
 
-    /// Puts a record that has been checked. The file store passes no content.
-    pub(crate) fn put(&mut self, record: Arc<Record>, file: u64, content: Bytes, outcome: PutOutcome) -> Put {
+    /// Puts a record that has been checked.
+    pub(crate) fn put(&mut self, record: Arc<Record>, files: &[NamedFile], outcome: PutOutcome) -> Put {
         if outcome == PutOutcome::Stay
             && let Ok(session) = self.touch(record.id, None)
         {
             return Put::Same(session);
         }
-        let old = self.insert(Arc::clone(&record), file, content, None);
+        // Before the old session is removed, which may name the same files.
+        files.iter().for_each(|file| self.name_file(file.digest, file.len(), &file.bytes));
+        let old = self.insert(Arc::clone(&record), None);
         let session = self.session(&self.sessions[&record.id], &record);
         match old {
             Some(old) if outcome == PutOutcome::Replace => Put::Replaced(session, old),
@@ -176,45 +185,47 @@ impl Index {
         }
     }
 
-    fn insert(&mut self, record: Arc<Record>, file: u64, content: Bytes, seq: Option<u64>) -> Option<Arc<Record>> {
-        // Before the old session is removed, which may name the same file.
-        self.name_file(record.image, file, content);
+    /// Inserts a record whose files have been named.
+    fn insert(&mut self, record: Arc<Record>, seq: Option<u64>) -> Option<Arc<Record>> {
         let old = self.remove(record.id);
         self.tombstones.pop(&record.id);
         let bytes = record_bytes(&record);
         self.bytes += bytes;
-        let (id, files) = (record.id, vec![record.image]);
+        let (id, files) = (record.id, record.files().collect());
         self.sessions.insert(id, Entry { record: Some(record), files, bytes, seq, used: Instant::now() });
         old
     }
 
-    /// Adds a session of an earlier process; it lives for another idle period.
-    pub(crate) fn restore(&mut self, record: Arc<Record>, file: u64, seq: Option<u64>) {
-        self.insert(record, file, Bytes::new(), seq);
+    /// Adds a session of an earlier process; it lives for another idle period. `sizes`: those of its files, in the order of the record.
+    pub(crate) fn restore(&mut self, record: Arc<Record>, sizes: &[u64], seq: Option<u64>) {
+        for (digest, len) in record.files().zip(sizes) {
+            self.name_file(digest, *len, &Bytes::new());
+        }
+        self.insert(record, seq);
     }
 
     /// Adds a session whose record, of `bytes` bytes, another version of the program has written, and the files that it names.
     pub(crate) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
         for (digest, len) in files {
-            self.name_file(*digest, *len, Bytes::new());
+            self.name_file(*digest, *len, &Bytes::new());
         }
         self.bytes += bytes;
         let files = files.iter().map(|(digest, _)| *digest).collect();
         self.sessions.insert(id, Entry { record: None, files, bytes, seq: None, used: Instant::now() });
     }
 
-    fn name_file(&mut self, digest: Digest, bytes: u64, content: Bytes) {
+    fn name_file(&mut self, digest: Digest, bytes: u64, content: &Bytes) {
         let file = self.files.entry(digest).or_insert_with(|| {
             self.bytes += bytes;
-            File { bytes, content, sessions: 0 }
+            File { bytes, content: if self.keeps_contents { content.clone() } else { Bytes::new() }, names: 0 }
         });
-        file.sessions += 1;
+        file.names += 1;
     }
 
     fn unname_file(&mut self, digest: Digest) {
         if let Some(file) = self.files.get_mut(&digest) {
-            file.sessions -= 1;
-            if file.sessions == 0 {
+            file.names -= 1;
+            if file.names == 0 {
                 self.bytes -= file.bytes;
                 self.files.remove(&digest);
             }
@@ -233,20 +244,25 @@ impl Index {
     }
 
     /// Whether the record may replace that revision. `false`: another revision is there.
-    pub(crate) fn check_revise(&self, old: Revision, new: &Record) -> Result<bool, StoreError> {
+    pub(crate) fn check_revise(&self, old: Revision, new: &Record, layer: &[NamedFile]) -> Result<bool, StoreError> {
         let (entry, record) = self.living(new.id)?;
         if record.revision != old {
             return Ok(false);
         }
-        self.check_bytes(self.bytes - entry.bytes + record_bytes(new)).map(|()| true)
+        self.check_bytes(self.bytes - entry.bytes + record_bytes(new) + self.added_bytes(new.id, layer)).map(|()| true)
     }
 
-    /// Replaces a record after the change has been checked.
-    pub(crate) fn revise(&mut self, new: Arc<Record>) -> Option<Session> {
-        let (id, bytes) = (new.id, record_bytes(&new));
+    /// Replaces a record after the change has been checked. `layer`: the file that only the new one names.
+    pub(crate) fn revise(&mut self, new: Arc<Record>, layer: &[NamedFile]) -> Option<Session> {
+        for digest in new.files() {
+            let added = layer.iter().find(|file| file.digest == digest);
+            self.name_file(digest, added.map_or(0, NamedFile::len), added.map_or(&Bytes::new(), |file| &file.bytes));
+        }
+        let (id, bytes, files) = (new.id, record_bytes(&new), new.files().collect());
         let entry = self.sessions.get_mut(&id)?;
         self.bytes = self.bytes - entry.bytes + bytes;
         (entry.record, entry.bytes, entry.used) = (Some(new), bytes, Instant::now());
+        std::mem::replace(&mut entry.files, files).into_iter().for_each(|digest| self.unname_file(digest));
         self.peek(id).ok()
     }
 
@@ -275,12 +291,12 @@ impl Index {
     }
 
     /// The files that no session names once these are gone and another one names `kept`.
-    pub(crate) fn freed(&self, gone: &[SessionId], kept: Option<Digest>) -> Vec<Digest> {
+    pub(crate) fn freed(&self, gone: &[SessionId], kept: &[Digest]) -> Vec<Digest> {
         let mut fewer: HashMap<Digest, usize> = HashMap::new();
         for digest in gone.iter().filter_map(|id| self.sessions.get(id)).flat_map(|entry| &entry.files) {
             *fewer.entry(*digest).or_default() += 1;
         }
-        fewer.retain(|digest, fewer| Some(*digest) != kept && self.files.get(digest).is_some_and(|file| file.sessions == *fewer));
+        fewer.retain(|digest, fewer| !kept.contains(digest) && self.files.get(digest).is_some_and(|file| file.names == *fewer));
         fewer.into_keys().collect()
     }
 
@@ -312,7 +328,8 @@ impl Index {
 
     /// Whether a session of that owner names the file.
     pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.files.contains_key(&digest) && self.records().any(|record| record.image == digest && record.id.owner() == owner)
+        let names = |record: &Arc<Record>| record.id.owner() == owner && record.files().any(|file| file == digest);
+        self.files.contains_key(&digest) && self.records().any(names)
     }
 
     /// The records that can be read.
@@ -337,10 +354,10 @@ impl Index {
     }
 }
 
-/// The bytes that a record counts for, beside its picture's file.
+/// The bytes that a record counts for, beside its files.
 pub fn record_bytes(record: &Record) -> u64 {
     let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
-    512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64
+    512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64 + 256 * record.layers.len() as u64
 }
 
 #[cfg(test)]
@@ -351,10 +368,10 @@ mod tests {
     #[test]
     fn a_name_that_is_used_again_has_one_tombstone() {
         let idle = Duration::from_millis(50);
-        let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 });
+        let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 }, true);
         let record = suite::record(1);
         for _ in 0..3 {
-            index.put(Arc::clone(&record), 1000, Bytes::new(), PutOutcome::Create);
+            index.put(Arc::clone(&record), &suite::files(1), PutOutcome::Create);
             std::thread::sleep(idle);
             index.expire(&index.expired());
             assert_eq!(index.tombstones.len(), 1);
@@ -363,11 +380,11 @@ mod tests {
 
     #[test]
     fn no_more_deleted_sessions_are_remembered_than_there_may_be_sessions() {
-        let mut index = Index::new(Bounds { sessions: 3, ..suite::bounds() });
+        let mut index = Index::new(Bounds { sessions: 3, ..suite::bounds() }, true);
         let ids: Vec<SessionId> = (0..5)
             .map(|_| {
                 let record = suite::record(1);
-                index.put(Arc::clone(&record), 1000, Bytes::new(), PutOutcome::Create);
+                index.put(Arc::clone(&record), &suite::files(1), PutOutcome::Create);
                 index.delete(record.id);
                 record.id
             })

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::warp::Digest;
 
 use super::index::Index;
-use super::{Answer, Bounds, Figures, Put, Record, Session, Store, StoreError, known};
+use super::{Answer, Bounds, Figures, NamedFile, Put, Record, Session, Store, StoreError, known};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
 
@@ -17,7 +17,7 @@ pub struct MemoryStore(Mutex<Index>);
 impl MemoryStore {
     /// An empty store.
     pub fn new(bounds: Bounds) -> Self {
-        Self(Mutex::new(Index::new(bounds)))
+        Self(Mutex::new(Index::new(bounds, true)))
     }
 
     fn lock(&self) -> MutexGuard<'_, Index> {
@@ -26,20 +26,19 @@ impl MemoryStore {
     }
 }
 
-fn put(index: &mut Index, record: Arc<Record>, file: Bytes) -> Result<Put, StoreError> {
-    let len = file.len() as u64;
-    let outcome = match index.check_put(&record, len) {
+fn put(index: &mut Index, record: Arc<Record>, files: &[NamedFile]) -> Result<Put, StoreError> {
+    let outcome = match index.check_put(&record, files) {
         Err(StoreError::Full { .. }) => {
             sweep(index);
-            index.check_put(&record, len)
+            index.check_put(&record, files)
         }
         checked => checked,
     };
-    Ok(index.put(record, len, file, outcome?))
+    Ok(index.put(record, files, outcome?))
 }
 
-fn revise(index: &mut Index, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
-    Ok(if index.check_revise(old, &new)? { index.revise(new) } else { None })
+fn revise(index: &mut Index, old: Revision, new: Arc<Record>, layer: &[NamedFile]) -> Result<Option<Session>, StoreError> {
+    Ok(if index.check_revise(old, &new, layer)? { index.revise(new, layer) } else { None })
 }
 
 fn delete(index: &mut Index, id: SessionId) -> Result<(), StoreError> {
@@ -56,12 +55,12 @@ fn sweep(index: &mut Index) -> usize {
 }
 
 impl Store for MemoryStore {
-    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-        known(put(&mut self.lock(), record, image))
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+        known(put(&mut self.lock(), record, &files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
-        known(revise(&mut self.lock(), old, new))
+    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+        known(revise(&mut self.lock(), old, new, layer.as_slice()))
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
@@ -77,11 +76,11 @@ impl Store for MemoryStore {
     }
 
     /// None: the file is shared.
-    fn image_bytes(&self, _: SessionId, _: Digest) -> Answer<'_, u64> {
+    fn file_bytes(&self, _: SessionId, _: Digest) -> Answer<'_, u64> {
         known(Ok(0))
     }
 
-    fn image(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+    fn file(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
         known(self.lock().file(digest).ok_or(StoreError::NoSuchSession))
     }
 
@@ -126,7 +125,7 @@ mod tests {
     async fn what_is_deleted_is_not_held() {
         let store = MemoryStore::new(bounds());
         let record = suite::record(1);
-        store.put(Arc::clone(&record), suite::file(1)).await.unwrap();
+        store.put(Arc::clone(&record), suite::files(1)).await.unwrap();
         store.delete(record.id).await.unwrap();
         let index = store.lock();
         assert!(index.file(record.image).is_none() && index.bytes() == 0);

@@ -1,4 +1,4 @@
-//! Stores of sessions and of their pictures' files: one trait, three implementations, one test suite for all of them.
+//! Stores of sessions and of the files of their pictures and layers: one trait, three implementations, one test suite for all of them.
 //!
 //! | store | an answered change lasts | when the store fails |
 //! |---|---|---|
@@ -8,7 +8,7 @@
 //!
 //! What can be lost: the highest `seq` of a drag, which the file store writes with the next sweep, and the Redis store with the next pose.
 //!
-//! A record never changes: new handles or another picture make a new record with a new revision. Only [`Store::touch`] changes the time of
+//! A record never changes: new handles, layers or another picture make a new record with a new revision. Only [`Store::touch`] changes the time of
 //! the last use and the highest `seq`, both atomically.
 //!
 //! A session whose record another version of the program has written ([`record`]) is kept: only its owner's `delete` changes it, and every
@@ -28,6 +28,7 @@ pub mod redis;
 mod tests;
 mod url;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
@@ -45,6 +46,7 @@ pub use redis::Address;
 pub use url::StoreUrl;
 
 use crate::client::Owner;
+use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::period;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
@@ -66,6 +68,12 @@ pub struct Record {
     pub revision: Revision,
     /// Digest of the picture's file.
     pub image: Digest,
+    /// The layers, at most [`MAX_LAYERS`].
+    ///
+    /// [`MAX_LAYERS`]: crate::layer::MAX_LAYERS
+    pub layers: BTreeMap<LayerName, StoredLayer>,
+    /// Digest of the mask that the session was made with. The layer `region` may have changed since.
+    pub made_with_region: Option<Digest>,
     /// Upright size of the picture.
     pub extent: Extent,
     /// Handles at rest and the parameters of the deformation, as the client gave them.
@@ -78,11 +86,40 @@ pub struct Record {
     pub created: SystemTime,
 }
 
+/// A layer of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StoredLayer {
+    /// How its pixels are read.
+    pub kind: LayerKind,
+    /// Digest of its file.
+    pub digest: Digest,
+}
+
 impl Record {
-    /// Whether both were made from the same file and the same handles.
+    /// Whether both were made from the same files and the same handles. Layers that were added or removed since do not count.
     pub fn is_made_like(&self, other: &Self) -> bool {
-        let made = |record: &Self| (record.image, record.folds, record.output);
+        let made = |record: &Self| (record.image, record.made_with_region, record.folds, record.output);
         made(self) == made(other) && self.rest == other.rest
+    }
+
+    /// The digests of the files that it names: the picture's first, then those of the layers. Two may be the same.
+    pub fn files(&self) -> impl Iterator<Item = Digest> + '_ {
+        std::iter::once(self.image).chain(self.layers.values().map(|layer| layer.digest))
+    }
+}
+
+/// A file that a record names.
+#[derive(Clone, Debug)]
+pub struct NamedFile {
+    /// Digest of the bytes.
+    pub digest: Digest,
+    /// Its content.
+    pub bytes: Bytes,
+}
+
+impl NamedFile {
+    fn len(&self) -> u64 {
+        self.bytes.len() as u64
     }
 }
 
@@ -190,13 +227,15 @@ pub struct Figures {
     pub is_unknown: bool,
 }
 
-/// Sessions and the files of their pictures.
+/// Sessions and the files of their pictures and layers.
 pub trait Store: Send + Sync + fmt::Debug {
-    /// Creates or replaces a session. Its numbers start again, and it lives for another idle period.
-    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put>;
+    /// Creates or replaces a session. Its numbers start again, and it lives for another idle period. `files`: the picture's, and those of the
+    /// record's layers.
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put>;
 
-    /// Replaces the record of revision `old`, with the same picture; numbers go on. `None`: another revision is there.
-    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>>;
+    /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the file of the layer that only the new record
+    /// names, if there is one. Files of layers that only the old record names are removed. `None`: another revision is there.
+    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>>;
 
     /// Reads a session without prolonging it.
     fn peek(&self, id: SessionId) -> Answer<'_, Session>;
@@ -204,16 +243,16 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// Prolongs a session by another idle period and stores `seq` if it is the highest. The answer has the highest.
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session>;
 
-    /// Deletes a session, and its file with the last session that names it. For one idle period another delete has the same answer.
+    /// Deletes a session, and each of its files with the last session that names it. For one idle period another delete has the same answer.
     fn delete(&self, id: SessionId) -> Answer<'_, ()>;
 
-    /// The most memory that [`Store::image`] takes, beyond what the store holds, bytes.
-    fn image_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
+    /// The most memory that [`Store::file`] takes, beyond what the store holds, bytes.
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
 
-    /// The file of the session's picture, if it still has that digest.
-    fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
+    /// The file of that digest, of the session's picture or of one of its layers, if the session still names it.
+    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
 
-    /// Whether a session of that owner, known to this process, has that picture.
+    /// Whether a session of that owner, known to this process, names that file.
     fn names(&self, owner: Owner, digest: Digest) -> bool;
 
     /// Removes expired sessions; returns how many.

@@ -10,8 +10,9 @@
 //! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by
 //!    another version. It is kept: not served, not replaced, and deleted only by its owner.
 //! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot
-//!    read the rest keeps the files named like this (`named_files`).
+//!    read the rest keeps the files named like this (`named_files`), and the Redis store removes no layer's file that is.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
@@ -25,9 +26,10 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
 
-use super::Record;
+use super::{Record, StoredLayer};
+use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::session::{Revision, SessionId};
-use crate::wire::{AsJson, WarpObject, WarpPatch};
+use crate::wire::{AsJson, EnumName as _, WarpObject, WarpPatch};
 
 /// The version of the form. It changes when older programs would misunderstand a record.
 const VERSION: u32 = 1;
@@ -170,7 +172,30 @@ struct Document<W> {
     height: u32,
     /// Nanoseconds since 1970.
     created: u64,
+    /// Later fields (rule 1).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    layers: BTreeMap<String, Layer>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    made_with_region: Option<String>,
     warp: W,
+}
+
+#[derive(Derived, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Layer {
+    kind: String,
+    file: String,
+}
+
+impl Layer {
+    fn write((name, layer): (&LayerName, &StoredLayer)) -> (String, Self) {
+        (name.to_string(), Self { kind: layer.kind.as_str().to_owned(), file: layer.digest.to_string() })
+    }
+
+    fn read((name, layer): (String, Self)) -> Option<(LayerName, StoredLayer)> {
+        let kind = LayerKind::ALL.iter().find(|kind| kind.as_str() == layer.kind)?;
+        Some((LayerName::parse(&name)?, StoredLayer { kind: *kind, digest: Digest(unhex(&layer.file)?) }))
+    }
 }
 
 /// Writes a record.
@@ -184,6 +209,8 @@ pub fn write(record: &Record) -> Vec<u8> {
         width: record.extent.width(),
         height: record.extent.height(),
         created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
+        layers: record.layers.iter().map(Layer::write).collect(),
+        made_with_region: record.made_with_region.map(|digest| digest.to_string()),
         warp: Warp(record, Defaults::LeftOut),
     };
     sealed(&serde_json::to_vec(&document).expect("an object of numbers and words"))
@@ -217,10 +244,16 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     if warp.is_auto {
         return Err(other("its method is not chosen"));
     }
+    let layers = read.layers.into_iter().map(Layer::read).collect::<Option<BTreeMap<_, _>>>();
+    let layers = layers.filter(|layers| layers.len() <= MAX_LAYERS).ok_or_else(|| other("its layers are in another form"))?;
+    let region =
+        read.made_with_region.map(|digest| unhex(&digest).map(Digest).ok_or_else(|| other("its mask's digest is in another form")));
     Ok(Arc::new(Record {
         id: SessionId::from_bytes(&unhex(&read.id).ok_or_else(|| other("its name is in another form"))?),
         revision: Revision::from_bytes(unhex(&read.revision).ok_or_else(|| other("its revision is in another form"))?),
         image: Digest(unhex(&read.image).ok_or_else(|| other("its picture's digest is in another form"))?),
+        layers,
+        made_with_region: region.transpose()?,
         extent: Extent::new(read.width, read.height).ok_or_else(|| other("its picture has no size"))?,
         rest: warp.rest,
         folds: warp.folds,
@@ -238,10 +271,14 @@ pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     named
 }
 
-/// The digest of what a session was made from, the same in every version of the program (rule 2).
+/// The digest of what a session was made from, the same in every version of the program (rule 2). Layers that were added since are not in it.
 pub(crate) fn made(record: &Record) -> Digest {
-    let made = (record.image.to_string(), Warp(record, Defaults::Written));
-    Digest::of(&serde_json::to_vec(&made).expect("an object of numbers and words"))
+    let (image, warp) = (record.image.to_string(), Warp(record, Defaults::Written));
+    let made = match record.made_with_region {
+        Some(region) => serde_json::to_vec(&(image, warp, region.to_string())),
+        None => serde_json::to_vec(&(image, warp)),
+    };
+    Digest::of(&made.expect("an object of numbers and words"))
 }
 
 fn unhex<const N: usize>(digits: &str) -> Option<[u8; N]> {
@@ -286,6 +323,13 @@ mod tests {
         Record { rest, folds: Folds::Reject, output, ..rich() }
     }
 
+    fn layered() -> Record {
+        let layer = |kind, digest| StoredLayer { kind, digest: Digest([digest; 32]) };
+        let layers = [("depth.v1", layer(LayerKind::Image, 0xab)), ("region", layer(LayerKind::Labels, 0xcd))];
+        let layers = layers.into_iter().map(|(name, layer)| (LayerName::parse(name).unwrap(), layer)).collect();
+        Record { layers, made_with_region: Some(Digest([0xef; 32])), ..plain() }
+    }
+
     fn plain() -> Record {
         Record { rest: base().rest, folds: base().folds, output: base().output, ..rich() }
     }
@@ -299,7 +343,7 @@ mod tests {
 
     #[test]
     fn what_is_written_reads_back_to_the_bit() {
-        for record in [rich(), plain(), nothing_at_its_default()] {
+        for record in [rich(), plain(), nothing_at_its_default(), layered()] {
             let back = read(&write(&record)).unwrap();
             assert_eq!(*back, record);
             assert_eq!(write(&back), write(&record));
@@ -359,6 +403,23 @@ mod tests {
     }
 
     #[test]
+    fn layers_are_written_where_there_are_any_and_are_not_what_a_session_was_made_from() {
+        let text = |record: &Record| String::from_utf8(write(record)).unwrap();
+        let (none, some) = (plain(), layered());
+        assert!(!text(&none).contains("layer") && !text(&none).contains("region"));
+        let (ab, cd, ef) = ("ab".repeat(32), "cd".repeat(32), "ef".repeat(32));
+        let layers = format!(r#""layers":{{"depth.v1":{{"kind":"image","file":"{ab}"}},"region":{{"kind":"labels","file":"{cd}"}}}}"#);
+        assert!(text(&some).contains(&format!(r#",{layers},"made_with_region":"{ef}","#)), "{}", text(&some));
+        let named = named_files(&write(&some));
+        assert!(some.files().count() == 3 && some.files().all(|digest| named.contains(&digest)));
+        let without = Record { made_with_region: None, ..some.clone() };
+        assert!(made(&without) == made(&none) && without.is_made_like(&none));
+        assert!(made(&some) != made(&none) && !some.is_made_like(&none));
+        let other = text(&some)[CHECKSUM..].replace("\"image\",", "\"video\",");
+        assert!(matches!(read(&sealed(other.as_bytes())), Err(Unreadable::OtherVersion(_))));
+    }
+
+    #[test]
     fn what_this_program_does_not_know_is_of_another_version_and_not_damaged() {
         let record = rich();
         let text = String::from_utf8(write(&record)[CHECKSUM..].to_vec()).unwrap();
@@ -368,7 +429,7 @@ mod tests {
         };
         let others = [
             changed("\"version\":1", "\"version\":2"),
-            changed("\"version\":1", "\"version\":1,\"layers\":{}"),
+            changed("\"version\":1", "\"version\":1,\"frames\":{}"),
             with_warp(&record, r#"{"region":1}"#),
             with_warp(&record, r#"{"method":"arap"}"#),
             with_warp(&record, r#"{"method":"auto"}"#),

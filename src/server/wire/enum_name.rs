@@ -10,6 +10,7 @@ use serde::{Serialize, Serializer};
 use super::AsJson;
 use super::json::{Kind, Node};
 use super::suggest;
+use crate::layer::LayerKind;
 use crate::problem::words::{did_you_mean, list, quote};
 use crate::problem::{Code, Problem};
 
@@ -108,5 +109,6 @@ enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normal
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
+enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

@@ -27,6 +27,7 @@ pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
 pub use annotations::{Annotation, Annotations, MappedAnnotations};
+pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
 use handles::handles;

@@ -13,8 +13,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use mlswarp::warp::Digest;
+use redb::backends::FileBackend;
 use redb::{Database, DatabaseError, ReadableDatabase as _, ReadableTable, Table, TableDefinition, TableHandle as _, WriteTransaction};
 
+use super::backend::DurableLength;
 use crate::store::{NotOpened, StoreError};
 
 /// Session to record.
@@ -146,7 +148,7 @@ impl Disk {
     #[cfg(test)]
     pub(crate) fn over(disk: impl redb::StorageBackend) -> Result<Self, NotOpened> {
         let nowhere = Path::new("nowhere");
-        let opened = guarded(|| Ok(builder().create_with_backend(disk)?));
+        let opened = guarded(|| Ok(builder().create_with_backend(DurableLength(disk))?));
         opened.map(|database| Self::of(nowhere, database)).map_err(|failed| not_opened(nowhere, failed.why))
     }
 
@@ -184,7 +186,7 @@ impl Disk {
         state.tried = Instant::now();
         // Readers do not wait for the disk.
         drop(state);
-        let opened = guarded(|| Ok(builder().open(&self.path)?));
+        let opened = guarded(|| Ok(open_file(&self.path)?));
         let mut state = self.lock();
         match opened {
             Ok(database) => {
@@ -288,6 +290,11 @@ fn builder() -> redb::Builder {
     builder
 }
 
+fn open_file(path: &Path) -> Result<Database, DatabaseError> {
+    let file = OpenOptions::new().read(true).write(true).open(path)?;
+    builder().create_with_backend(DurableLength(FileBackend::new(file)?))
+}
+
 fn open_or_create(path: &Path) -> Result<Database, String> {
     let failed = |failed: Failed| failed.why;
     match File::open(path) {
@@ -301,7 +308,7 @@ fn open_or_create(path: &Path) -> Result<Database, String> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => create(path)?,
         Err(error) => return Err(error.to_string()),
     }
-    let database = guarded(|| match builder().open(path) {
+    let database = guarded(|| match open_file(path) {
         Err(DatabaseError::DatabaseAlreadyOpen) => Ok(None),
         opened => Ok(Some(opened?)),
     });
@@ -326,7 +333,7 @@ fn create(path: &Path) -> Result<(), String> {
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let file = options.open(&temporary).map_err(why)?;
         let empty = guarded(|| {
-            let database = builder().create_file(file)?;
+            let database = builder().create_with_backend(DurableLength(FileBackend::new(file)?))?;
             let mut transaction = database.begin_write()?;
             transaction.set_quick_repair(true);
             Change::of(&transaction)?;

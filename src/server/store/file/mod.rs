@@ -1,4 +1,4 @@
-//! The store in a file of this machine: an embedded transactional database (`disk.rs`) with records, numbers and pictures.
+//! The store in a file of this machine: an embedded transactional database (`disk.rs`) with records, numbers and files.
 //!
 //! A change is one transaction that has reached the disk before it is answered; it is finished even if its request is dropped. An index in
 //! memory answers everything that changes no record. After a start every session lives for another idle period. The highest numbers (`seq`)
@@ -6,6 +6,7 @@
 //! seconds old. One process opens the file. After a disk error the change is refused and the database closed; the next change opens it
 //! again, and until then reads go on.
 
+mod backend;
 mod disk;
 #[cfg(test)]
 mod tests;
@@ -24,7 +25,7 @@ use redb::ReadableTable as _;
 use super::index::{Index, PutOutcome};
 use super::record;
 use super::record::Unreadable;
-use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError, known};
+use super::{Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError, known};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
@@ -71,7 +72,7 @@ impl FileStore {
         let not_opened = disk.not_opened("it cannot be read; the log has more");
         let state = FileStoreState {
             bounds,
-            index: Mutex::new(Index::new(bounds)),
+            index: Mutex::new(Index::new(bounds, false)),
             written: Mutex::default(),
             disk,
             damaged: AtomicU64::new(0),
@@ -120,7 +121,7 @@ impl FileStoreState {
     /// Builds the index from the disk and deletes files that no session names. Damaged records are left where they are; records of another
     /// version, and the files that they name, are kept.
     fn read_all(&self, written: &mut Numbers) -> Result<(), StoreError> {
-        let mut index = Index::new(self.bounds);
+        let mut index = Index::new(self.bounds, false);
         written.clear();
         self.disk.change(|change| {
             let mut files = Files::new();
@@ -128,11 +129,11 @@ impl FileStoreState {
                 let (name, bytes) = entry?;
                 let id = SessionId::from_bytes(&name.value());
                 let why = match record::read(bytes.value()) {
-                    Ok(record) => match (checked_file(change, &mut files, record.image)?, record.id == id) {
-                        (Ok(file), true) => {
+                    Ok(record) => match (checked_files(change, &mut files, &record)?, record.id == id) {
+                        (Ok(sizes), true) => {
                             let number = change.numbers.get(&name.value())?.map(|number| number.value());
                             written.extend(number.map(|number| (id, number)));
-                            index.restore(record, file, number);
+                            index.restore(record, &sizes, number);
                             continue;
                         }
                         (Ok(_), false) => "its record is another session's",
@@ -164,44 +165,53 @@ impl FileStoreState {
         Ok(())
     }
 
-    fn put(&self, record: Arc<Record>, file: &Bytes) -> Result<Put, StoreError> {
+    fn put(&self, record: Arc<Record>, files: &[NamedFile]) -> Result<Put, StoreError> {
         let mut written = self.begin()?;
-        let len = file.len() as u64;
-        let is_full = self.index().check_put(&record, len).is_err();
+        let is_full = self.index().check_put(&record, files).is_err();
         if is_full {
             self.sweep(&mut written)?;
         }
-        let (outcome, is_stored, freed) = {
-            let index = self.index();
-            // A file that only another owner has is written again: a faster answer would reveal it.
-            let is_stored = index.names(record.id.owner(), record.image);
-            (index.check_put(&record, len)?, is_stored, index.freed(&[record.id], Some(record.image)))
-        };
+        let outcome = self.index().check_put(&record, files)?;
         if outcome != PutOutcome::Stay {
-            let (name, bytes) = (record.id.to_bytes(), record::write(&record));
-            self.disk.change(|change| {
-                change.records.insert(&name, bytes.as_slice())?;
-                change.numbers.remove(&name)?;
-                if !is_stored {
-                    // Pieces of a damaged file may be there.
-                    change.remove_file(record.image)?;
-                    change.add_file(record.image, file)?;
-                }
-                change.remove_files(&freed)
-            })?;
+            self.write_record(&record, files, |change| Ok(change.numbers.remove(&record.id.to_bytes()).map(drop)?))?;
             written.remove(&record.id);
         }
-        Ok(self.index().put(record, len, Bytes::new(), outcome))
+        Ok(self.index().put(record, files, outcome))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
+    fn revise(&self, old: Revision, new: Arc<Record>, layer: &[NamedFile]) -> Result<Option<Session>, StoreError> {
         let _written = self.begin()?;
-        if !self.index().check_revise(old, &new)? {
+        if !self.index().check_revise(old, &new, layer)? {
             return Ok(None);
         }
-        let (name, bytes) = (new.id.to_bytes(), record::write(&new));
-        self.disk.change(|change| Ok(change.records.insert(&name, bytes.as_slice()).map(drop)?))?;
-        Ok(self.index().revise(new))
+        self.write_record(&new, layer, |_| Ok(()))?;
+        Ok(self.index().revise(new, layer))
+    }
+
+    /// Writes a record and its new files, and removes those that no record names any more, in one transaction with `more`.
+    fn write_record(
+        &self,
+        record: &Record,
+        files: &[NamedFile],
+        more: impl FnOnce(&mut Change<'_>) -> Result<(), redb::Error>,
+    ) -> Result<(), StoreError> {
+        let (name, bytes, kept) = (record.id.to_bytes(), record::write(record), record.files().collect::<Vec<_>>());
+        let (added, freed) = {
+            let index = self.index();
+            // A file that only another owner has is written again: a faster answer would reveal it.
+            let is_new = |file: &&NamedFile| !index.names(record.id.owner(), file.digest);
+            (files.iter().filter(is_new).collect::<Vec<_>>(), index.freed(&[record.id], &kept))
+        };
+        self.disk.change(|change| {
+            change.records.insert(&name, bytes.as_slice())?;
+            for file in added {
+                // Pieces of a damaged file may be there.
+                change.remove_file(file.digest)?;
+                change.add_file(file.digest, &file.bytes)?;
+            }
+            change.remove_files(&freed)?;
+            more(change)
+        })
     }
 
     fn delete(&self, id: SessionId) -> Result<(), StoreError> {
@@ -215,7 +225,7 @@ impl FileStoreState {
 
     /// Removes sessions from the disk. The index follows: a session whose end was answered must not come back after a crash.
     fn remove(&self, ids: &[SessionId], written: &mut Numbers) -> Result<(), StoreError> {
-        let freed = self.index().freed(ids, None);
+        let freed = self.index().freed(ids, &[]);
         self.disk.change(|change| {
             for id in ids {
                 change.records.remove(&id.to_bytes())?;
@@ -256,8 +266,8 @@ impl FileStoreState {
         Ok(())
     }
 
-    /// Reads a picture's file. A damaged one ends its sessions.
-    fn image(&self, digest: Digest) -> Result<Bytes, StoreError> {
+    /// Reads a file. A damaged one ends the sessions that name it.
+    fn file(&self, digest: Digest) -> Result<Bytes, StoreError> {
         if let Some(file) = self.undamaged(digest)? {
             return Ok(file);
         }
@@ -266,8 +276,9 @@ impl FileStoreState {
         if let Some(file) = self.undamaged(digest)? {
             return Ok(file);
         }
-        let lost: Vec<SessionId> = self.index().records().filter(|record| record.image == digest).map(|record| record.id).collect();
-        tracing::error!(sessions = ?lost, "sessions have ended: their picture's file is damaged");
+        let names = |record: &&Arc<Record>| record.files().any(|file| file == digest);
+        let lost: Vec<SessionId> = self.index().records().filter(names).map(|record| record.id).collect();
+        tracing::error!(sessions = ?lost, "sessions have ended: the file of their picture or of a layer is damaged");
         self.remove(&lost, &mut written)?;
         self.damaged.fetch_add(lost.len() as u64, Ordering::Relaxed);
         let mut index = self.index();
@@ -298,9 +309,9 @@ impl Drop for FileStoreState {
 /// The size of a file, if it has that digest.
 fn check_file(file: &[u8], digest: Digest) -> Result<u64, &'static str> {
     match file.len() {
-        0 => Err("its picture's file is not there"),
+        0 => Err("a file of its picture or layers is not there"),
         len if Digest::of(file) == digest => Ok(len as u64),
-        _ => Err("its picture's file is damaged"),
+        _ => Err("a file of its picture or layers is damaged"),
     }
 }
 
@@ -312,13 +323,18 @@ fn checked_file(change: &Change<'_>, files: &mut Files, digest: Digest) -> Resul
     })
 }
 
+/// The sizes of a record's files in their order, or what is wrong with one of them.
+fn checked_files(change: &Change<'_>, files: &mut Files, record: &Record) -> Result<Result<Vec<u64>, &'static str>, redb::Error> {
+    record.files().map(|digest| checked_file(change, files, digest)).collect()
+}
+
 impl Store for FileStore {
-    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-        self.blocking(move |state| state.put(record, &image))
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+        self.blocking(move |state| state.put(record, &files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
-        self.blocking(move |state| state.revise(old, new))
+    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+        self.blocking(move |state| state.revise(old, new, layer.as_slice()))
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
@@ -333,12 +349,12 @@ impl Store for FileStore {
         self.blocking(move |state| state.delete(id))
     }
 
-    fn image_bytes(&self, _: SessionId, digest: Digest) -> Answer<'_, u64> {
+    fn file_bytes(&self, _: SessionId, digest: Digest) -> Answer<'_, u64> {
         known(self.0.index().file_bytes(digest).ok_or(StoreError::NoSuchSession))
     }
 
-    fn image(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        self.blocking(move |state| state.image(digest))
+    fn file(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        self.blocking(move |state| state.file(digest))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {

@@ -1,8 +1,8 @@
 //! The store on a Redis or Valkey server that several processes share.
 //!
 //! Every operation is one script (`script.rs` describes the keys), and every change is visible to all processes at once. Sessions expire by
-//! the server's own expiry; its `maxmemory` bounds their size. Each session has a copy of its picture's file, transferred on separate
-//! connections (`files.rs`).
+//! the server's own expiry; its `maxmemory` bounds their size. Each session has a copy of its picture's file and of those of its
+//! layers, transferred on separate connections (`files.rs`).
 //!
 //! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on for one idle period, with numbers that
 //! rise in this process alone; the server learns the highest one from the next pose. Everything else is refused.
@@ -23,11 +23,11 @@ use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
 use mlswarp::warp::Digest;
-use redis::{Cmd, FromRedisValue};
+use redis::{Cmd, FromRedisValue, Pipeline};
 
 use super::record;
 use super::record::Unreadable;
-use super::{Answer, Bounds, Figures, NotOpened, Put, Record, Session, Store, StoreError};
+use super::{Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
@@ -150,7 +150,7 @@ impl RedisStoreState {
         }
     }
 
-    async fn put(&self, record: Arc<Record>, image: Bytes) -> Result<Put, StoreError> {
+    async fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Result<Put, StoreError> {
         for _ in 0..PUT_ATTEMPTS {
             // A file that is there is not sent, and an unreadable record is not replaced.
             let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) = self.call(script::same(&record, self.idle)).await?;
@@ -162,15 +162,8 @@ impl RedisStoreState {
             }
             // The server has just answered.
             self.files_endpoint.health().paused_until = None;
-            // At 4 MB a second.
-            let limit = ANSWER_TIMEOUT + Duration::from_micros(image.len() as u64 / 4);
             let replaces = Replaces { revision, is_readable: old.is_some() };
-            let transaction = script::put(&record, &image, &replaces, self.idle);
-            let ask = |mut connection| {
-                let transaction = &transaction;
-                async move { transaction.query_async(&mut connection).await }
-            };
-            let ((status, seq),): ((i64, String),) = self.files.ask(limit, |_| image.len(), ask).await?;
+            let (status, seq) = self.send(&files, &script::put(&record, &files, &replaces, self.idle)).await?;
             match (status, old) {
                 (status::OTHER, _) => {}
                 // Only the file was missing.
@@ -188,14 +181,27 @@ impl RedisStoreState {
         Err(StoreError::Contended)
     }
 
+    /// Runs a transaction that stores files; returns its script's reply.
+    async fn send(&self, files: &[NamedFile], transaction: &Pipeline) -> Result<(i64, String), StoreError> {
+        let len: usize = files.iter().map(|file| file.bytes.len()).sum();
+        // At 4 MB a second.
+        let limit = ANSWER_TIMEOUT + Duration::from_micros(len as u64 / 4);
+        let ask = |mut connection| async move { transaction.query_async(&mut connection).await };
+        let (reply,): ((i64, String),) = self.files.ask(limit, |_| len, ask).await?;
+        Ok(reply)
+    }
+
     fn same(&self, record: Arc<Record>, seq: &str) -> Result<Put, StoreError> {
         let seq = number(seq)?;
         self.sessions.learn(Arc::clone(&record), seq);
         Ok(Put::Same(self.session(record, seq, self.idle)))
     }
 
-    async fn revise(&self, old: Revision, new: Arc<Record>) -> Result<Option<Session>, StoreError> {
-        let (status, seq): (i64, String) = self.call(script::revise(old, &new, self.idle)).await?;
+    async fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Result<Option<Session>, StoreError> {
+        let (status, seq): (i64, String) = match &layer {
+            Some(file) => self.send(layer.as_slice(), &script::revise_with(file, old, &new, self.idle)).await?,
+            None => self.call(script::revise(old, &new, self.idle)).await?,
+        };
         match status {
             status::FOUND => {
                 let seq = number(&seq)?;
@@ -281,21 +287,26 @@ impl RedisStoreState {
         if status == status::FOUND { Ok(()) } else { Err(absent) }
     }
 
-    async fn image_bytes(&self, id: SessionId) -> Result<u64, StoreError> {
-        Ok(FILE_COPIES * self.run::<u64>(ANSWER_TIMEOUT, &script::file_bytes(id)).await?)
+    async fn file_bytes(&self, id: SessionId, digest: Digest) -> Result<u64, StoreError> {
+        let both = &script::file_bytes(id, digest);
+        let ask = |mut connection| async move { both.query_async(&mut connection).await };
+        let (layer, picture): (u64, u64) = self.connection.ask(ANSWER_TIMEOUT, ask).await?;
+        Ok(FILE_COPIES * if layer > 0 { layer } else { picture })
     }
 
-    async fn image(&self, id: SessionId, digest: Digest) -> Result<Bytes, StoreError> {
-        let command = script::file(id);
-        let ask = |mut connection| {
-            let command = &command;
-            async move { command.query_async(&mut connection).await }
+    async fn file(&self, id: SessionId, digest: Digest) -> Result<Bytes, StoreError> {
+        let (layer, picture) = (&script::layer_file(id, digest), &script::picture_file(id));
+        let ask = |mut connection| async move {
+            match layer.query_async(&mut connection).await? {
+                None => picture.query_async(&mut connection).await,
+                found => Ok(found),
+            }
         };
         let len = |file: &Option<Vec<u8>>| file.as_ref().map_or(0, Vec::len);
         let file = Bytes::from(self.files.ask(FILE_TIMEOUT, len, ask).await?.ok_or(StoreError::NoSuchSession)?);
         let hashed = file.clone();
         let found = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(|_| StoreError::Away)?;
-        // A replaced session has another picture's file.
+        // A replaced session has another picture's file, and so has one without that layer.
         if found == digest { Ok(file) } else { Err(StoreError::NoSuchSession) }
     }
 
@@ -315,12 +326,12 @@ impl RedisStoreState {
 }
 
 impl Store for RedisStore {
-    fn put(&self, record: Arc<Record>, image: Bytes) -> Answer<'_, Put> {
-        Box::pin(self.0.put(record, image))
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+        Box::pin(self.0.put(record, files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>) -> Answer<'_, Option<Session>> {
-        Box::pin(self.0.revise(old, new))
+    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+        Box::pin(self.0.revise(old, new, layer))
     }
 
     fn peek(&self, id: SessionId) -> Answer<'_, Session> {
@@ -335,12 +346,12 @@ impl Store for RedisStore {
         Box::pin(self.0.delete(id))
     }
 
-    fn image_bytes(&self, id: SessionId, _: Digest) -> Answer<'_, u64> {
-        Box::pin(self.0.image_bytes(id))
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+        Box::pin(self.0.file_bytes(id, digest))
     }
 
-    fn image(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        Box::pin(self.0.image(id, digest))
+    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        Box::pin(self.0.file(id, digest))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {

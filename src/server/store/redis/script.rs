@@ -2,7 +2,8 @@
 //!
 //! | key | content | expires after |
 //! |---|---|---|
-//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (its digest), `revision`, `life` (creation time), `seq` | one idle period |
+//! | `mlswarp:{NAME}:session` | hash: `record`, `made` (its digest), `revision`, `life` (creation time), `seq`, and per file of a layer
+//! `layer:DIGEST` | one idle period |
 //! | `mlswarp:{NAME}:file` | the picture's file | one idle period |
 //! | `mlswarp:{NAME}:grave` | empty; the tombstone of an expired session | two idle periods |
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
@@ -11,18 +12,22 @@
 //! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they compare as strings. A full server refuses
 //! the first write of a script if it may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
 //!
-//! Scripts are called by their digest (`EVALSHA`) and sent once. `PUT` is sent in full each time: inside `MULTI` a missing script would
-//! fail after the file has been stored.
+//! Scripts are called by their digest (`EVALSHA`) and sent once. Those that follow a file are sent in full each time: inside `MULTI` a missing
+//! script would fail after the file has been stored.
+//!
+//! The file of a layer is set before the script runs that decides whether a record will name it. That script then removes all layers' files
+//! that the record does not name, which it would contain in hexadecimal.
 
 use std::sync::LazyLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use data_encoding::HEXLOWER;
+use mlswarp::warp::Digest;
 use redis::{Cmd, Pipeline, Script, ScriptInvocation};
 
 use crate::session::{Revision, SessionId};
 use crate::store::record::{made, write};
-use crate::store::{Record, StoreError};
+use crate::store::{NamedFile, Record, StoreError};
 
 /// The first value of each script's reply.
 pub(crate) mod status {
@@ -49,22 +54,34 @@ return {status, is[2] or '', is[3] or '', is[4] or ''}",
     )
 });
 
+/// Removes the files of layers that a record does not name.
+const KEEP_NAMED: &str = r"
+local function keep_named(record)
+  for _, field in ipairs(redis.call('HKEYS', KEYS[1])) do
+    local digest = string.match(field, '^layer:(%x+)$')
+    if digest and not string.find(record, digest, 1, true) then redis.call('HDEL', KEYS[1], field) end
+  end
+end";
+
 /// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no
 /// session), and whether its record is readable. Any other revision, and its file, stay as they are.
 const PUT: &str = r"
-local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision')
+local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision', 'record')
 if (is[3] or '') ~= ARGV[6] then
   redis.call('DEL', KEYS[4])
+  keep_named(is[4] or '')
   return {3, ''}
 end
 redis.call('RENAME', KEYS[4], KEYS[2])
 if is[1] == ARGV[2] and ARGV[7] == '1' then
+  keep_named(is[4])
   redis.call('PEXPIRE', KEYS[1], ARGV[1])
   redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
   return {2, is[2] or ''}
 end
-redis.call('DEL', KEYS[1])
+redis.call('HDEL', KEYS[1], 'seq')
 redis.call('HSET', KEYS[1], 'made', ARGV[2], 'record', ARGV[3], 'revision', ARGV[4], 'life', ARGV[5])
+keep_named(ARGV[3])
 redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('SET', KEYS[3], '', 'PX', 2 * ARGV[1])
 return {0, ''}";
@@ -101,20 +118,20 @@ return {2, redis.call('HGET', KEYS[1], 'record'), is[2] or '', left}",
     )
 });
 
-/// ARGV: idle, old revision, made, record, revision.
-static REVISE: LazyLock<Script> = LazyLock::new(|| {
-    Script::new(
-        r"
-local is = redis.call('HMGET', KEYS[1], 'revision', 'seq')
+/// ARGV: idle, old revision, made, record, revision. A layer is removed before memory is needed: that works on a full server.
+const REVISE: &str = r"
+local is = redis.call('HMGET', KEYS[1], 'revision', 'seq', 'record')
+local is_old = is[1] == ARGV[2]
+keep_named(is_old and ARGV[4] or is[3] or '')
 if not is[1] then return {redis.call('EXISTS', KEYS[3]), ''} end
-if is[1] ~= ARGV[2] then return {3, ''} end
+if not is_old then return {3, ''} end
 redis.call('HSET', KEYS[1], 'made', ARGV[3], 'record', ARGV[4], 'revision', ARGV[5])
 redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('PEXPIRE', KEYS[2], ARGV[1])
 redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
-return {2, is[2] or ''}",
-    )
-});
+return {2, is[2] or ''}";
+
+static REVISE_ALONE: LazyLock<Script> = LazyLock::new(|| Script::new(&[KEEP_NAMED, REVISE].concat()));
 
 /// KEYS[4]: says that the session was deleted before. ARGV: idle.
 static DELETE: LazyLock<Script> = LazyLock::new(|| {
@@ -184,12 +201,20 @@ pub(crate) struct Replaces {
     pub(crate) is_readable: bool,
 }
 
-/// Stores the file and the record in one transaction.
-pub(crate) fn put(record: &Record, file: &[u8], replaces: &Replaces, idle: Duration) -> Pipeline {
+/// Stores the files and the record in one transaction.
+pub(crate) fn put(record: &Record, files: &[NamedFile], replaces: &Replaces, idle: Duration) -> Pipeline {
     let upload = key(record.id, "upload");
     let mut transaction = redis::pipe();
-    transaction.atomic().cmd("SET").arg(&upload).arg(file).arg("PX").arg(millis(idle)).ignore();
-    transaction.cmd("EVAL").arg(PUT).arg(4).arg(&keys(record.id)).arg(upload).arg(millis(idle));
+    transaction.atomic();
+    for file in files {
+        if file.digest == record.image {
+            transaction.cmd("SET").arg(&upload).arg(&file.bytes[..]).arg("PX").arg(millis(idle)).ignore();
+        }
+        if record.layers.values().any(|layer| layer.digest == file.digest) {
+            set_layer(&mut transaction, record.id, file);
+        }
+    }
+    transaction.cmd("EVAL").arg([KEEP_NAMED, PUT].concat()).arg(4).arg(&keys(record.id)).arg(upload).arg(millis(idle));
     transaction.arg(made(record).to_string()).arg(write(record)).arg(revision(record.revision)).arg(life(record.created));
     transaction.arg(&replaces.revision).arg(u8::from(replaces.is_readable));
     transaction
@@ -212,10 +237,28 @@ pub(crate) fn peek(id: SessionId, cached: Option<&Record>, idle: Duration) -> Ca
     call
 }
 
+fn set_layer(transaction: &mut Pipeline, id: SessionId, file: &NamedFile) {
+    transaction.cmd("HSET").arg(key(id, "session")).arg(layer(file.digest)).arg(&file.bytes[..]).ignore();
+}
+
+/// The field of a layer's file.
+fn layer(digest: Digest) -> String {
+    format!("layer:{digest}")
+}
+
 pub(crate) fn revise(old: Revision, new: &Record, idle: Duration) -> Call {
-    let mut call = call(&REVISE, new.id, idle);
+    let mut call = call(&REVISE_ALONE, new.id, idle);
     call.arg(revision(old)).arg(made(new).to_string()).arg(write(new)).arg(revision(new.revision));
     call
+}
+
+/// As [`revise`], with the file of a layer.
+pub(crate) fn revise_with(file: &NamedFile, old: Revision, new: &Record, idle: Duration) -> Pipeline {
+    let mut transaction = redis::pipe();
+    set_layer(transaction.atomic(), new.id, file);
+    transaction.cmd("EVAL").arg([KEEP_NAMED, REVISE].concat()).arg(3).arg(&keys(new.id)).arg(millis(idle));
+    transaction.arg(revision(old)).arg(made(new).to_string()).arg(write(new)).arg(revision(new.revision));
+    transaction
 }
 
 pub(crate) fn delete(id: SessionId, idle: Duration) -> Call {
@@ -224,11 +267,18 @@ pub(crate) fn delete(id: SessionId, idle: Duration) -> Call {
     call
 }
 
-/// Bytes of the file; 0 if it is not there.
-pub(crate) fn file_bytes(id: SessionId) -> Cmd {
-    redis::cmd("STRLEN").arg(key(id, "file")).take()
+/// Bytes of the layer's file of that digest, and of the picture's file; 0 if one is not there.
+pub(crate) fn file_bytes(id: SessionId, digest: Digest) -> Pipeline {
+    let mut both = redis::pipe();
+    both.cmd("HSTRLEN").arg(key(id, "session")).arg(layer(digest));
+    both.cmd("STRLEN").arg(key(id, "file"));
+    both
 }
 
-pub(crate) fn file(id: SessionId) -> Cmd {
+pub(crate) fn picture_file(id: SessionId) -> Cmd {
     redis::cmd("GET").arg(key(id, "file")).take()
+}
+
+pub(crate) fn layer_file(id: SessionId, digest: Digest) -> Cmd {
+    redis::cmd("HGET").arg(key(id, "session")).arg(layer(digest)).take()
 }

@@ -95,9 +95,9 @@ impl SessionCache {
         before - state.sessions.len()
     }
 
-    /// Whether a cached session of that owner has that picture.
-    pub(crate) fn names(&self, owner: Owner, image: Digest) -> bool {
-        self.lock().sessions.iter().any(|(id, cached)| cached.record.image == image && id.owner() == owner)
+    /// Whether a cached session of that owner names that file.
+    pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
+        self.lock().sessions.iter().any(|(id, cached)| id.owner() == owner && cached.record.files().any(|file| file == digest))
     }
 
     /// The number of sessions, and their bytes.

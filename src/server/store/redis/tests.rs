@@ -2,7 +2,7 @@ use data_encoding::HEXLOWER;
 
 use super::*;
 use crate::store::StoreUrl;
-use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, files, made_anew, named, with_layer, with_weights};
 use crate::store::tests::{model, suite};
 
 #[path = "../../../../tests/it/support/redis.rs"]
@@ -79,15 +79,15 @@ async fn a_server_that_is_slow_is_heard_all_the_same() {
     let server = Redis::start(&[]);
     let (slow, other) = (slow_way(&server, 2 * CACHED_TIMEOUT).await, store_of(&server, bounds()));
     let a = suite::record(1);
-    slow.put(Arc::clone(&a), file(1)).await.unwrap();
+    slow.put(Arc::clone(&a), files(1)).await.unwrap();
     let b = with_weights(&a, 2);
-    other.revise(a.revision, Arc::clone(&b)).await.unwrap().unwrap();
+    other.revise(a.revision, Arc::clone(&b), None).await.unwrap().unwrap();
     // Whoever revises begins with what is there.
     let mut rounds = 0;
     let c = loop {
         let there = slow.touch(a.id, None).await.unwrap().record;
         let new = with_weights(&there, 3);
-        if slow.revise(there.revision, Arc::clone(&new)).await.unwrap().is_some() {
+        if slow.revise(there.revision, Arc::clone(&new), None).await.unwrap().is_some() {
             break new;
         }
         rounds += 1;
@@ -96,7 +96,7 @@ async fn a_server_that_is_slow_is_heard_all_the_same() {
     assert_eq!(other.touch(a.id, None).await.unwrap().record, c);
     // Nor does whoever drags go on with what has been replaced.
     let d = made_anew(&a, 2);
-    other.put(Arc::clone(&d), file(2)).await.unwrap();
+    other.put(Arc::clone(&d), files(2)).await.unwrap();
     let began = Instant::now();
     while slow.touch(a.id, None).await.unwrap().record != d {
         assert!(began.elapsed() < 10 * READY_TIMEOUT, "what others did is never seen");
@@ -114,7 +114,7 @@ async fn numbers_do_not_fall_when_the_server_was_away_for_a_moment() {
     let server = Redis::start(&[]);
     let (store, other) = (slow_way(&server, CACHED_TIMEOUT / 2).await, store_of(&server, bounds()));
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     // The script is on the server: sending it takes longer than the wait for an answer.
     other.touch(a.id, None).await.unwrap();
     let cached = store.0.sessions.get(a.id).unwrap();
@@ -129,7 +129,7 @@ async fn numbers_do_not_fall_when_the_server_was_away_for_a_moment() {
     assert_eq!(other.touch(a.id, None).await.unwrap().seq, Some(9));
     cached.progress().seq = Some(12);
     let again = Arc::new(Record { revision: Revision::random(), ..(*a).clone() });
-    assert!(matches!(store.put(again, file(1)).await, Ok(Put::Same(_))));
+    assert!(matches!(store.put(again, files(1)).await, Ok(Put::Same(_))));
     assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(12));
 }
 
@@ -138,7 +138,7 @@ async fn numbers_that_were_given_without_the_server_are_known_to_it_with_the_nex
     let server = Redis::start(&[]);
     let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     store.touch(a.id, Some(1)).await.unwrap();
     server.signal("-STOP");
     // The first one is asked all the same, and heard later; those that come then are not asked.
@@ -161,7 +161,7 @@ async fn a_key_of_somebody_else_is_no_outage() {
     let server = Redis::start(&[]);
     let store = store_of(&server, bounds());
     let (a, b) = (suite::record(1), suite::record(2));
-    store_of(&server, bounds()).put(Arc::clone(&b), file(2)).await.unwrap();
+    store_of(&server, bounds()).put(Arc::clone(&b), files(2)).await.unwrap();
     let key = script::key(a.id, "session");
     assert_eq!(server.say(&format!("SET {key} nothing")), "+OK\r\n");
     assert!(store.touch(a.id, None).await.is_err());
@@ -177,22 +177,22 @@ async fn another_process_sees_the_session_its_numbers_and_its_handles_at_once() 
     let server = Redis::start(&[]);
     let (one, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
-    one.put(Arc::clone(&a), file(1)).await.unwrap();
+    one.put(Arc::clone(&a), files(1)).await.unwrap();
     one.touch(a.id, Some(41)).await.unwrap();
     let there = other.touch(a.id, Some(3)).await.unwrap();
     assert_eq!((&there.record, there.seq), (&a, Some(41)));
-    assert_eq!(other.image(a.id, a.image).await.unwrap(), file(1));
+    assert_eq!(other.file(a.id, a.image).await.unwrap(), file(1));
 
     let b = with_weights(&a, 2);
-    other.revise(a.revision, Arc::clone(&b)).await.unwrap().unwrap();
-    assert!(one.revise(a.revision, with_weights(&a, 3)).await.unwrap().is_none());
+    other.revise(a.revision, Arc::clone(&b), None).await.unwrap().unwrap();
+    assert!(one.revise(a.revision, with_weights(&a, 3), None).await.unwrap().is_none());
     assert_eq!(one.touch(a.id, None).await.unwrap().record, b);
 
     let c = made_anew(&a, 2);
-    assert!(matches!(other.put(Arc::clone(&c), file(2)).await, Ok(Put::Replaced(..))));
+    assert!(matches!(other.put(Arc::clone(&c), files(2)).await, Ok(Put::Replaced(..))));
     let there = one.touch(a.id, Some(0)).await.unwrap();
     assert_eq!((&there.record, there.seq), (&c, Some(0)), "numbers of the old life do not count");
-    assert_eq!(one.image(a.id, a.image).await, Err(StoreError::NoSuchSession));
+    assert_eq!(one.file(a.id, a.image).await, Err(StoreError::NoSuchSession));
 
     other.delete(a.id).await.unwrap();
     assert_eq!(one.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
@@ -205,7 +205,7 @@ async fn a_warm_session_goes_on_while_the_server_is_away_and_its_numbers_are_tol
     let mut server = Redis::start(&["--appendonly", "yes", "--appendfsync", "always"]);
     let (store, cold) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     assert_eq!(cold.ready().await, Ok(()));
     server.kill();
     for seq in [5, 3, 8] {
@@ -214,10 +214,10 @@ async fn a_warm_session_goes_on_while_the_server_is_away_and_its_numbers_are_tol
     assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(8));
     assert_eq!(store.peek(a.id).await.unwrap().seq, Some(8));
     assert_eq!(cold.touch(a.id, None).await.unwrap_err(), StoreError::Away);
-    assert_eq!(store.put(suite::record(2), file(2)).await.unwrap_err(), StoreError::Away);
-    assert_eq!(store.revise(a.revision, with_weights(&a, 1)).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.put(suite::record(2), files(2)).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.revise(a.revision, with_weights(&a, 1), None).await.unwrap_err(), StoreError::Away);
     assert_eq!(store.delete(a.id).await.unwrap_err(), StoreError::Away);
-    assert_eq!(store.image(a.id, a.image).await.unwrap_err(), StoreError::Away);
+    assert_eq!(store.file(a.id, a.image).await.unwrap_err(), StoreError::Away);
     assert_eq!(store.ready().await, Err(StoreError::Away));
     assert!(store.figures().failures > 0);
 
@@ -233,7 +233,7 @@ async fn a_warm_session_does_not_outlive_its_idle_time_without_the_server() {
     let mut server = Redis::start(&[]);
     let store = store_of(&server, Bounds { idle: Duration::from_secs(1), ..bounds() });
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     server.kill();
     store.touch(a.id, None).await.unwrap();
     tokio::time::sleep(LATER).await;
@@ -245,13 +245,13 @@ async fn a_server_that_comes_back_empty_has_lost_the_sessions_and_takes_new_ones
     let mut server = Redis::start(&[]);
     let store = store_of(&server, bounds());
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     server.kill();
     store.touch(a.id, None).await.unwrap();
     server.start_again();
     once_it_is_back(async || store.ready().await).await.unwrap();
     assert_eq!(store.touch(a.id, None).await.unwrap_err(), StoreError::NoSuchSession);
-    assert!(matches!(once_it_is_back(async || store.put(Arc::clone(&a), file(1)).await).await, Ok(Put::Created(_))));
+    assert!(matches!(once_it_is_back(async || store.put(Arc::clone(&a), files(1)).await).await, Ok(Put::Created(_))));
 }
 
 #[tokio::test]
@@ -259,7 +259,7 @@ async fn a_server_that_says_nothing_is_waited_for_once_and_not_long() {
     let server = Redis::start(&[]);
     let (store, cold) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     assert_eq!(cold.ready().await, Ok(()));
     server.signal("-STOP");
     let began = Instant::now();
@@ -281,24 +281,24 @@ async fn a_full_server_refuses_newcomers_and_goes_on_with_the_living() {
     let server = Redis::start(&["--maxmemory-policy", "noeviction"]);
     let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     // An empty server takes more than that.
     assert_eq!(server.say("CONFIG SET maxmemory 100kb"), "+OK\r\n");
     let large = Bytes::from(vec![5; 1 << 20]);
     let record = Arc::new(Record { image: Digest::of(&large), ..(*suite::record(2)).clone() });
-    assert_eq!(store.put(record, large).await.unwrap_err(), StoreError::NoRoom);
-    assert_eq!(store.put(suite::record(3), file(3)).await.unwrap_err(), StoreError::NoRoom);
+    assert_eq!(store.put(record, named(large)).await.unwrap_err(), StoreError::NoRoom);
+    assert_eq!(store.put(suite::record(3), files(3)).await.unwrap_err(), StoreError::NoRoom);
     assert_eq!(server.say("DBSIZE"), ":3\r\n", "what was refused has left nothing");
-    assert_eq!(store.revise(a.revision, with_weights(&a, 1)).await.unwrap_err(), StoreError::NoRoom);
+    assert_eq!(store.revise(a.revision, with_weights(&a, 1), None).await.unwrap_err(), StoreError::NoRoom);
     for (store, seq) in [(&store, 4), (&other, 5)] {
         assert_eq!(store.touch(a.id, Some(seq)).await.unwrap().seq, Some(seq));
     }
     assert_eq!(store.touch(a.id, None).await.unwrap().seq, Some(5), "numbers are told also then");
-    assert_eq!(other.image(a.id, a.image).await.unwrap(), file(1));
+    assert_eq!(other.file(a.id, a.image).await.unwrap(), file(1));
     assert_eq!((store.ready().await, store.figures().failures), (Ok(()), 3));
     store.delete(a.id).await.unwrap();
     assert_eq!(server.say("CONFIG SET maxmemory 0"), "+OK\r\n");
-    store.put(suite::record(3), file(3)).await.unwrap();
+    store.put(suite::record(3), files(3)).await.unwrap();
 }
 
 #[tokio::test]
@@ -307,7 +307,7 @@ async fn damaged_records_are_left_out_and_may_be_made_anew() {
     let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
     let (a, whole) = (suite::record(1), suite::record(2));
     for (record, picture) in [(&a, 1), (&whole, 2)] {
-        store.put(Arc::clone(record), file(picture)).await.unwrap();
+        store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
     let key = script::key(a.id, "session");
     assert_eq!(server.say(&format!("HSET {key} record nothing")), ":0\r\n");
@@ -316,7 +316,7 @@ async fn damaged_records_are_left_out_and_may_be_made_anew() {
     }
     assert_eq!(other.figures().damaged, 2);
     assert!(other.peek(whole.id).await.is_ok());
-    assert!(matches!(other.put(Arc::clone(&a), file(1)).await, Ok(Put::Created(_))));
+    assert!(matches!(other.put(Arc::clone(&a), files(1)).await, Ok(Put::Created(_))));
     assert_eq!(other.touch(a.id, None).await.unwrap().record, a);
 }
 
@@ -346,17 +346,43 @@ async fn a_file_that_comes_too_late_changes_nothing() {
     let server = Redis::start(&[]);
     let store = store_of(&server, bounds());
     let a = suite::record(1);
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     let late = made_anew(&a, 2);
     let mut there = redis::Client::open(server.address()).unwrap().get_connection().unwrap();
     for revision in ["", "0123456789abcdef0123456789abcdef"] {
         let replaces = Replaces { revision: revision.to_owned(), is_readable: true };
-        let ((status, _),): ((i64, String),) = script::put(&late, &file(2), &replaces, store.0.idle).query(&mut there).unwrap();
+        let ((status, _),): ((i64, String),) = script::put(&late, &files(2), &replaces, store.0.idle).query(&mut there).unwrap();
         assert_eq!(status, status::OTHER);
         assert_eq!(store.peek(a.id).await.unwrap().record, a);
-        assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+        assert_eq!(store.file(a.id, a.image).await.unwrap(), file(1));
     }
     assert_eq!(server.say("DBSIZE"), ":3\r\n", "nothing of it is left");
+}
+
+/// A layer whose session has ended, or has another revision, leaves no key and no field.
+#[tokio::test]
+async fn a_layer_that_comes_too_late_leaves_nothing() {
+    let server = Redis::start(&[]);
+    let (store, other) = (store_of(&server, bounds()), store_of(&server, bounds()));
+    let (a, layer) = (suite::record(1), || named(file(2)).pop());
+    let late = with_layer(&a, "x", Some(2));
+    assert_eq!(store.revise(a.revision, Arc::clone(&late), layer()).await.unwrap_err(), StoreError::NoSuchSession);
+    assert_eq!(server.say("DBSIZE"), ":0\r\n");
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
+    let fields = server.say(&format!("HLEN {}", script::key(a.id, "session")));
+    assert!(store.revise(Revision::random(), Arc::clone(&late), layer()).await.unwrap().is_none());
+    assert_eq!(server.say(&format!("HLEN {}", script::key(a.id, "session"))), fields);
+    // Another process sees the layer, and its expiry is the session's.
+    store.revise(a.revision, Arc::clone(&late), layer()).await.unwrap().unwrap();
+    assert_eq!(other.touch(a.id, None).await.unwrap().record, late);
+    assert_eq!(other.file(a.id, Digest::of(&file(2))).await.unwrap(), file(2));
+    assert_eq!(server.say("DBSIZE"), ":3\r\n");
+    // A full server stores no layer, and removes one.
+    assert_eq!(server.say("CONFIG SET maxmemory 100kb"), "+OK\r\n");
+    let more = store.revise(late.revision, with_layer(&late, "y", Some(3)), named(file(3)).pop()).await;
+    assert_eq!(more.unwrap_err(), StoreError::NoRoom);
+    store.revise(late.revision, with_layer(&late, "x", None), None).await.unwrap().unwrap();
+    assert_eq!(server.say(&format!("HLEN {}", script::key(a.id, "session"))), fields);
 }
 
 /// Several processes put different pictures under one name: each is told that it did, and one of them is there.
@@ -366,7 +392,7 @@ async fn one_of_those_who_put_at_the_same_time_is_there() {
     let base = suite::record(0);
     let puts = (0..6).map(|picture| {
         let (store, record) = (store_of(&server, bounds()), made_anew(&base, picture));
-        tokio::spawn(async move { store.put(Arc::clone(&record), file(picture)).await.map(|_| record) })
+        tokio::spawn(async move { store.put(Arc::clone(&record), files(picture)).await.map(|_| record) })
     });
     let mut put = Vec::new();
     for done in futures_util::future::join_all(puts).await {
@@ -375,7 +401,7 @@ async fn one_of_those_who_put_at_the_same_time_is_there() {
     let store = store_of(&server, bounds());
     let there = store.peek(base.id).await.unwrap().record;
     assert!(put.contains(&there));
-    assert_eq!(Digest::of(&store.image(there.id, there.image).await.unwrap()), there.image);
+    assert_eq!(Digest::of(&store.file(there.id, there.image).await.unwrap()), there.image);
 }
 
 /// A way to the server that closes so many connections in the middle of a file.
@@ -417,15 +443,15 @@ async fn a_transfer_that_breaks_is_not_in_the_way_of_the_next() {
     let store = way_that_breaks(&server, Arc::clone(&breaks)).await;
     let large = Bytes::from(vec![9; 4 << 20]);
     let a = Arc::new(Record { image: Digest::of(&large), ..(*suite::record(0)).clone() });
-    store.put(Arc::clone(&a), large.clone()).await.unwrap();
+    store.put(Arc::clone(&a), named(large.clone())).await.unwrap();
     for _ in 0..20 {
         // Whoever waits for it leaves at some moment.
-        let _ = tokio::time::timeout(Duration::from_millis(3), store.image(a.id, a.image)).await;
+        let _ = tokio::time::timeout(Duration::from_millis(3), store.file(a.id, a.image)).await;
     }
-    assert_eq!(store.image(a.id, a.image).await.unwrap(), large);
+    assert_eq!(store.file(a.id, a.image).await.unwrap(), large);
     for _ in 0..3 {
         breaks.store(1, Ordering::Relaxed);
-        let (one, other) = tokio::join!(store.image(a.id, a.image), store.image(a.id, a.image));
+        let (one, other) = tokio::join!(store.file(a.id, a.image), store.file(a.id, a.image));
         assert_eq!((one.unwrap(), other.unwrap()), (large.clone(), large.clone()));
         assert_eq!(breaks.load(Ordering::Relaxed), 0, "a connection was closed");
     }

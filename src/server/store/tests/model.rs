@@ -1,11 +1,13 @@
 //! Random sequences of everything that may be asked of a store, against a model that is simple enough to be right. Time is real: where a
 //! session's life ends during the question, either answer is right, and the model believes it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::suite::{file, made_anew, record, with_weights};
+use mlswarp::warp::Digest;
+
+use super::suite::{file, files, made_anew, record, with_layer, with_weights};
 use crate::session::{Revision, SessionId};
 use crate::store::{Bounds, Put, Record, Session, Store, StoreError};
 
@@ -49,7 +51,6 @@ enum Truth {
 #[derive(Clone, Debug)]
 struct Live {
     record: Arc<Record>,
-    picture: u8,
     seq: Option<u64>,
     used: Moment,
 }
@@ -147,11 +148,11 @@ pub(crate) async fn follows<S: Store>(
                 let picture = dice.picture(4);
                 let base = made_anew(&ids[k], picture);
                 let new = if dice.below(2) == 0 { base } else { with_weights(&base, 1 + dice.below(2) * 40) };
-                let answer = store.put(Arc::clone(&new), file(picture)).await;
+                let answer = store.put(Arc::clone(&new), files(picture)).await;
                 let asked = asked();
                 // What there would be, with those that may live and with those that do.
                 let lives = |all: &[Known], least: bool| -> (usize, u64) {
-                    let mut files: Vec<u8> = vec![picture];
+                    let mut files: HashSet<Digest> = new.files().collect();
                     let (mut n, mut bytes) = (1, crate::store::index::record_bytes(&new));
                     for (j, known) in all.iter().enumerate() {
                         let truth = known.lives(asked);
@@ -161,12 +162,10 @@ pub(crate) async fn follows<S: Store>(
                                 (n, bytes) = (n + 1, bytes + live.bytes());
                             }
                             if j != k || !least {
-                                files.push(live.picture);
+                                files.extend(live.record.files());
                             }
                         }
                     }
-                    files.sort_unstable();
-                    files.dedup();
                     (n, bytes + 1000 * files.len() as u64)
                 };
                 let b = bounds();
@@ -205,7 +204,7 @@ pub(crate) async fn follows<S: Store>(
                             }
                             Put::Same(_) => unreachable!(),
                         };
-                        let live = Live { record: new, picture, seq: None, used: asked };
+                        let live = Live { record: new, seq: None, used: asked };
                         live.is(&session, &what);
                         all[k] = Known { live: Some(live), ..Known::default() };
                     }
@@ -214,9 +213,16 @@ pub(crate) async fn follows<S: Store>(
             5 | 6 => {
                 let right = dice.below(3) > 0;
                 let base = all[k].live.as_ref().map_or_else(|| Arc::clone(&ids[k]), |live| Arc::clone(&live.record));
-                let new = with_weights(&base, 1 + dice.below(3));
+                let mut new = with_weights(&base, 1 + dice.below(3));
+                let mut layer = None;
+                if dice.below(2) == 0 {
+                    let (name, added) = (["a", "region"][dice.below(2)], (dice.below(3) > 0).then(|| dice.picture(6)));
+                    new = with_layer(&new, name, added);
+                    layer = added.and_then(|added| files(added).pop());
+                    *seen.entry("layers").or_default() += 1;
+                }
                 let old = if right { base.revision } else { Revision::random() };
-                let answer = store.revise(old, Arc::clone(&new)).await;
+                let answer = store.revise(old, Arc::clone(&new), layer).await;
                 let asked = asked();
                 match answer {
                     Ok(Some(session)) => {
@@ -279,9 +285,10 @@ pub(crate) async fn follows<S: Store>(
             }
             13 | 14 => {
                 let Some(live) = all[k].live.clone() else { continue };
-                let answer = store.image(id, live.record.image).await;
-                match answer {
-                    Ok(bytes) => assert_eq!(bytes, file(live.picture), "{what}"),
+                let named: Vec<Digest> = live.record.files().collect();
+                let digest = named[dice.below(named.len())];
+                match store.file(id, digest).await {
+                    Ok(bytes) => assert_eq!(Digest::of(&bytes), digest, "{what}"),
                     Err(error) => {
                         assert_eq!(error, StoreError::NoSuchSession, "{what}");
                         assert_ne!(all[k].lives(asked()), Truth::Yes, "{what}: its picture is lost");
@@ -296,9 +303,7 @@ pub(crate) async fn follows<S: Store>(
                 if is_bounded && all.iter().all(|known| known.lives(asked) != Truth::Either) {
                     let living: Vec<&Live> =
                         all.iter().filter(|known| known.lives(asked) == Truth::Yes).flat_map(|known| &known.live).collect();
-                    let mut files: Vec<u8> = living.iter().map(|live| live.picture).collect();
-                    files.sort_unstable();
-                    files.dedup();
+                    let files: HashSet<Digest> = living.iter().flat_map(|live| live.record.files()).collect();
                     let bytes = living.iter().map(|live| live.bytes()).sum::<u64>() + 1000 * files.len() as u64;
                     assert_eq!((figures.sessions, figures.bytes), (living.len() as u64, bytes), "{what}");
                     *seen.entry("swept").or_default() += 1;
@@ -363,18 +368,18 @@ pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(sto
                         let picture = dice.picture(2);
                         let new = made_anew(held, picture);
                         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) =
-                            store(&mut dice).put(new, file(picture)).await.unwrap();
+                            store(&mut dice).put(new, files(picture)).await.unwrap();
                         (*held, *there) = (session.record, Some(picture));
                     }
                     (2, Some(picture)) => {
                         assert_eq!(store(&mut dice).peek(held.id).await.expect("it was answered").record, *held);
-                        assert_eq!(store(&mut dice).image(held.id, held.image).await, Ok(file(picture)));
+                        assert_eq!(store(&mut dice).file(held.id, held.image).await, Ok(file(picture)));
                     }
                     _ => {
                         // Whether it is there is no matter.
-                        let (id, digest) = (held.id, mlswarp::warp::Digest::of(&file(dice.picture(2))));
+                        let (id, digest) = (held.id, Digest::of(&file(dice.picture(2))));
                         let stores = stores.clone();
-                        tokio::spawn(async move { stores[0].image(id, digest).await.map(drop) });
+                        tokio::spawn(async move { stores[0].file(id, digest).await.map(drop) });
                     }
                 }
                 changes += 1;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::*;
-use crate::store::tests::suite::{bounds, file, made_anew, with_weights};
+use crate::store::tests::suite::{bounds, file, files, made_anew, named, with_layer, with_weights};
 use crate::store::tests::{model, suite};
 
 mod power;
@@ -66,28 +66,32 @@ async fn sessions_are_there_after_the_store_was_opened_again() {
     let (a, b, c) = (suite::record(1), suite::record(1), suite::record(2));
     let store = place.open();
     for (record, picture) in [(&a, 1), (&b, 1), (&c, 2)] {
-        store.put(Arc::clone(record), file(picture)).await.unwrap();
+        store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
     store.touch(a.id, Some(41)).await.unwrap();
     store.sweep().await.unwrap();
     // Not swept: told when the store is closed.
     store.touch(a.id, Some(43)).await.unwrap();
     let revised = with_weights(&b, 3);
-    store.revise(b.revision, Arc::clone(&revised)).await.unwrap().unwrap();
+    store.revise(b.revision, Arc::clone(&revised), None).await.unwrap().unwrap();
     store.delete(c.id).await.unwrap();
+    let layered = with_layer(&revised, "x", Some(4));
+    store.revise(revised.revision, Arc::clone(&layered), named(file(4)).pop()).await.unwrap().unwrap();
     let figures = store.figures();
     drop(store);
 
     let store = place.open();
     assert_eq!(store.figures(), figures);
+    assert_eq!(store.file(b.id, Digest::of(&file(4))).await.unwrap(), file(4));
     let back = store.peek(a.id).await.unwrap();
     assert_eq!((back.record, back.seq), (a.clone(), Some(43)));
-    assert_eq!(store.peek(b.id).await.unwrap().record, revised);
+    assert_eq!(store.peek(b.id).await.unwrap().record, layered);
+    store.revise(layered.revision, with_layer(&layered, "x", None), None).await.unwrap().unwrap();
     assert_eq!(store.peek(c.id).await.unwrap_err(), StoreError::NoSuchSession);
-    assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+    assert_eq!(store.file(a.id, a.image).await.unwrap(), file(1));
     assert!(store.0.disk.change(|change| change.files()).unwrap() == [a.image], "the deleted picture's file has gone");
     // Made anew, its numbers start anew, also on the disk.
-    store.put(made_anew(&a, 3), file(3)).await.unwrap();
+    store.put(made_anew(&a, 3), files(3)).await.unwrap();
     drop(store);
     assert_eq!(place.open().peek(a.id).await.unwrap().seq, None);
 }
@@ -99,8 +103,8 @@ async fn a_file_of_many_pieces_comes_back_whole() {
     for len in [1, disk::PIECE - 1, disk::PIECE, disk::PIECE + 1, 3 * disk::PIECE + 7] {
         let bytes: Bytes = (0..len).map(|k| u8::try_from(k * k % 251).unwrap()).collect();
         let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
-        store.put(Arc::clone(&record), bytes.clone()).await.unwrap();
-        assert!(store.image(record.id, record.image).await.unwrap() == bytes, "{len} bytes");
+        store.put(Arc::clone(&record), named(bytes.clone())).await.unwrap();
+        assert!(store.file(record.id, record.image).await.unwrap() == bytes, "{len} bytes");
     }
 }
 
@@ -140,7 +144,7 @@ async fn damaged_records_are_left_out_and_the_others_are_there() {
     let records: Vec<_> = (0..7).map(suite::record).collect();
     let store = place.open();
     for (picture, record) in (0..).zip(&records) {
-        store.put(Arc::clone(record), file(picture)).await.unwrap();
+        store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
     let [whole, torn, flipped, another, no_file, bad_file, short_file] = &records[..] else { panic!("seven") };
     let mut bits = record::write(flipped);
@@ -162,18 +166,18 @@ async fn damaged_records_are_left_out_and_the_others_are_there() {
     let store = place.open();
     assert_eq!((store.figures().damaged, store.figures().sessions), (6, 1));
     assert_eq!(store.peek(whole.id).await.unwrap().record, *whole);
-    assert_eq!(store.image(whole.id, whole.image).await.unwrap(), file(0));
+    assert_eq!(store.file(whole.id, whole.image).await.unwrap(), file(0));
     for lost in &records[1..] {
         assert_eq!(store.peek(lost.id).await.unwrap_err(), StoreError::NoSuchSession);
     }
     // Their names and pictures may be used again.
     for (picture, record) in (0..).zip(&records) {
-        store.put(Arc::clone(record), file(picture)).await.unwrap();
+        store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
     drop(store);
     let store = place.open();
     assert_eq!((store.figures().damaged, store.figures().sessions), (0, 7));
-    assert_eq!(store.image(bad_file.id, bad_file.image).await.unwrap(), file(5));
+    assert_eq!(store.file(bad_file.id, bad_file.image).await.unwrap(), file(5));
 }
 
 fn plant(store: &FileStore, records: &[(SessionId, Vec<u8>)]) {
@@ -200,8 +204,8 @@ async fn what_another_version_has_stored_counts() {
     let place = Place::new();
     let store = place.open();
     let (a, b) = (suite::record(1), suite::record(2));
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
-    store.put(Arc::clone(&b), file(2)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
+    store.put(Arc::clone(&b), files(2)).await.unwrap();
     let bytes = record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes());
     plant(&store, &[(a.id, bytes.clone())]);
     let one = store.figures().bytes / 2;
@@ -209,14 +213,14 @@ async fn what_another_version_has_stored_counts() {
     let store = FileStore::open(&place.0, Bounds { sessions: 2, ..bounds() }).unwrap();
     let expected = Figures { sessions: 2, bytes: one + 1000 + bytes.len() as u64, other_version: 1, ..Figures::default() };
     assert_eq!(store.figures(), expected);
-    assert!(matches!(store.put(suite::record(3), file(3)).await, Err(StoreError::Full { what: "sessions", .. })));
+    assert!(matches!(store.put(suite::record(3), files(3)).await, Err(StoreError::Full { what: "sessions", .. })));
     // Its file is not named by anybody who is read, and may be used by a newcomer.
     store.delete(b.id).await.unwrap();
     let c = suite::record(1);
-    store.put(Arc::clone(&c), file(1)).await.unwrap();
+    store.put(Arc::clone(&c), files(1)).await.unwrap();
     assert_eq!(store.figures(), Figures { bytes: expected.bytes - 1000, ..expected });
     store.delete(a.id).await.unwrap();
-    assert_eq!(store.image(c.id, c.image).await.unwrap(), file(1));
+    assert_eq!(store.file(c.id, c.image).await.unwrap(), file(1));
     store.delete(c.id).await.unwrap();
     assert_eq!((store.figures().sessions, store.figures().bytes), (0, 0));
     assert!(store.0.disk.change(|change| change.files()).unwrap().is_empty());
@@ -228,15 +232,15 @@ async fn a_damaged_picture_of_another_versions_session_may_be_sent_again() {
     let place = Place::new();
     let store = place.open();
     let (a, b) = (suite::record(1), suite::record(1));
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
-    store.put(Arc::clone(&b), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
+    store.put(Arc::clone(&b), files(1)).await.unwrap();
     plant(&store, &[(a.id, record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes()))]);
     drop(store);
     let store = place.open();
     store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();
-    assert_eq!(store.image(b.id, b.image).await, Err(StoreError::NoSuchSession));
-    store.put(Arc::clone(&b), file(1)).await.unwrap();
-    assert_eq!(store.image(b.id, b.image).await.unwrap(), file(1));
+    assert_eq!(store.file(b.id, b.image).await, Err(StoreError::NoSuchSession));
+    store.put(Arc::clone(&b), files(1)).await.unwrap();
+    assert_eq!(store.file(b.id, b.image).await.unwrap(), file(1));
     assert_eq!(store.peek(a.id).await.unwrap_err(), StoreError::OtherVersion);
 }
 
@@ -245,14 +249,20 @@ async fn a_picture_that_is_damaged_later_ends_its_sessions_and_may_be_sent_again
     let place = Place::new();
     let store = place.open();
     let (a, b) = (suite::record(1), suite::record(2));
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
-    store.put(Arc::clone(&b), file(2)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
+    store.put(Arc::clone(&b), files(2)).await.unwrap();
     store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();
-    assert_eq!(store.image(a.id, a.image).await, Err(StoreError::NoSuchSession));
+    assert_eq!(store.file(a.id, a.image).await, Err(StoreError::NoSuchSession));
     assert_eq!((store.peek(a.id).await.unwrap_err(), store.figures().damaged), (StoreError::NoSuchSession, 1));
     assert!(store.peek(b.id).await.is_ok());
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
-    assert_eq!(store.image(a.id, a.image).await.unwrap(), file(1));
+    // So does a layer's.
+    let layer = named(file(3)).pop().unwrap();
+    store.revise(b.revision, with_layer(&b, "x", Some(3)), Some(layer.clone())).await.unwrap().unwrap();
+    store.0.disk.change(|change| change.remove_file(layer.digest)).unwrap();
+    assert_eq!(store.file(b.id, layer.digest).await, Err(StoreError::NoSuchSession));
+    assert_eq!(store.peek(b.id).await.unwrap_err(), StoreError::NoSuchSession);
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
+    assert_eq!(store.file(a.id, a.image).await.unwrap(), file(1));
 }
 
 /// What a reader found missing may be there again when it gets to say so.
@@ -261,10 +271,10 @@ async fn a_picture_that_goes_and_is_sent_again_while_it_is_read_is_not_damaged()
     let place = Place::new();
     let store = place.open();
     let (a, b) = (suite::record(1), suite::record(1));
-    store.put(Arc::clone(&a), file(1)).await.unwrap();
+    store.put(Arc::clone(&a), files(1)).await.unwrap();
     let writing = store.0.written();
     store.0.disk.change(|change| change.remove_file(a.image)).unwrap();
-    let reading = store.image(a.id, a.image);
+    let reading = store.file(a.id, a.image);
     // It has read nothing and waits for the right to change.
     std::thread::sleep(Duration::from_millis(300));
     store.0.disk.change(|change| change.add_file(b.image, &file(1))).unwrap();
@@ -280,7 +290,7 @@ async fn a_flipped_byte_anywhere_is_survived() {
     let store = place.open();
     let records: Vec<_> = (0..6).map(suite::record).collect();
     for (picture, record) in (0..).zip(&records) {
-        store.put(Arc::clone(record), file(picture)).await.unwrap();
+        store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
     drop(store);
     let sound = std::fs::read(&place.0).unwrap();
@@ -300,7 +310,7 @@ async fn a_flipped_byte_anywhere_is_survived() {
         for (picture, record) in (0..).zip(&records) {
             if let Ok(there) = store.peek(record.id).await {
                 assert_eq!(there.record, *record);
-                assert!(store.image(record.id, record.image).await.is_ok_and(|bytes| bytes == file(picture)));
+                assert!(store.file(record.id, record.image).await.is_ok_and(|bytes| bytes == file(picture)));
             }
         }
     }
@@ -317,7 +327,7 @@ async fn space_is_given_back_when_the_file_is_opened() {
     for k in 0..40_u8 {
         let bytes = Bytes::from(vec![k; 1 << 20]);
         let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
-        store.put(Arc::clone(&record), bytes).await.unwrap();
+        store.put(Arc::clone(&record), named(bytes)).await.unwrap();
         records.push(record);
     }
     let full = place.size();
@@ -331,8 +341,8 @@ async fn space_is_given_back_when_the_file_is_opened() {
     println!("1 MiB of it left: {} bytes before the start, {} after", full, place.size());
     // The database gives much of it back by itself; what is left then may not be worth the trouble.
     assert!(place.size() < 2 * store.figures().bytes + disk::SLACK, "{}", place.size());
-    assert_eq!(store.image(records[0].id, records[0].image).await.unwrap().len(), 1 << 20);
-    store.put(suite::record(1), file(1)).await.unwrap();
+    assert_eq!(store.file(records[0].id, records[0].image).await.unwrap().len(), 1 << 20);
+    store.put(suite::record(1), files(1)).await.unwrap();
 }
 
 /// The process that makes the file may be killed at any moment: what is there is whole or not there.

@@ -7,6 +7,7 @@ use proptest::prelude::Rng as _;
 use redb::StorageBackend;
 
 use super::*;
+use crate::layer::LayerName;
 
 /// What a disk loses or keeps as a whole.
 const SECTOR: usize = 512;
@@ -104,22 +105,32 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
     // How many steps had been taken when a state was answered.
     let mut answered: Vec<(usize, State)> = vec![(disk.steps(), State::new())];
     let mut random = proptest::test_runner::TestRng::deterministic_rng(proptest::test_runner::RngAlgorithm::ChaCha);
-    for k in 0..60_u8 {
+    let mut layers = 0;
+    for k in 0..80_u8 {
         let mut now = answered.last().unwrap().1.clone();
         let some = now.values().nth(usize::from(k) % now.len().max(1)).cloned();
-        match (random.next_u32() % 6, some) {
+        match (random.next_u32() % 9, some) {
             (0, Some(record)) => {
                 store.delete(record.id).await.unwrap();
                 now.remove(&record.id);
             }
             (1, Some(record)) => {
                 let new = with_weights(&record, usize::from(k) * 20);
-                store.revise(record.revision, Arc::clone(&new)).await.unwrap().unwrap();
+                store.revise(record.revision, Arc::clone(&new), None).await.unwrap().unwrap();
                 now.insert(new.id, new);
+            }
+            (4..=6, Some(record)) => {
+                // Of the pictures' files too.
+                let added = (!record.layers.contains_key(&LayerName::region()) || k % 3 > 0).then_some(k % 25);
+                let new = with_layer(&record, LayerName::REGION, added);
+                let layer = added.and_then(|added| files(added).pop());
+                store.revise(record.revision, Arc::clone(&new), layer).await.unwrap().unwrap();
+                now.insert(new.id, new);
+                layers += 1;
             }
             (2, Some(record)) => {
                 let new = made_anew(&record, k);
-                store.put(Arc::clone(&new), file(k)).await.unwrap();
+                store.put(Arc::clone(&new), files(k)).await.unwrap();
                 now.insert(new.id, new);
             }
             (3, Some(record)) => {
@@ -128,7 +139,7 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
             }
             _ => {
                 let new = suite::record(k % 20);
-                store.put(Arc::clone(&new), file(k % 20)).await.unwrap();
+                store.put(Arc::clone(&new), files(k % 20)).await.unwrap();
                 now.insert(new.id, new);
             }
         }
@@ -151,12 +162,14 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
         in_between += usize::from(there != answered[before].1);
         assert_eq!(store.figures().damaged, 0, "step {steps}");
         for record in there.values() {
-            assert_eq!(Digest::of(&store.image(record.id, record.image).await.unwrap()), record.image, "step {steps}");
+            for digest in record.files() {
+                assert_eq!(Digest::of(&store.file(record.id, digest).await.unwrap()), digest, "step {steps}");
+            }
         }
         // It is not only readable.
-        store.put(suite::record(200), file(200)).await.unwrap();
+        store.put(suite::record(200), files(200)).await.unwrap();
         cuts += 1;
     }
     println!("{cuts} power cuts in {} changes: nothing lost; {in_between} found a change that was not answered yet", answered.len() - 1);
-    assert!(cuts > 100);
+    assert!(cuts > 100 && layers > 10, "{cuts} {layers}");
 }

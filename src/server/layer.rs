@@ -1,0 +1,70 @@
+//! The name and the kind of a layer: a further picture of a session, which is warped with it.
+
+use std::fmt;
+
+/// Most layers of a session.
+pub const MAX_LAYERS: usize = 16;
+/// Longest name of a layer, bytes.
+const MAX_NAME: usize = 64;
+
+/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`. Names that begin with `@` are built-in.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct LayerName(String);
+
+impl LayerName {
+    /// The layer that is the mask of what moves.
+    pub const REGION: &'static str = "region";
+
+    /// Checks a name.
+    pub fn parse(text: &str) -> Option<Self> {
+        let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-');
+        ((1..=MAX_NAME).contains(&text.len()) && text.bytes().all(is_allowed)).then(|| Self(text.to_owned()))
+    }
+
+    /// The name `region`.
+    pub fn region() -> Self {
+        Self(Self::REGION.to_owned())
+    }
+
+    /// Its text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether the layer is the mask of what moves.
+    pub fn is_region(&self) -> bool {
+        self.0 == Self::REGION
+    }
+}
+
+impl fmt::Display for LayerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// How the pixels of a layer are read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum LayerKind {
+    /// A picture: its colours are interpolated.
+    #[default]
+    Image,
+    /// Labels: each pixel of the result is the nearest one.
+    Labels,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_short_and_plain() {
+        for good in ["a", "depth.v2", "A_b-9", "..", &"x".repeat(64)] {
+            assert_eq!(LayerName::parse(good).as_ref().map(LayerName::as_str), Some(good));
+        }
+        for bad in ["", "@coverage", "a b", "a/b", "é", "a\n", &"x".repeat(65)] {
+            assert_eq!(LayerName::parse(bad), None, "{bad:?}");
+        }
+        assert!(LayerName::region().is_region() && !LayerName::parse("Region").unwrap().is_region());
+    }
+}
