@@ -578,7 +578,7 @@ fn handle() -> impl Strategy<Value = Handle> {
     prop_oneof![place().prop_map(Handle::Point), prop::collection::vec(place(), 2..5).prop_map(Handle::Polyline)]
 }
 
-fn all<T: enum_name::EnumName + std::fmt::Debug>() -> impl Strategy<Value = T> {
+fn all<T: EnumName + std::fmt::Debug>() -> impl Strategy<Value = T> {
     prop::sample::select(T::ALL)
 }
 
