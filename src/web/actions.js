@@ -179,8 +179,9 @@ export class Actions {
   }
 
   escape() {
-    const { before, draft, arm, selection } = this.state;
-    if (before) this.store.do("dragCancel");
+    const { before, draft, arm, selection, playing } = this.state;
+    if (playing !== null) this.store.do("play", { playing: null });
+    else if (before) this.store.do("dragCancel");
     else if (draft.length) this.store.do("draft", { places: [] });
     else if (arm) this.store.do("arm", { arm: "" });
     else if (selection.length) this.store.do("select", { keys: [] });

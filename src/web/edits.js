@@ -176,10 +176,13 @@ export function keepingFocus(before, after) {
 /** The content outside the warped picture: `transparent`, `edge`, `reflect` or `#rrggbbaa`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
+/** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
+export const filterOf = ({ filter }) => filter ?? "bilinear";
+
 /** What happens to coincident handles by default: they follow the mean of their targets. */
 const MEAN = { policy: "mean", within: 0 };
 
-/** The session's part of a warp object. The parameters of the method, outside and canvas are always included: an absent field keeps the session's value. */
+/** The session's part of a warp object. The parameters of the method and of the output are always included: an absent field keeps the session's value. */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
@@ -188,9 +191,12 @@ export function restOf(document) {
   const point_mass = mass === undefined ? {} : { point_mass: mass };
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
   const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
-  const output = { outside: outsideOf(document), canvas: canvasOf(document) };
+  const output = { outside: outsideOf(document), filter: filterOf(document), canvas: canvasOf(document) };
   return { p: wire(document, "p"), ...weights, method, ...parameters, coincident: document.coincident ?? MEAN, grid: typeof grid === "number" ? { cell: grid } : grid, output };
 }
+
+/** The defaults of `output`, which an exported warp object leaves out. */
+const USUAL = { outside: "transparent", filter: "bilinear", canvas: "same" };
 
 /** The complete warp object, for export. */
 export function warpOf(document) {
@@ -199,8 +205,8 @@ export function warpOf(document) {
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
   const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(document.coincident && { coincident }) };
-  const told = { ...(output.outside !== "transparent" && { outside: output.outside }), ...(output.canvas !== "same" && { canvas: output.canvas }) };
-  if (Object.keys(told).length) chosen.output = told;
+  const told = Object.entries(output).filter(([name, value]) => value !== USUAL[name]);
+  if (told.length) chosen.output = Object.fromEntries(told);
   return { ...rest, ...chosen, q: wire(document, "q") };
 }
 
@@ -208,7 +214,7 @@ export function warpOf(document) {
 export function sameRest(object, document) {
   const { p, weights, method, alpha, smoothing, coincident, grid, output, point_mass: mass } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.coincident_policy ?? MEAN, coincident], [object.grid.requested, grid], [object.output.outside, output.outside], [object.output.canvas, output.canvas]];
+  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.coincident_policy ?? MEAN, coincident], [object.grid.requested, grid], ...Object.keys(output).map((name) => [object.output[name], output[name]])];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
   return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));

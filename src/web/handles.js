@@ -80,7 +80,7 @@ export class Handles {
   draw() {
     const { state } = this.store;
     const { handles } = state.document;
-    set(this.svg, { class: state.compare || state.peek ? "away" : state.before ? "moving" : "" });
+    set(this.svg, { class: state.compare || state.peek || state.playing !== null ? "away" : state.before ? "moving" : "" });
     const counts = new Map(handles.map(({ id, p }) => [id, p.length]));
     for (const [id, nodes] of this.#drawn) {
       if (counts.get(id) === nodes.count) continue;

@@ -9,6 +9,7 @@ import { pinOf } from "./twist.js";
 /** Largest file, bytes: many times what this page writes. */
 const LARGEST = 2 << 20;
 const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
+const FILTERS = ["nearest", "bilinear", "bicubic"];
 
 export const isHandles = (file) =>
   ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
@@ -132,9 +133,11 @@ function documentFrom(warp) {
   demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
   demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect" or a colour "#rrggbbaa"');
+  const filter = given.output?.filter ?? "bilinear";
+  demand(FILTERS.includes(filter), "/output/filter", '"nearest", "bilinear" or "bicubic"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
-  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, canvas };
+  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

@@ -153,6 +153,7 @@ export class Keys {
       "[": () => actions.rotate(-TURN),
       "]": () => actions.rotate(TURN),
       e: () => does.export(),
+      p: () => does.play(),
       g: () => does.mesh(),
       c: () => does.compare(),
       b: () => repeat || this.store.do("show", { what: { peek: true } }),

@@ -2,8 +2,9 @@
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
+import { Player } from "./animate.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
-import { outsideOf, takesPinsOnly } from "./edits.js";
+import { filterOf, outsideOf, takesPinsOnly } from "./edits.js";
 import { ExportDialog } from "./export.js";
 import { chooseMethod } from "./fit.js";
 import { Handles } from "./handles.js";
@@ -15,7 +16,7 @@ import { Panel } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { warpedPicture, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, readLink, save } from "./share.js";
 import { Store, steps } from "./state.js";
-import { strengthOf } from "./strength.js";
+import { shownStrength } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
@@ -72,6 +73,7 @@ const does = {
   tool: (tool) => (tool !== "point" && takesPinsOnly(store.state.document) ? toast(PINS_ONLY) : store.do("tool", { tool })),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
+  play: () => player.toggle(),
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
   fit: async () => {
     try {
@@ -102,6 +104,7 @@ new CanvasRuler(store, view, sync);
 new StrengthSlider(find("strength"), find("strength-value"), store, actions);
 new Table(find("handle-table"), store, actions);
 new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
+const player = new Player(store, sync, view);
 const keeper = new Keeper(store, () => opener.current, observe);
 
 // Passes the state to the view.
@@ -109,6 +112,7 @@ store.subscribe((state, previous) => {
   const { meshShown: lines, compare, compareAt: at, peek } = state;
   if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
   view.setOutside(outsideOf(state.document));
+  view.setFilter(filterOf(state.document));
   view.setCanvas(canvasOf(state.document));
   stage.classList.toggle("armed", Boolean(state.arm || state.draft.length));
 });
@@ -130,7 +134,8 @@ function observe() {
     tool: state.tool,
     draft: state.draft.length,
     arm: state.arm,
-    strength: strengthOf(state.document),
+    strength: shownStrength(state),
+    playing: typeof state.playing === "number" || (state.playing ?? false),
     ...steps(state),
     folds: shown.folds,
     zoom: view.zoom,

@@ -12,6 +12,18 @@ export class Mesh {
     return new Mesh({ columns: 2, rows: 2, width, height, cell: [width, height] }, new Float32Array([0, 0, width, 0, 0, height, width, height]));
   }
 
+  /** The undeformed grid. */
+  static atRest(grid) {
+    const mesh = new Mesh(grid, new Float32Array(2 * grid.columns * grid.rows));
+    for (let j = 0, k = 0; j < grid.rows; j++) for (let i = 0; i < grid.columns; i++, k += 2) mesh.places.set([mesh.restX(i), mesh.restY(j)], k);
+    return mesh;
+  }
+
+  /** The mesh between this one (share 0) and another one of the same grid (share 1). */
+  towards(other, share) {
+    return new Mesh(this.grid, this.places.map((c, k) => c + share * (other.places[k] - c)));
+  }
+
   restX(i) {
     return i === this.grid.columns - 1 ? this.grid.width : i * this.grid.cell[0];
   }

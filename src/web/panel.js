@@ -1,11 +1,11 @@
 // The controls around the picture: they show the state and change it.
 
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
-import { alphaOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
+import { alphaOf, filterOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { CANVAS, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
+import { CANVAS, FILTER, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -75,6 +75,7 @@ export class Panel {
     find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
     // The colour field has no alpha: keep the alpha of the current value.
     find("outside-colour").addEventListener("input", ({ target }) => this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"));
+    find("filter").addEventListener("change", ({ target }) => this.#set({ filter: target.value }));
     find("canvas").addEventListener("change", ({ target }) => this.#set({ canvas: target.value === "box" ? this.#box() : target.value }));
     for (const name of BOX) find(`canvas-${name}`).addEventListener("change", () => this.#setBox());
     click("canvas-all", () => this.#set({ canvas: "fit" }));
@@ -182,6 +183,8 @@ export class Panel {
     find("outside-colour").hidden = !colour;
     if (colour) find("outside-colour").value = outside.slice(0, 7);
     text("outside-note", OUTSIDE[find("outside").value]);
+    find("filter").value = filterOf(document);
+    text("filter-note", FILTER[filterOf(document)]);
     this.#drawCanvas(document);
   }
 

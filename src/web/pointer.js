@@ -57,6 +57,7 @@ export class Pointer {
 
   #down(event) {
     if (!this.view.size || event.button === 2) return;
+    if (this.store.state.playing !== null) return this.actions.escape();
     const at = this.#at(event);
     if (event.pointerType === "touch") {
       this.#fingers.set(event.pointerId, at);

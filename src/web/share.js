@@ -32,7 +32,7 @@ export async function warpedPicture(sync, store, output = {}, signal = undefined
   const { revision, document } = store.state;
   const usual = !Object.keys(output).length;
   if (usual && sync.png?.revision === revision) return sync.png.blob;
-  return (await api.picture(sync.session.id, { q: wire(document, "q"), ...(!usual && { output }) }, signal)).blob;
+  return (await sync.ask((id) => api.picture(id, { q: wire(document, "q"), ...(!usual && { output }) }, signal))).blob;
 }
 
 /** The warp object as JSON, with one handle per line. */

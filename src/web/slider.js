@@ -1,6 +1,6 @@
 // The slider from the rest pose to the full pose, and beyond both.
 
-import { atStrength, strengthOf } from "./strength.js";
+import { atStrength, shownStrength } from "./strength.js";
 
 /** With a pointer, a value this close to the rest pose or the full pose becomes it. */
 const SNAP = 0.03;
@@ -14,8 +14,8 @@ export class StrengthSlider {
     input.addEventListener("input", () => this.#slide());
     input.addEventListener("change", () => this.#end());
     for (const name of ["pointerup", "pointercancel", "blur"]) input.addEventListener(name, () => this.#end());
-    store.subscribe((state, previous) => state.document !== previous.document && this.#draw(state.document));
-    this.#draw(store.state.document);
+    store.subscribe((state, previous) => (state.document !== previous.document || state.playing !== previous.playing) && this.#draw());
+    this.#draw();
   }
 
   /** With a pointer like a drag: one undo step. With the keyboard, quick presses are one step. */
@@ -29,20 +29,21 @@ export class StrengthSlider {
       if (!state.before) this.store.do("dragBegin");
       this.store.do("drag", { document });
     }
-    this.#draw(this.store.state.document);
+    this.#draw();
   }
 
   #end() {
     if (this.#held && this.store.state.before) this.store.do("dragEnd");
     this.#held = false;
-    this.#draw(this.store.state.document);
+    this.#draw();
   }
 
-  #draw(document) {
-    const t = strengthOf(document);
+  #draw() {
+    const { state } = this.store;
+    const t = shownStrength(state);
     const words = `${Math.round(100 * t)} %`;
     if (Number(this.input.value) !== t) this.input.value = t;
-    this.input.disabled = !document.handles.length;
+    this.input.disabled = !state.document.handles.length;
     const note = t === 0 ? ", rest" : t === 1 ? ", your pose" : "";
     this.input.setAttribute("aria-valuetext", `${words}${note}`);
     if (this.output.textContent !== words) this.output.textContent = words;

@@ -1,4 +1,4 @@
-// The store: document (handles, method, alpha, grid, outside, canvas), selection and history. Reducers are pure functions of state and action.
+// The store: document (handles, method, alpha, grid, outside, filter, canvas), selection and history. Reducers are pure functions of state and action.
 // Views subscribe.
 
 import { settled } from "./strength.js";
@@ -8,7 +8,7 @@ const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", canvas: "same" });
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same" });
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open
@@ -38,6 +38,8 @@ const initialState = () => ({
   compare: false,
   compareAt: 50,
   peek: false,
+  playing: null, // "preparing", or the strength that is shown while the animation plays (animate.js)
+  animation: { easing: "ease-in-out", back: true, frames: 24, file: "apng" },
 });
 
 const idOf = (key) => Number(key.split(".")[0]);
@@ -78,6 +80,7 @@ const reducers = {
     revision: state.revision + 1,
     tool: state.tool,
     meshShown: state.meshShown,
+    animation: state.animation,
   }),
   history: (state, { earlier, later }) => ({ ...state, earlier, later }),
   waiting: (state, { handles }) => ({ ...state, waiting: handles, problem: null }),
@@ -131,6 +134,8 @@ const reducers = {
   cross: (state, { place }) => ({ ...state, cross: place }),
   problem: (state, { problem }) => ({ ...state, problem }),
   apart: (state, { handles }) => ({ ...state, apart: handles }),
+  play: (state, { playing }) => ({ ...state, playing }),
+  animation: (state, { change }) => ({ ...state, animation: { ...state.animation, ...change } }),
   show: (state, { what }) => ({ ...state, ...what }),
 };
 

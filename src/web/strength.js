@@ -9,6 +9,19 @@ function without({ strength: _, full: __, ...document }) {
   return document;
 }
 
+/** The strength that is shown: that of the document, or of the frame of a playing animation. */
+export const shownStrength = ({ playing, document }) => (typeof playing === "number" ? playing : strengthOf(document));
+
+/**
+ * The poses from rest to the shown pose, or to the full one if rest is shown: a function of t from 0 to 1, and `goal`, the strength at the end.
+ */
+export function posesOf(document) {
+  const goal = strengthOf(document) || 1;
+  const shown = atStrength(document, goal);
+  const whole = { ...without(shown), handles: shown.handles };
+  return { goal, at: (t) => atStrength(whole, t) };
+}
+
 const round = (x) => Math.round(x * 100) / 100 + 0;
 
 const atTwist = (twist, t) => ({

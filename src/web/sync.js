@@ -282,6 +282,20 @@ export class Sync {
     });
   }
 
+  /** Makes a request to the session of the newest pose. If the session has ended, it is opened again and the request is repeated. */
+  async ask(act) {
+    await this.settled();
+    try {
+      return await act(this.session.id);
+    } catch (error) {
+      if (!LOST.has(error.code) || !this.file) throw error;
+    }
+    this.#settled = -1;
+    this.#run();
+    await this.settled();
+    return act(this.session.id);
+  }
+
   /** Whether to continue after an error. */
   async #after(error) {
     if (api.wasAborted(error)) return true;

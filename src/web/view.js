@@ -25,7 +25,9 @@ export class View {
   drawn = () => {};
 
   #outside = "transparent";
+  #filter = "bilinear";
   #canvas = "same";
+  #played = null; // mesh of the frame of an animation, shown in place of the picture
   #refit = false; // the canvas has changed
   #drawn = null; // box of the shown picture of the server; null: that of the source
   #folded = [];
@@ -193,6 +195,19 @@ export class View {
     this.invalidate();
   }
 
+  /** Sets how a mesh shows enlarged pixels. */
+  setFilter(filter) {
+    if (filter === this.#filter) return;
+    this.#filter = filter;
+    this.invalidate();
+  }
+
+  /** Shows a mesh in place of the picture, within its box; null shows the picture again. */
+  play(mesh) {
+    this.#played = mesh;
+    this.invalidate();
+  }
+
   /** Sets the canvas of a mesh; pictures from the server say theirs. */
   setCanvas(canvas) {
     if (canvas === this.#canvas) return;
@@ -317,7 +332,7 @@ export class View {
     divider.style.height = `${height * this.zoom}px`;
     // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of the divider.
     this.lines.canvas.style.clipPath = compare ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)` : "none";
-    this.stage.querySelector("#picture").style.visibility = this.source === "png" || this.source === "source" ? "visible" : "hidden";
+    this.stage.querySelector("#picture").style.visibility = !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
   }
 
   #draw() {
@@ -327,13 +342,16 @@ export class View {
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     }
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
-    const following = this.source === "mesh" || this.source === "frame";
-    if (this.source === "mesh") this.painter.paint(this.mesh, place, this.zoom >= CRISP, this.#outside, this.box);
+    const mesh = this.#played ?? this.mesh;
+    const following = this.#played !== null || this.source === "mesh" || this.source === "frame";
+    const crisp = this.zoom >= CRISP || this.#filter === "nearest";
+    if (this.#played || this.source === "mesh") this.painter.paint(mesh, place, crisp, this.#outside, this.box);
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
-    const drawn = this.mesh && !this.#show.peek && (this.#show.lines || this.folds > 0);
-    if (drawn) drawGrid(this.lines, this.mesh, this.#folded, place, scale, this.#show.lines, following);
+    const folded = this.#played ? this.#played.folded() : this.#folded;
+    const drawn = mesh && !this.#show.peek && (this.#show.lines || folded.length > 0);
+    if (drawn) drawGrid(this.lines, mesh, folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     this.drawn();
     const done = this.#afterPaint;

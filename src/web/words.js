@@ -130,6 +130,14 @@ export const OUTSIDE = {
   colour: "Fills the outside of the warped picture with this colour.",
 };
 
+export const FILTER = {
+  nearest: "Takes the nearest pixel: no new colours, jagged edges. For masks and pixel art.",
+  bilinear: "Blends the pixels around each place.",
+  bicubic: "Sharper than bilinear, slower.",
+};
+
+export const PLAY = { noWebgl: "Playing needs WebGL, which this browser does not have." };
+
 export function focusWords(alpha) {
   if (alpha < 0.95) return "Wide: each handle affects the whole picture.";
   if (alpha < 1.35) return "Balanced: the influence of a handle falls off slowly with distance.";

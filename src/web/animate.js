@@ -1,0 +1,132 @@
+// Plays between the rest pose and the shown pose. The meshes of some strengths are fetched first, and those between them are interpolated
+// here: nothing is requested while it plays, and the document does not change.
+
+import * as api from "./api.js";
+import { wire } from "./edits.js";
+import { keepSetting, setting } from "./keep.js";
+import { Mesh } from "./mesh.js";
+import { posesOf } from "./strength.js";
+import { PLAY } from "./words.js";
+
+/** The easings of the server: share of the way as a function of the share of the time. */
+const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
+/** Parts of the way between fetched meshes. */
+const PARTS = 8;
+/** Time of one way, ms. */
+const TIME = 1500;
+/** Stills that replace the motion of one way if the user prefers reduced motion. */
+const STILLS = 5;
+
+const STORED = "animation";
+export const MOST_FRAMES = 10_000;
+
+/** The stored settings; invalid ones are left out. */
+function storedSettings() {
+  const valid = {
+    easing: (v) => v in EASINGS,
+    back: (v) => typeof v === "boolean",
+    frames: (v) => Number.isInteger(v) && v >= 2 && v <= MOST_FRAMES,
+    file: (v) => v === "apng" || v === "zip",
+  };
+  let told = {};
+  try {
+    told = JSON.parse(setting(STORED)) ?? {};
+  } catch {
+    // Damaged: the defaults apply.
+  }
+  return Object.fromEntries(Object.entries(told).filter(([name, value]) => valid[name]?.(value)));
+}
+
+const find = (id) => document.getElementById(id);
+
+export class Player {
+  #meshes = { document: null, list: null };
+
+  constructor(store, sync, view) {
+    Object.assign(this, { store, sync, view, still: matchMedia("(prefers-reduced-motion: reduce)") });
+    store.do("animation", { change: storedSettings() });
+    find("play").addEventListener("click", () => this.toggle());
+    find("play-easing").addEventListener("change", ({ target }) => store.do("animation", { change: { easing: target.value } }));
+    find("play-back").addEventListener("change", ({ target }) => store.do("animation", { change: { back: target.checked } }));
+    store.subscribe((state, previous) => this.#follow(state, previous));
+    this.#draw(store.state);
+  }
+
+  toggle() {
+    if (this.store.state.playing !== null) this.stop();
+    else if (!find("play").disabled && !this.store.state.before) this.#play();
+  }
+
+  stop() {
+    this.store.do("play", { playing: null });
+  }
+
+  /** A change of the document ends the animation. */
+  #follow(state, previous) {
+    if (state.animation !== previous.animation) keepSetting(STORED, JSON.stringify(state.animation));
+    if (state.playing !== null && state.document !== previous.document) this.stop();
+    if (state.playing === null && previous.playing !== null) this.view.play(null);
+    this.#draw(state);
+  }
+
+  async #play() {
+    const { document, animation: { easing, back } } = this.store.state;
+    this.store.do("play", { playing: "preparing" });
+    const isMine = () => this.store.state.playing !== null && this.store.state.document === document;
+    try {
+      await this.#fetch(document);
+    } catch (problem) {
+      if (!isMine()) return;
+      this.stop();
+      if (!(problem instanceof api.Problem)) throw problem;
+      return this.store.do("problem", { problem });
+    }
+    const { goal } = posesOf(document);
+    const begun = performance.now();
+    // There and back begins and ends at the pose, so that nothing jumps.
+    const wayAt = back ? (time) => Math.abs(1 - time) : (time) => time;
+    const frame = (now) => {
+      if (!isMine()) return;
+      const time = Math.max(0, now - begun) / TIME;
+      if (time > (back ? 2 : 1)) return this.stop();
+      const way = wayAt(time);
+      const share = EASINGS[easing](this.still.matches ? Math.round(way * (STILLS - 1)) / (STILLS - 1) : way);
+      this.store.do("play", { playing: Math.round(100 * share * goal) / 100 });
+      this.view.play(this.#meshAt(share));
+      requestAnimationFrame(frame);
+    };
+    if (isMine()) frame(begun);
+  }
+
+  /** Fetches the meshes of a document. */
+  async #fetch(document) {
+    if (this.#meshes.document === document) return;
+    const list = await this.sync.ask(async (id) => {
+      const { grid } = this.sync.session;
+      const { at } = posesOf(document);
+      const meshAt = async (k) => new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / PARTS), "q") })).places);
+      return [Mesh.atRest(grid), ...(await Promise.all(Array.from({ length: PARTS }, (_, k) => meshAt(k))))];
+    });
+    this.#meshes = { document, list };
+  }
+
+  #meshAt(share) {
+    const before = Math.min(PARTS - 1, Math.floor(share * PARTS));
+    const { list } = this.#meshes;
+    return list[before].towards(list[before + 1], share * PARTS - before);
+  }
+
+  #draw({ playing, animation, document: { handles } }) {
+    const words = playing === null ? "Play" : "Stop";
+    const button = find("play");
+    if (button.lastElementChild.textContent !== words) {
+      button.lastElementChild.textContent = words;
+      button.querySelector("use").setAttribute("href", `#i-${words.toLowerCase()}`);
+    }
+    const canPlay = this.view.webgl !== "none";
+    button.disabled = !handles.length || !canPlay;
+    find("play-easing").value = animation.easing;
+    find("play-back").checked = animation.back;
+    find("play-note").textContent = canPlay ? "" : PLAY.noWebgl;
+  }
+}
