@@ -300,8 +300,8 @@ export class Panel {
 const statusWords = ({ warnings }) => warnings.map((w) => WARNINGS[w]).filter(Boolean).join(" ");
 
 /** The hint for the current state: a key of HINTS, or null. */
-function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before }) {
-  if (phase !== "open" || draft.length || compare || problem) return null;
+function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before, playing }) {
+  if (phase !== "open" || draft.length || compare || problem || playing !== null) return null;
   if (arm) return "move";
   if (tool !== "point") return selection.length ? null : tool;
   if (!handles.length) return "first";
