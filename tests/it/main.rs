@@ -23,10 +23,12 @@ mod hostile;
 mod hosts;
 mod identity;
 mod keys;
+mod labels;
 mod landmarks;
 mod laws;
 mod layers;
 mod leaving;
+mod maps;
 mod metrics;
 mod mistakes;
 #[path = "../fuzz/mutation.rs"]

@@ -45,6 +45,9 @@ fn sample(name: &str) -> Value {
         "geojson" => json!({"type": "FeatureCollection", "features": []}),
         "inverse" => json!(false),
         "refine" => json!(false),
+        "direction" => json!("forward"),
+        "canvas" => json!("fit"),
+        "width" => json!(20),
         "candidates" => json!([{"method": "tps"}, {"method": "rigid", "alpha": 2}]),
         other => panic!("`{other}` is new: say here what it may hold"),
     }

@@ -23,9 +23,9 @@ pub struct Decoded {
 /// A file whose header has passed the limits.
 #[derive(Debug)]
 pub struct Opened<'a> {
-    parsed: Parsed<'a>,
-    header: Header,
-    work: &'a StepCounter<'a>,
+    pub(super) parsed: Parsed<'a>,
+    pub(super) header: Header,
+    pub(super) work: &'a StepCounter<'a>,
 }
 
 /// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads the rest of what

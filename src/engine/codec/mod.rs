@@ -17,6 +17,8 @@ mod gif;
 #[forbid(unsafe_code)]
 mod jpeg;
 #[forbid(unsafe_code)]
+mod labels;
+#[forbid(unsafe_code)]
 mod limits;
 #[forbid(unsafe_code)]
 mod orientation;
@@ -39,9 +41,11 @@ mod write;
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
 pub use format::{Format, SourceFormat};
+pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;
 pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
+pub use tiff::floats::FloatTiff;
 pub use work::StepCounter;
 pub use write::{Encoding, Writer};

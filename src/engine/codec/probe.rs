@@ -69,7 +69,7 @@ impl<'a> Parsed<'a> {
             Self::WebP(f) => (SourceFormat::Written(Format::WebP), f.channels(), Depth::Eight, f.decoder_bytes(), false),
             Self::Tiff(f) => (SourceFormat::Written(Format::Tiff), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
             Self::Gif(f) => (SourceFormat::Gif, f.channels(), Depth::Eight, f.decoder_bytes(), false),
-            Self::Bmp(f) => (SourceFormat::Bmp, f.channels(), Depth::Eight, f.decoder_bytes(), false),
+            Self::Bmp(f) => (SourceFormat::Bmp, f.channels(), Depth::Eight, f.decoder_bytes(), f.is_indexed()),
         };
         let (stored, orientation) = self.stored();
         let picture = sample_bytes(stored, channels, depth);

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::jpeg::write::WhileWanted;
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::{Format, jpeg, tiff, webp};
+use super::{Format, Palette, jpeg, tiff, webp};
 use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
@@ -44,13 +44,15 @@ impl Encoding {
 #[derive(Clone, Debug)]
 pub struct Writer {
     shape: PngShape,
+    /// The samples have three equal colours, of which the file has one.
+    is_grey_in_colour: bool,
     kind: Kind,
 }
 
 #[derive(Clone, Debug)]
 enum Kind {
     Strips(PngWriter),
-    Whole { coding: Coding, icc: Option<Profile> },
+    Whole { coding: Coding, icc: Option<Profile>, palette: Option<Palette> },
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -73,14 +75,28 @@ impl Writer {
             Encoding::WebP => false,
         };
         let shape = PngShape { grey, ..shape };
-        let whole = |coding| Kind::Whole { coding, icc: icc.cloned() };
+        let whole = |coding| Kind::Whole { coding, icc: icc.cloned(), palette: None };
         let kind = match encoding {
             Encoding::Png(compression) => Kind::Strips(PngWriter::new(shape, compression, icc)),
             Encoding::Jpeg { quality, ground } => whole(Coding::Jpeg { quality, ground }),
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
         };
-        Self { shape, kind }
+        Self { shape, is_grey_in_colour: grey, kind }
+    }
+
+    /// Creates a writer for a label image, whose samples are given as the file has them; `None` if the format would change them.
+    ///
+    /// # Panics
+    /// Like [`Self::new`].
+    #[must_use]
+    pub fn of_labels(shape: PngShape, encoding: Encoding, palette: Option<&Palette>) -> Option<Self> {
+        let kind = match encoding {
+            Encoding::Png(compression) => Kind::Strips(PngWriter::of_labels(shape, compression, palette)),
+            Encoding::Tiff(compression) => Kind::Whole { coding: Coding::Tiff(compression), icc: None, palette: palette.cloned() },
+            Encoding::Jpeg { .. } | Encoding::WebP => return None,
+        };
+        Some(Self { shape, is_grey_in_colour: false, kind })
     }
 
     /// Number of strips.
@@ -155,14 +171,14 @@ impl Writer {
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
     pub fn strip_into(&self, index: usize, samples: &mut [u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
-        let samples = if self.shape.grey { first_colour(samples, self.shape) } else { samples };
+        let samples = if self.is_grey_in_colour { first_colour(samples, self.shape) } else { samples };
         match &self.kind {
             Kind::Strips(png) => png.strip_into(index, samples, out),
-            Kind::Whole { coding, icc } => {
+            Kind::Whole { coding, icc, palette } => {
                 let shape = self.shape;
                 let icc = icc.as_ref().map(Profile::icc);
                 if let Coding::Tiff(compression) = *coding {
-                    tiff::write::write(shape, compression, samples, icc, out, wanted);
+                    tiff::write::write(shape, compression, samples, (icc, palette.as_ref()), out, wanted);
                     return StripChecksum::default();
                 }
                 let eight = match shape.depth {

@@ -1,6 +1,8 @@
 //! A tree of boxes over the posed cells of a mesh: finds the cells that may contain a posed position. Each level has a box for every two by
 //! two of the level below. Memory: 22 bytes per cell. Cost: O(cells) to build, O(boxes that contain the position) to ask.
 
+use std::ops::ControlFlow;
+
 use super::{Mesh, Point};
 
 /// Left, top, right, bottom, px; rounded outwards.
@@ -56,27 +58,41 @@ impl CellTree {
     /// first, as it is drawn over the others.
     pub fn find(&self, p: Point, margin: f64, cells: &mut Vec<usize>) {
         cells.clear();
-        self.descend(self.levels.len() - 1, 0, 0, p, margin, cells);
+        let _ = self.visit([p.x - margin, p.y - margin, p.x + margin, p.y + margin], &mut |cell| {
+            cells.push(cell);
+            ControlFlow::Continue(())
+        });
         cells.sort_unstable_by(|a, b| b.cmp(a));
     }
 
-    fn descend(&self, level: usize, i: usize, j: usize, p: Point, margin: f64, cells: &mut Vec<usize>) {
+    /// Passes the index of every cell whose box meets the box with these edges (left, top, right, bottom), in any order, until `cell`
+    /// returns `Break`.
+    pub fn visit(&self, edges: [f64; 4], cell: &mut impl FnMut(usize) -> ControlFlow<()>) -> ControlFlow<()> {
+        self.descend(self.levels.len() - 1, 0, 0, edges, cell)
+    }
+
+    fn descend(
+        &self,
+        level: usize,
+        i: usize,
+        j: usize,
+        edges: [f64; 4],
+        cell: &mut impl FnMut(usize) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
         let Level { columns, boxes } = &self.levels[level];
         let index = j * columns + i;
         let [left, top, right, bottom] = boxes[index].map(f64::from);
-        if p.x < left - margin || p.x > right + margin || p.y < top - margin || p.y > bottom + margin {
-            return;
+        if edges[2] < left || edges[0] > right || edges[3] < top || edges[1] > bottom {
+            return ControlFlow::Continue(());
         }
-        let Some(below) = level.checked_sub(1) else {
-            cells.push(index);
-            return;
-        };
+        let Some(below) = level.checked_sub(1) else { return cell(index) };
         let (columns, rows) = (self.levels[below].columns, self.levels[below].boxes.len() / self.levels[below].columns);
         for (i, j) in [(2 * i, 2 * j), (2 * i + 1, 2 * j), (2 * i, 2 * j + 1), (2 * i + 1, 2 * j + 1)] {
             if i < columns && j < rows {
-                self.descend(below, i, j, p, margin, cells);
+                self.descend(below, i, j, edges, cell)?;
             }
         }
+        ControlFlow::Continue(())
     }
 }
 

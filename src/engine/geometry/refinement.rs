@@ -125,8 +125,8 @@ impl Refinement {
         &self.displacement[cell.start..][..cell.side() * cell.side()]
     }
 
-    /// The posed vertices of a cell.
-    pub(super) fn posed<'a>(&'a self, grid: &'a Grid, cell: &RefinedCell) -> impl Iterator<Item = Point> + 'a {
+    /// The posed vertices of a cell, `[2^level + 1][2^level + 1]`.
+    pub fn posed<'a>(&'a self, grid: &'a Grid, cell: &RefinedCell) -> impl Iterator<Item = Point> + 'a {
         let (from, to) = (grid.vertex(cell.column, cell.row), grid.vertex(cell.column + 1, cell.row + 1));
         let side = cell.side();
         #[expect(clippy::cast_precision_loss, reason = "a few vertices")]

@@ -82,16 +82,46 @@ impl Drawing {
 
     /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
     pub(super) fn band(&self, source: &Source, channels: Channels, rows: &Range<u32>, out: &mut [u8]) {
-        let Window { columns, rows: drawn, first: (left, top), .. } = &self.window;
+        let Window { columns, first: (left, _), .. } = &self.window;
+        let pixel = channels.count() * source.pixmap().depth().bytes();
+        let pitch = out.len() / rows.len();
+        let part = left * pixel..(left + columns.len()) * pixel;
+        self.each_line(rows, |at, line, scratch| self.paint(source, channels, line, scratch, &mut out[at * pitch..][part.clone()]));
+    }
+
+    /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves the others. The filter is
+    /// [`Filter::Nearest`] and the level 0, so that the sampler's coordinates are px of the source. Shapes: `out: [rows][width of the
+    /// target]`.
+    pub(super) fn positions(&self, rows: &Range<u32>, most: [f32; 2], out: &mut [[f32; 2]]) {
+        debug_assert!(self.filter == Filter::Nearest && self.level == 0);
+        let Window { columns, first: (left, _), .. } = &self.window;
+        let pitch = out.len() / rows.len();
+        self.each_line(rows, |at, (_, start), scratch| {
+            for run in &scratch.runs {
+                let run = run.start.max(columns.start)..run.end;
+                if run.is_empty() {
+                    continue;
+                }
+                let out = &mut out[at * pitch + left + run.start - columns.start..][..run.len()];
+                let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run]);
+                for (out, (u, v)) in out.iter_mut().zip(u.iter().zip(v)) {
+                    *out = [u.clamp(0.0, most[0]), v.clamp(0.0, most[1])];
+                }
+            }
+        });
+    }
+
+    /// Computes the coordinates of the target rows that lie in the window: the index of each among `rows`, the row of the window, and where
+    /// it begins in the scratch.
+    #[inline(always)]
+    fn each_line(&self, rows: &Range<u32>, mut draw: impl FnMut(usize, (u32, usize), &Scratch)) {
+        let Window { rows: drawn, first: (_, top), .. } = &self.window;
         // The target's rows that lie in the window.
         let (start, end) = (rows.start.max(*top), rows.end.min(top + (drawn.end - drawn.start)));
         if start >= end {
             return;
         }
-        let pixel = channels.count() * source.pixmap().depth().bytes();
-        let pitch = out.len() / rows.len();
-        let part = left * pixel..(left + columns.len()) * pixel;
-        let mut lines = out.chunks_exact_mut(pitch).skip((start - rows.start) as usize);
+        let mut at = (start - rows.start) as usize;
         let mut scratch = self.scratch();
         let within = drawn.start + (start - top)..drawn.start + (end - top);
         for first in within.clone().step_by(STRIP as usize) {
@@ -100,10 +130,11 @@ impl Drawing {
             if self.is_extended() {
                 self.extend(&strip, &mut scratch);
             }
-            for (row, out) in strip.clone().zip(&mut lines) {
+            for row in strip.clone() {
                 let line =
                     if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
-                self.paint(source, channels, (row, line), &scratch, &mut out[part.clone()]);
+                draw(at, (row, line), &scratch);
+                at += 1;
             }
         }
     }

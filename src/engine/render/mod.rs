@@ -18,6 +18,8 @@ mod canvas;
 #[forbid(unsafe_code)]
 mod cell;
 #[forbid(unsafe_code)]
+mod coverage;
+#[forbid(unsafe_code)]
 mod drawing;
 #[forbid(unsafe_code)]
 mod edge;
@@ -25,6 +27,8 @@ mod edge;
 mod fine;
 #[forbid(unsafe_code)]
 mod footprint;
+#[forbid(unsafe_code)]
+mod inverse_map;
 mod kernel;
 #[forbid(unsafe_code)]
 mod lattice;
@@ -51,6 +55,8 @@ mod steps;
 mod tests;
 
 pub use canvas::{Canvas, window_count};
+pub use coverage::Coverage;
+pub use inverse_map::InverseMap;
 pub use source::Source;
 
 use canvas::{Placement, Window};
@@ -190,7 +196,7 @@ impl Renderer {
     pub fn computed_width(&self) -> u32 {
         match &self.work {
             Work::Copy { .. } => self.options.target.width(),
-            Work::Draw(drawings) => drawings.iter().map(Drawing::width).max().map_or(0, |width| u32::try_from(width).unwrap_or(u32::MAX)),
+            Work::Draw(drawings) => computed_width(drawings),
         }
     }
 
@@ -235,4 +241,9 @@ impl Renderer {
             }
         }
     }
+}
+
+/// Upper bound of the pixels whose source positions are computed to draw a row.
+fn computed_width(drawings: &[Drawing]) -> u32 {
+    drawings.iter().map(Drawing::width).max().map_or(0, |width| u32::try_from(width).unwrap_or(u32::MAX))
 }

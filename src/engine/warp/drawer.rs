@@ -3,10 +3,10 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::{Image, Posed};
-use crate::codec::{PngShape, Profile};
+use super::{Image, LabelImage, Posed};
+use crate::codec::{Encoding, Labels, PngShape, Profile, Writer};
 use crate::pixmap::{Channels, Depth, Extent};
-use crate::render::{RenderOptions, Renderer};
+use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 
 /// Draws one subject.
 #[derive(Debug)]
@@ -18,6 +18,10 @@ pub(super) enum Drawer {
         grey: bool,
         icc: Option<Profile>,
     },
+    /// Labels.
+    Labels { inverse: InverseMap, labels: Arc<Labels> },
+    /// Coverage.
+    Coverage(Box<Coverage>),
 }
 
 impl Drawer {
@@ -26,48 +30,92 @@ impl Drawer {
         Self::Image { renderer, grey: image.grey && options.outside.is_grey(), icc: image.icc.clone() }
     }
 
+    pub(super) fn labels(image: &LabelImage, posed: &Posed, options: RenderOptions) -> Self {
+        Self::Labels { inverse: InverseMap::new(posed.mesh(), options.target, options.canvas), labels: Arc::clone(&image.labels) }
+    }
+
+    pub(super) fn coverage(posed: &Posed, options: RenderOptions) -> Self {
+        Self::Coverage(Box::new(Coverage::new(posed.mesh(), options.target, options.canvas)))
+    }
+
     /// Size of the target.
-    pub(super) const fn target(&self) -> Extent {
+    pub(super) fn target(&self) -> Extent {
         match self {
             Self::Image { renderer, .. } => renderer.target(),
+            Self::Labels { inverse, .. } => inverse.target(),
+            Self::Coverage(coverage) => coverage.target(),
         }
     }
 
-    pub(super) const fn channels(&self) -> Channels {
+    /// The writer of what is drawn.
+    ///
+    /// # Panics
+    /// If the format would change labels; see [`super::Subject::check`].
+    pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match self {
-            Self::Image { renderer, .. } => renderer.channels(),
+            Self::Image { renderer, grey, icc } => {
+                let shape = PngShape { extent: self.target(), channels: renderer.channels(), grey: *grey, depth: renderer.depth() };
+                Writer::new(shape, encoding, icc.as_ref())
+            }
+            Self::Labels { labels, .. } => {
+                let shape = PngShape { extent: self.target(), ..labels.shape };
+                Writer::of_labels(shape, encoding, labels.palette.as_ref()).expect("the format was checked")
+            }
+            Self::Coverage(_) => {
+                let shape = PngShape { extent: self.target(), channels: Channels::Rgb, grey: true, depth: Depth::Eight };
+                Writer::new(shape, encoding, None)
+            }
         }
     }
 
-    pub(super) fn depth(&self) -> Depth {
+    /// Bytes of a pixel that is drawn.
+    pub(super) fn pixel_bytes(&self) -> usize {
         match self {
-            Self::Image { renderer, .. } => renderer.depth(),
+            Self::Image { renderer, .. } => renderer.channels().count() * renderer.depth().bytes(),
+            Self::Labels { labels, .. } => labels.shape.samples() * labels.shape.depth.bytes(),
+            Self::Coverage(_) => Channels::Rgb.count(),
         }
-    }
-
-    /// The file that holds what is drawn.
-    pub(super) fn shape(&self) -> PngShape {
-        let Self::Image { grey, .. } = self;
-        PngShape { extent: self.target(), channels: self.channels(), grey: *grey, depth: self.depth() }
-    }
-
-    /// The colour profile of the file.
-    pub(super) const fn icc(&self) -> Option<&Profile> {
-        let Self::Image { icc, .. } = self;
-        icc.as_ref()
     }
 
     /// Upper bound of the pixels whose source positions are computed to draw a row.
     pub(super) fn computed_width(&self) -> u32 {
         match self {
             Self::Image { renderer, .. } => renderer.computed_width(),
+            Self::Labels { inverse, .. } => inverse.computed_width(),
+            Self::Coverage(coverage) => coverage.computed_width(),
         }
     }
 
-    /// Draws the target rows `rows`. Shapes: `out: [rows][width][channels]`, samples in PNG order (16-bit big-endian).
+    /// Draws the target rows `rows`. Shapes: `out: [rows][width][pixel_bytes]`, samples in PNG order (16-bit big-endian).
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         match self {
             Self::Image { renderer, .. } => renderer.band(rows, out),
+            Self::Labels { inverse, labels } => draw_labels(inverse, labels, rows, out),
+            Self::Coverage(coverage) => {
+                let mut shares = vec![0; out.len() / 3];
+                coverage.rows(rows, &mut shares);
+                for (pixel, share) in out.as_chunks_mut::<3>().0.iter_mut().zip(shares) {
+                    *pixel = [share; 3];
+                }
+            }
+        }
+    }
+}
+
+/// Each pixel takes the label of the source pixel that contains its position, or 0.
+fn draw_labels(inverse: &InverseMap, labels: &Labels, rows: Range<u32>, out: &mut [u8]) {
+    let shape = labels.shape;
+    let pixel = shape.samples() * shape.depth.bytes();
+    let mut positions = vec![[0.0; 2]; out.len() / pixel];
+    inverse.rows(rows, &mut positions);
+    let (width, height) = (shape.extent.width() as usize, shape.extent.height() as usize);
+    for (out, [x, y]) in out.chunks_exact_mut(pixel).zip(positions) {
+        if x.is_nan() {
+            out.fill(0);
+        } else {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "positions in the source")]
+            let (x, y) = ((x as usize).min(width - 1), (y as usize).min(height - 1));
+            out.copy_from_slice(&labels.values[(y * width + x) * pixel..][..pixel]);
         }
     }
 }

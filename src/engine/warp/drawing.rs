@@ -25,16 +25,20 @@ impl Warp {
     /// Prepares the drawing of a posed mesh: tens of microseconds.
     ///
     /// # Errors
-    /// Those of [`OutputSpec::target`].
+    /// Those of [`OutputSpec::target`] and [`Subject::check`].
     pub fn new(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
+        subject.check(output)?;
         Ok(Self::onto(output.target(subject.extent(), posed.mesh(), limits)?, subject, posed, output))
     }
 
     /// Prepares the drawing of a target of `output`.
+    ///
+    /// # Panics
+    /// If [`Subject::check`] refuses the format.
     #[must_use]
     pub fn onto(target: Target, subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Self {
         let drawer = subject.drawer(target, posed, output);
-        let writer = Writer::new(drawer.shape(), output.encoding(), drawer.icc());
+        let writer = drawer.writer(output.encoding());
         Self { drawer, writer, format: output.format, etag: etag(subject, posed, output, target), target }
     }
 

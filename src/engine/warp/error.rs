@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::codec::CodecError;
+use crate::codec::{CodecError, Format};
 use crate::deform::{self, DeformError};
 use crate::geometry::Compact;
 
@@ -35,7 +35,7 @@ pub enum WarpError {
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `scaled_source_side`, `outline_samples`.
+        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`, `outline_samples`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -65,6 +65,12 @@ pub enum WarpError {
     /// An invalid grid.
     #[error("{0}")]
     BadGrid(String),
+    /// Labels in a format that would change them.
+    #[error("labels are not written as {}: its colours are not exact, or not one number per pixel; use PNG or TIFF", format.name())]
+    LabelFormat {
+        /// The format.
+        format: Format,
+    },
     /// `folds: reject` and the posed grid folds.
     #[error("the warp folds over itself in {cells} {} of the grid", if *cells == 1 { "cell" } else { "cells" })]
     Folded {
@@ -141,6 +147,8 @@ fn measured(what: &str, actual: u64) -> String {
         "output_side" => format!("the longer side of the output would be {actual} px"),
         "output_pixels" => format!("the output would have {actual} pixels"),
         "scaled_source_side" => format!("at this scale the longer side of the whole source would be {actual} px"),
+        "map_side" => format!("the longer side of the map would be {actual} px"),
+        "map_pixels" => format!("the map would have {actual} pixels"),
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => format!("{what}: {actual}"),

@@ -4,12 +4,14 @@
 //! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in
 //! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 
+mod coordinate_map;
 mod digest;
 mod drawer;
 mod drawing;
 mod error;
 mod fit;
 mod image;
+mod label_image;
 mod plausibility;
 mod posed;
 mod setup;
@@ -21,11 +23,13 @@ mod target;
 mod tests;
 mod transform;
 
+pub use self::coordinate_map::{CoordinateMap, Direction, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
 pub use self::error::{Warning, WarpError};
 pub use self::fit::{Candidate, Fit, Prediction, best, choose};
 pub use self::image::Image;
+pub use self::label_image::LabelImage;
 pub use self::posed::{Posed, Report};
 pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Limits, Method, OutputSpec, RestSpec, Units};

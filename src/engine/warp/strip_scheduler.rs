@@ -83,7 +83,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
     /// that passed on the last piece.
     pub fn work(&self, watch: &dyn WriteObserver) -> bool {
         let Warp { drawer, writer, .. } = &*self.warp;
-        let row = drawer.target().width() as usize * drawer.channels().count() * drawer.depth().bytes();
+        let row = drawer.target().width() as usize * drawer.pixel_bytes();
         let mut samples = SAMPLES.take();
         let mut ended = false;
         while !self.cancelled.load(Ordering::Relaxed) && watch.goes_on() {

@@ -1,15 +1,22 @@
 //! What a warp draws.
 
+use super::digest::Collector;
 use super::drawer::Drawer;
-use super::{Digest, Image, OutputSpec, Posed, Target, Warning};
+use super::{Digest, Image, LabelImage, OutputSpec, Posed, Target, Warning, WarpError};
+use crate::codec::Format;
 use crate::pixmap::Extent;
-use crate::render::RenderOptions;
+use crate::render::{Coverage, RenderOptions};
 
 /// What a warp draws.
 #[derive(Clone, Copy, Debug)]
 pub enum Subject<'a> {
     /// A picture.
     Image(&'a Image),
+    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. The filter and what is
+    /// outside are ignored.
+    Labels(&'a LabelImage),
+    /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and opaque.
+    Coverage(Extent),
 }
 
 impl Subject<'_> {
@@ -18,6 +25,8 @@ impl Subject<'_> {
     pub fn extent(self) -> Extent {
         match self {
             Self::Image(image) => image.extent(),
+            Self::Labels(labels) => labels.extent(),
+            Self::Coverage(extent) => extent,
         }
     }
 
@@ -26,13 +35,36 @@ impl Subject<'_> {
     pub fn warning(self) -> Option<Warning> {
         match self {
             Self::Image(image) => image.warning(),
+            Self::Labels(_) | Self::Coverage(_) => None,
+        }
+    }
+
+    /// Checks the format of the output.
+    ///
+    /// # Errors
+    /// Labels in a format that would change them.
+    pub const fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
+        match (self, output.format) {
+            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP)) => Err(WarpError::LabelFormat { format }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Memory for preparing the drawing of a posed mesh beyond that of a picture, bytes.
+    #[must_use]
+    pub fn prepared_bytes(self, posed: &Posed) -> u64 {
+        match self {
+            Self::Image(_) | Self::Labels(_) => 0,
+            Self::Coverage(_) => Coverage::bytes(posed.mesh()),
         }
     }
 
     /// Digest of the subject, part of an ETag; different kinds of subjects have different digests.
-    pub(super) const fn digest(self) -> Digest {
+    pub(super) fn digest(self) -> Digest {
         match self {
             Self::Image(image) => image.digest(),
+            Self::Labels(labels) => Collector::new("mlswarp labels 1").bytes(&labels.digest().0).finish(),
+            Self::Coverage(_) => Collector::new("mlswarp coverage 1").finish(),
         }
     }
 
@@ -40,6 +72,8 @@ impl Subject<'_> {
         let options = RenderOptions { target: target.extent, canvas: target.canvas, filter: output.filter, outside: output.outside };
         match self {
             Self::Image(image) => Drawer::image(image, posed, options),
+            Self::Labels(labels) => Drawer::labels(labels, posed, options),
+            Self::Coverage(_) => Drawer::coverage(posed, options),
         }
     }
 }

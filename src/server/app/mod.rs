@@ -8,6 +8,7 @@ mod fit;
 mod json_text;
 pub mod landmarks;
 pub(crate) mod lifecycle;
+pub mod map;
 mod metrics_text;
 pub(crate) mod points;
 pub mod sequence;

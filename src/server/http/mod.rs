@@ -44,6 +44,8 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
         ("/points", Keyed, uploads(post(routes::points::once))),
+        ("/sessions/{id}/map", Keyed, uploads(post(routes::map::of_session))),
+        ("/map", Keyed, uploads(post(routes::map::once))),
         ("/sessions/{id}/fit", Keyed, uploads(post(routes::fit::of_session))),
         ("/fit", Keyed, uploads(post(routes::fit::once))),
         ("/landmarks", Keyed, uploads(post(routes::landmarks::convert))),

@@ -36,6 +36,7 @@ impl From<WarpError> for Problem {
             WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail).pointer(format!("/p/{handle}")).handle(handle),
             WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail).pointer("/p").actual(actual),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
+            WarpError::LabelFormat { .. } => Self::new(Code::BadValue, detail).pointer("/output/format"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
             WarpError::NothingVisible => Self::new(Code::NothingVisible, detail).pointer("/output/canvas"),
         }
@@ -168,6 +169,8 @@ mod tests {
         }
         expect(WarpError::ForeignParameter { parameter: "alpha" }, Code::BadValue, Some("/alpha"), None);
         expect(WarpError::BadGrid("cell is 0".to_owned()), Code::BadValue, Some("/grid"), None);
+        let format = mlswarp::codec::Format::Jpeg;
+        expect(WarpError::LabelFormat { format }, Code::BadValue, Some("/output/format"), None);
         let folded = expect(WarpError::Folded { cells: 3 }, Code::Folded, Some("/folds"), None);
         assert_eq!(folded.actual, Some(3.into()));
     }

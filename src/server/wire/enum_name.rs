@@ -4,7 +4,7 @@
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Folds, Method, Units};
+use mlswarp::warp::{Direction, Folds, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -110,5 +110,6 @@ enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Rejec
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
+enum_names!(Direction, unsupported [], Direction::Inverse = "inverse", Direction::Forward = "forward");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

@@ -33,6 +33,18 @@ pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
 /// The fields of `/sessions/{id}/points`.
 pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
+/// The fields of `/map`: those of the warp object, then its own.
+pub(crate) const WARP_WITH_MAP: [&str; 18] = {
+    let mut fields = [""; 18];
+    let (warp, own) = fields.split_at_mut(WARP.len());
+    warp.copy_from_slice(&WARP);
+    own.copy_from_slice(&["extent", "direction", "canvas", "width"]);
+    fields
+};
+
+/// The fields of `/sessions/{id}/map`.
+pub(crate) const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "canvas", "width"];
+
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
 pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];

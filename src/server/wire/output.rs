@@ -49,20 +49,24 @@ impl OutputPatch {
         if node.kind() == Kind::String {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
-        let [format, quality_, compression, width, filter, outside_, canvas_] = node.fields(&fields::OUTPUT)?;
+        let [format, quality_, compression, width_, filter, outside_, canvas_] = node.fields(&fields::OUTPUT)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
             compression: optional(compression, enum_name)?,
             canvas: optional(canvas_, canvas)?,
-            width: optional(width, |n| count(n, 1, "a width: a whole number of pixels, at least 1"))?,
+            width: optional(width_, width)?,
             filter: optional(filter, enum_name)?,
             outside: optional(outside_, outside)?,
         })
     }
 }
 
-fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
+pub(super) fn width(node: &Node<'_, '_>) -> Result<u32, Problem> {
+    count(node, 1, "a width: a whole number of pixels, at least 1")
+}
+
+pub(super) fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
     match node.kind() {
         Kind::String => match node.string(CANVAS)?.as_str() {
             "same" => Ok(CanvasSpec::Same),

@@ -5,9 +5,9 @@ use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
-use mlswarp::warp::{Image, ImageLimits, Limits, Posed, Setup, Subject, Warp};
+use mlswarp::warp::{CoordinateMap, Image, ImageLimits, Limits, MapFormat, Posed, Setup, Subject, Warp};
 use mlswarp_server::problem::Problem;
-use mlswarp_server::wire::{DragObject, PointsObject, WarpObject};
+use mlswarp_server::wire::{DragObject, MapObject, PointsObject, WarpObject};
 
 use serde_json::{Map, Value};
 
@@ -25,11 +25,13 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
-    let refused = match route % 6 {
+    let refused = match route % 8 {
         0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
         3 => as_with_nulls("Drag", json, DragObject::parse).err(),
         4 => as_with_nulls("Points", json, PointsObject::parse).and_then(|object| mapped(&object)).err(),
-        _ => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
+        5 => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
+        6 => as_with_nulls("Map", json, MapObject::parse).and_then(|object| inverted(&object)).err(),
+        _ => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
@@ -67,6 +69,21 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
         ControlFlow::Continue(())
     });
     assert!(bytes > 0, "a picture has bytes");
+    Ok(())
+}
+
+/// Every number of a map is a place or NaN, and the file has as many bytes as it says.
+fn inverted(object: &MapObject) -> Result<(), Problem> {
+    let Some((warp, extent)) = &object.warp else { return Ok(()) };
+    for format in MapFormat::ALL {
+        let spec = object.spec(&warp.output, format);
+        spec.check(*extent, &LIMITS)?;
+        let setup = Setup::new(&warp.rest, *extent, &LIMITS)?;
+        let posed = Posed::new(&setup, &setup.plan(), &setup.pose(&object.q)?, warp.folds, &|| false)?;
+        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, *extent, &LIMITS)?)?;
+        let bytes: u64 = (0..map.bands()).map(|band| map.band(band).len() as u64).sum();
+        assert_eq!(bytes, map.file_bytes());
+    }
     Ok(())
 }
 

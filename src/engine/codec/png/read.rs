@@ -8,7 +8,7 @@ use std::io::Read;
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
 use crate::codec::work::{Pieces, StepCounter};
-use crate::codec::{CodecError, Format};
+use crate::codec::{CodecError, Format, Palette};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 const SIGNATURE: usize = 8;
@@ -47,6 +47,10 @@ pub(in crate::codec) struct PngFile<'a> {
     animation_chunks: bool,
     pub(in crate::codec) exif: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
+    palette: Option<&'a [u8]>,
+    alpha: &'a [u8],
+    /// Samples are read as they are stored.
+    pub(in crate::codec) labels: bool,
     idat_bytes: u64,
     idat_chunks: u64,
     /// End of the file; `None` if it is truncated before IEND.
@@ -94,6 +98,9 @@ impl<'a> PngFile<'a> {
             animation_chunks: false,
             exif: None,
             profile: None,
+            palette: None,
+            alpha: &[],
+            labels: false,
             idat_bytes: 0,
             idat_chunks: 0,
             end: None,
@@ -113,7 +120,11 @@ impl<'a> PngFile<'a> {
                     self.idat_bytes += chunk.data.len() as u64;
                     self.idat_chunks += 1;
                 }
-                b"tRNS" if before_data => self.transparency = matches!(self.colour, 0 | 2 | 3),
+                b"tRNS" if before_data => {
+                    self.transparency = matches!(self.colour, 0 | 2 | 3);
+                    self.alpha = chunk.data;
+                }
+                b"PLTE" if before_data && self.palette.is_none() => self.palette = Some(chunk.data),
                 b"iCCP" if before_data && self.profile.is_none() => self.profile = Some(chunk.data),
                 // The second edition's extensions allow it behind the data too.
                 b"eXIf" if self.exif.is_none() => self.exif = Some(chunk.data),
@@ -136,11 +147,11 @@ impl<'a> PngFile<'a> {
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
-        if self.transparency || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
+        if self.transparency && !self.labels || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
     }
 
     pub(in crate::codec) fn is_grey(&self) -> bool {
-        matches!(self.colour, 0 | 4)
+        matches!(self.colour, 0 | 4) || self.labels && self.colour == 3
     }
 
     pub(in crate::codec) fn depth(&self) -> Depth {
@@ -224,7 +235,7 @@ impl<'a> PngFile<'a> {
         options.set_ignore_adler32(false);
         let mut decoder = png::Decoder::new_with_options(Pieces::new(self.still(end, work)?, work), options);
         decoder.set_limits(png::Limits { bytes: usize::try_from(budget).unwrap_or(usize::MAX) });
-        decoder.set_transformations(png::Transformations::EXPAND);
+        decoder.set_transformations(if self.labels { png::Transformations::IDENTITY } else { png::Transformations::EXPAND });
         let mut reader = decoder.read_info().map_err(bad)?;
         let samples = match self.depth() {
             Depth::Eight => self.rows::<u8, _>(&mut reader, work).map(Samples::Eight),
@@ -243,7 +254,7 @@ impl<'a> PngFile<'a> {
         let (colour, bits) = reader.output_color_type();
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         if reader.info().size() != (self.extent.width(), self.extent.height())
-            || bits as usize != 8 * T::BYTES
+            || bits as usize != if self.labels { self.bits.into() } else { 8 * T::BYTES }
             || colour.samples() > self.channels().count()
         {
             return Err(bad("two headers that disagree"));
@@ -251,6 +262,7 @@ impl<'a> PngFile<'a> {
         let line = reader.output_line_size(self.extent.width()).ok_or_else(|| bad("a row longer than memory"))?;
         let mut row = room::<u8>(line as u64)?;
         row.resize(line, 0);
+        let mut unpacked = room::<u8>(if self.labels && self.bits < 8 { width as u64 } else { 0 })?;
         let per_pixel = self.channels().count();
         let len = sample_count(self.extent.pixels(), self.channels());
         if !self.interlaced {
@@ -258,7 +270,7 @@ impl<'a> PngFile<'a> {
             for _ in 0..height {
                 work.check()?;
                 reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
-                T::expand(&row, colour.samples(), self.channels(), &mut out);
+                T::expand(self.unpacked(&row, width, &mut unpacked), colour.samples(), self.channels(), &mut out);
             }
             return Ok(out);
         }
@@ -273,7 +285,8 @@ impl<'a> PngFile<'a> {
                 work.check()?;
                 reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
                 pixels.clear();
-                T::expand(&row[..columns * colour.samples() * T::BYTES], colour.samples(), self.channels(), &mut pixels);
+                let row = &self.unpacked(&row, columns, &mut unpacked)[..columns * colour.samples() * T::BYTES];
+                T::expand(row, colour.samples(), self.channels(), &mut pixels);
                 let target = out[y * width * per_pixel..][..width * per_pixel].chunks_exact_mut(per_pixel);
                 for (into, from) in target.skip(first_column).step_by(column_step).zip(pixels.chunks_exact(per_pixel)) {
                     into.copy_from_slice(from);
@@ -281,6 +294,30 @@ impl<'a> PngFile<'a> {
             }
         }
         Ok(out)
+    }
+
+    /// A row of stored samples, one byte each if they have fewer than 8 bits.
+    fn unpacked<'r>(&self, row: &'r [u8], columns: usize, out: &'r mut Vec<u8>) -> &'r [u8] {
+        let bits = usize::from(self.bits);
+        if !self.labels || bits >= 8 {
+            return row;
+        }
+        out.clear();
+        let most = (1_u8 << bits) - 1;
+        out.extend((0..columns).map(|k| row[k * bits / 8] >> (8 - bits - k * bits % 8) & most));
+        out
+    }
+
+    /// The palette of a label image.
+    pub(in crate::codec) fn label_palette(&self) -> Result<Option<Palette>, CodecError> {
+        if self.colour != 3 {
+            return Ok(None);
+        }
+        let (colours, rest) = self.palette.unwrap_or_default().as_chunks();
+        if colours.is_empty() || colours.len() > 256 || !rest.is_empty() {
+            return Err(bad("no palette, or one of no whole colours"));
+        }
+        Ok(Some(Palette { colours: colours.to_vec(), alpha: self.alpha[..self.alpha.len().min(colours.len())].to_vec() }))
     }
 
     pub(in crate::codec) fn has_profile(&self) -> bool {

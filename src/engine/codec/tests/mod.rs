@@ -8,6 +8,7 @@ pub(super) mod bombs;
 mod few_formats;
 mod hostile;
 mod jpeg;
+mod labels;
 mod made;
 mod png;
 mod tiff;

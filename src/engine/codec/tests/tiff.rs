@@ -87,6 +87,11 @@ pub(super) fn palette_in_tiles() -> Tiff {
     tiff.with(322, &[16]).with(323, &[16]).with(320, &(0..768).map(|n| n % 256 * 0x1111).collect::<Vec<_>>())
 }
 
+/// Grey of a few bits.
+pub(super) fn grey(width: u32, height: u32, bits: u32, packed: &[u8]) -> Vec<u8> {
+    Tiff::new(width, height, &[bits], 1, packed).bytes()
+}
+
 /// RGBA of our writer.
 pub(super) fn written((width, height): (u32, u32), rgba: &[u8], icc: Option<&[u8]>) -> Vec<u8> {
     let shape = PngShape { extent: Extent::new(width, height).unwrap(), channels: Channels::Rgba, grey: false, depth: Depth::Eight };

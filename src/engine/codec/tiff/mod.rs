@@ -2,5 +2,6 @@
 
 mod data;
 mod directory;
+pub(super) mod floats;
 pub(super) mod read;
 pub(super) mod write;

@@ -10,7 +10,7 @@ use super::directory::{Directory, File, Values, bad, cut_off};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::orientation::Orientation;
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
-use crate::codec::{CodecError, StepCounter};
+use crate::codec::{CodecError, Palette, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 /// Samples of a pixel, those that are not read included.
@@ -52,6 +52,8 @@ pub(in crate::codec) struct TiffFile<'a> {
     offsets: Values<'a>,
     lengths: Values<'a>,
     profile: Option<&'a [u8]>,
+    /// Samples are read as they are stored.
+    pub(in crate::codec) labels: bool,
 }
 
 fn unsupported(what: impl std::fmt::Display) -> CodecError {
@@ -131,6 +133,7 @@ impl<'a> TiffFile<'a> {
             offsets,
             lengths,
             profile,
+            labels: false,
         };
         Ok(this)
     }
@@ -164,7 +167,7 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) const fn is_grey(&self) -> bool {
-        matches!(self.colour, Colour::Grey { .. })
+        matches!(self.colour, Colour::Grey { .. }) || self.labels && matches!(self.colour, Colour::Palette)
     }
 
     /// Bytes of a row of a strip or tile.
@@ -262,6 +265,7 @@ impl<'a> TiffFile<'a> {
     fn pixel<T: Sample>(&self, from: &[T], into: &mut [T]) {
         match self.colour {
             Colour::Rgb => into[..3].copy_from_slice(&from[..3]),
+            Colour::Grey { .. } | Colour::Palette if self.labels => into[..3].fill(from[0]),
             Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero { from[0].inverted() } else { from[0] }),
             Colour::Palette => {
                 let colours = 1 << self.bits;
@@ -273,10 +277,19 @@ impl<'a> TiffFile<'a> {
         }
         let ([.., alpha], true) = (&mut *into, self.alpha != Alpha::None) else { return };
         *alpha = from[if self.colour == Colour::Rgb { 3 } else { 1 }];
-        if self.alpha == Alpha::Premultiplied {
+        if self.alpha == Alpha::Premultiplied && !self.labels {
             let alpha = *alpha;
             into[..3].iter_mut().for_each(|sample| *sample = sample.divided(alpha));
         }
+    }
+
+    /// The palette of a label image: the upper bytes of its 16-bit colours.
+    pub(in crate::codec) fn label_palette(&self) -> Option<Palette> {
+        let palette = self.palette.filter(|_| self.colour == Colour::Palette && self.bits <= 8)?;
+        let colours = 1_usize << self.bits;
+        let sample = |index: usize| u8::from_short(palette.get(index).unwrap_or(0));
+        let colours = (0..colours).map(|k| [0, 1, 2].map(|c| sample(c * colours + k))).collect();
+        Some(Palette { colours, alpha: Vec::new() })
     }
 
     pub(in crate::codec) const fn has_profile(&self) -> bool {
@@ -307,7 +320,7 @@ impl Sample for u8 {
             return out.extend_from_slice(row);
         }
         let most = (1_u16 << file.bits) - 1;
-        let scale = if file.colour == Colour::Palette { 1 } else { 255 / most };
+        let scale = if file.colour == Colour::Palette || file.labels { 1 } else { 255 / most };
         let per_byte = 8 / file.bits;
         for index in 0..file.part.0 {
             let shift = 8 - file.bits * (index % per_byte + 1);

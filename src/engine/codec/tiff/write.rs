@@ -4,20 +4,23 @@ use std::io::Write as _;
 
 use flate2::write::ZlibEncoder;
 
+use crate::codec::Palette;
 use crate::codec::png::write::{Compression, PngShape};
 use crate::pixmap::{Channels, Depth};
 
 /// Target size of a strip, bytes.
 const STRIP: usize = 256 << 10;
 
-const SHORT: u16 = 3;
+pub(super) const SHORT: u16 = 3;
 const LONG: u16 = 4;
 const UNDEFINED: u16 = 7;
 
-/// The samples of a directory's entry that do not fit into it are appended before the directory.
-struct Directory<'a> {
+/// The values of a directory's entry that do not fit into it are appended before the directory.
+pub(super) struct Directory<'a> {
     out: &'a mut Vec<u8>,
+    /// Where the file begins in `out`, or the bytes of it that come before.
     start: usize,
+    before: usize,
     entries: Vec<[u8; 12]>,
 }
 
@@ -25,14 +28,24 @@ fn offset(bytes: usize) -> u32 {
     u32::try_from(bytes).expect("the target was held against the format's largest size")
 }
 
-impl Directory<'_> {
-    fn entry(&mut self, tag: u16, kind: u16, count: usize, data: &[u8]) {
+impl<'a> Directory<'a> {
+    /// A directory behind this number of bytes of the file; `out` is what follows them.
+    pub(super) const fn after(out: &'a mut Vec<u8>, before: usize) -> Self {
+        Self { out, start: 0, before, entries: Vec::new() }
+    }
+
+    /// Bytes of the file so far.
+    const fn length(&self) -> usize {
+        self.before + self.out.len() - self.start
+    }
+
+    pub(super) fn entry(&mut self, tag: u16, kind: u16, count: usize, data: &[u8]) {
         let mut value = [0; 4];
         if data.len() <= 4 {
             value[..data.len()].copy_from_slice(data);
         } else {
             self.align();
-            value = offset(self.out.len() - self.start).to_be_bytes();
+            value = offset(self.length()).to_be_bytes();
             self.out.extend_from_slice(data);
         }
         let mut entry = [0; 12];
@@ -43,30 +56,43 @@ impl Directory<'_> {
         self.entries.push(entry);
     }
 
-    fn short(&mut self, tag: u16, value: u16) {
+    pub(super) fn short(&mut self, tag: u16, value: u16) {
         self.entry(tag, SHORT, 1, &value.to_be_bytes());
     }
 
-    fn longs(&mut self, tag: u16, values: &[u32]) {
+    pub(super) fn longs(&mut self, tag: u16, values: &[u32]) {
         let data: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
         self.entry(tag, LONG, values.len(), &data);
     }
 
     /// Values and directories begin at even offsets.
     fn align(&mut self) {
-        if !(self.out.len() - self.start).is_multiple_of(2) {
+        if !self.length().is_multiple_of(2) {
             self.out.push(0);
         }
     }
 
-    fn close(mut self) {
+    /// Appends the directory, and enters its place at the beginning of the file.
+    fn close(self) {
+        let field = self.start + 4..self.start + 8;
+        let (at, out) = self.append();
+        out[field].copy_from_slice(&offset(at).to_be_bytes());
+    }
+
+    /// Appends the directory; returns where it begins in the bytes that follow those before.
+    pub(super) fn finish(self) -> usize {
+        let before = self.before;
+        self.append().0 - before
+    }
+
+    fn append(mut self) -> (usize, &'a mut Vec<u8>) {
         self.align();
-        let at = offset(self.out.len() - self.start).to_be_bytes();
-        self.out[self.start + 4..self.start + 8].copy_from_slice(&at);
+        let at = self.length();
         let count = u16::try_from(self.entries.len()).expect("a few entries");
         self.out.extend_from_slice(&count.to_be_bytes());
         self.out.extend_from_slice(self.entries.as_flattened());
         self.out.extend_from_slice(&[0; 4]);
+        (at, self.out)
     }
 }
 
@@ -75,7 +101,7 @@ pub(in crate::codec) fn write(
     shape: PngShape,
     compression: Compression,
     samples: &[u8],
-    icc: Option<&[u8]>,
+    (icc, palette): (Option<&[u8]>, Option<&Palette>),
     out: &mut Vec<u8>,
     wanted: &dyn Fn() -> bool,
 ) {
@@ -109,7 +135,7 @@ pub(in crate::codec) fn write(
         lengths.push(offset(out.len() - at));
     }
 
-    let mut directory = Directory { out, start, entries: Vec::new() };
+    let mut directory = Directory { out, start, before: 0, entries: Vec::new() };
     directory.longs(256, &[shape.extent.width()]);
     directory.longs(257, &[shape.extent.height()]);
     let bits: u16 = match shape.depth {
@@ -118,13 +144,19 @@ pub(in crate::codec) fn write(
     };
     directory.entry(258, SHORT, shape.samples(), &bits.to_be_bytes().repeat(shape.samples()));
     directory.short(259, if level.is_some() { 8 } else { 1 });
-    directory.short(262, if shape.grey { 1 } else { 2 });
+    directory.short(262, if palette.is_some() { 3 } else { u16::from(!shape.grey) + 1 });
     directory.longs(273, &offsets);
     directory.short(277, u16::try_from(shape.samples()).expect("at most four"));
     directory.longs(278, &[offset(rows)]);
     directory.longs(279, &lengths);
     if level.is_some() {
         directory.short(317, 2);
+    }
+    if let Some(Palette { colours, .. }) = palette {
+        // All reds first; 257 c is c as 16 bit.
+        let colour = |c: usize, k: usize| colours.get(k).map_or(0, |colour| u16::from(colour[c]) * 257).to_be_bytes();
+        let map: Vec<u8> = (0..3).flat_map(|c| (0..256).flat_map(move |k| colour(c, k))).collect();
+        directory.entry(320, SHORT, map.len() / 2, &map);
     }
     if shape.channels == Channels::Rgba {
         // Straight alpha.

@@ -2,9 +2,11 @@
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "small numbers of the tests themselves")]
 
+mod area;
 mod canvases;
 mod coverage;
 mod extremes;
+mod inverse;
 mod photograph;
 mod pictures;
 mod reference;

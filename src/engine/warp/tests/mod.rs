@@ -4,6 +4,7 @@
 
 mod drawn;
 mod sets;
+mod subjects;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -6,11 +6,11 @@ use std::io;
 use std::task::{Poll, ready};
 
 use axum::body::Body;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
+use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
-use futures_util::stream::poll_fn;
+use futures_util::stream::{Stream, StreamExt as _, once, poll_fn, unfold};
 use http_body::Frame;
 use http_body_util::StreamBody;
 use mlswarp::warp::Report;
@@ -18,9 +18,11 @@ use tokio::sync::mpsc::UnboundedReceiver;
 
 use crate::app::draw::{Drawn, Picture, Piece};
 use crate::app::landmarks::HeldLandmarks;
+use crate::app::map::MapFile;
 use crate::app::warp::Upload;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
+use crate::problem::Problem;
 use crate::wire::canvas_text;
 use crate::wire::landmarks::UNMATCHED;
 
@@ -129,6 +131,22 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
     (headers, body).into_response()
 }
 
+/// A coordinate map, computed as it is sent.
+pub(crate) fn map(file: MapFile) -> Response {
+    let MapFile { report, timing, plan_built, etag, canvas, format, length, first, rest } = file;
+    let mut headers = report_headers(&report, plan_built);
+    if let Some(canvas) = canvas {
+        headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
+    }
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    headers.insert(CONTENT_LENGTH, length.into());
+    headers.insert(VARY, HeaderValue::from_static("accept"));
+    headers.insert(ETAG, text(format!("\"{etag}\"")));
+    headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
+    let rest = unfold(rest, async |mut rest| Some((rest.next().await?, rest)));
+    streamed(headers, first, rest)
+}
+
 /// The value of `Server-Timing`.
 fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     let mut stages = Vec::with_capacity(6);
@@ -161,6 +179,17 @@ fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
             None => Some(Err(io::Error::other("the picture was not finished"))),
         })
     })))
+}
+
+/// A response whose body is computed as the client takes it: the next piece when hyper asks for it. The first piece is known, so that its
+/// problems are problem documents. A later problem ends the connection, which is all that can still be said.
+pub(crate) fn streamed(headers: HeaderMap, first: Bytes, rest: impl Stream<Item = Result<Bytes, Problem>> + Send + 'static) -> Response {
+    let failed = |problem: Problem| {
+        tracing::warn!(%problem, "a response ends before it is complete");
+        io::Error::other(problem)
+    };
+    let rest = rest.map(move |piece| piece.map_err(failed));
+    (headers, Body::from_stream(once(async { Ok(first) }).chain(rest))).into_response()
 }
 
 /// A JSON value.

@@ -4,7 +4,7 @@
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Method, Units};
+use mlswarp::warp::{Direction, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -196,6 +196,7 @@ fn enums_list_what_this_version_has() {
     words::<Folds>("/Folds");
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
+    words::<Direction>("/Direction");
     words::<Format>("/Output/properties/format");
 }
 
@@ -216,13 +217,15 @@ fn without_nulls(value: Value, known: Option<&Value>) -> Value {
 fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     type Parse = fn(&[u8]) -> bool;
-    let parsers: [(&str, Parse, &str); 6] = [
+    let parsers: [(&str, Parse, &str); 8] = [
         ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
         ("Drag", |b| DragObject::parse(b).is_ok(), "\"q\": []"),
         ("Points", |b| PointsObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedPoints", |b| PointsObject::parse_posed(b).is_ok(), "\"q\": []"),
+        ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
+        ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), "\"q\": []"),
     ];
     let fields = [
         "p: []",
@@ -321,6 +324,13 @@ fn schemas_and_parsers_agree_on_a_table() {
         "inverse: true",
         "inverse: 0",
         "refine: false",
+        "direction: \"forward\"",
+        "direction: \"backward\"",
+        "canvas: \"fit\"",
+        "canvas: {\"x\": 0, \"y\": 1, \"width\": 2, \"height\": 3}",
+        "canvas: {\"x\": 0}",
+        "width: 9",
+        "width: 0",
         "unheard_of: 1",
         "unheard_of: null",
         "coincident: {\"policy\": \"mean\"}",

@@ -414,8 +414,34 @@ fn fit_reads_its_fields() {
 }
 
 #[test]
-fn points_begin_with_the_fields_of_the_warp() {
+fn points_and_maps_begin_with_the_fields_of_the_warp() {
     assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
+    assert_eq!(fields::WARP_WITH_MAP[..fields::WARP.len()], fields::WARP);
+}
+
+#[test]
+fn maps_have_the_canvas_of_the_output_unless_they_have_their_own() {
+    use mlswarp::warp::{Direction, MapFormat};
+    let fit = OutputSpec { canvas: CanvasSpec::Fit, width: Some(70), ..OutputSpec::default() };
+    let spec = |text: &[u8]| MapObject::parse_posed(text).unwrap().spec(&fit, MapFormat::Tiff);
+    let of_output = spec(b"{\"q\": [], \"canvas\": null, \"width\": null, \"direction\": null}");
+    assert_eq!((of_output.canvas, of_output.width), (CanvasSpec::Fit, Some(70)));
+    assert_eq!((of_output.direction, of_output.format), (Direction::Inverse, MapFormat::Tiff));
+    let own = spec(b"{\"q\": [], \"canvas\": \"same\", \"direction\": \"forward\"}");
+    assert_eq!((own.canvas, own.width, own.direction), (CanvasSpec::Same, None, Direction::Forward));
+    assert_eq!(spec(b"{\"q\": [], \"width\": 9}").width, Some(9));
+    use Code::{BadValue as B, UnknownField as U};
+    check(
+        MapObject::parse,
+        &[
+            ("{\"extent\": [4, 4], \"direction\": \"back\"}", B, Some("/direction"), None),
+            ("{\"extent\": [4, 4], \"canvas\": {\"x\": 1}}", B, Some("/canvas"), None),
+            ("{\"extent\": [4, 4], \"width\": 0}", B, Some("/width"), None),
+            ("{\"extent\": [4, 4], \"points\": []}", U, Some("/points"), None),
+            ("{\"q\": []}", B, Some("/extent"), None),
+        ],
+    );
+    check(MapObject::parse_posed, &[("{\"direction\": \"forward\"}", B, Some("/q"), None)]);
 }
 
 #[test]
@@ -556,6 +582,8 @@ fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
         DragObject::parse(text).err(),
         PointsObject::parse(text).err(),
         PointsObject::parse_posed(text).err(),
+        MapObject::parse(text).err(),
+        MapObject::parse_posed(text).err(),
     ];
     let json = serde_json::from_slice::<&serde_json::value::RawValue>(text).is_ok();
     for problem in problems.into_iter().flatten() {

@@ -6,6 +6,7 @@ use std::io::Write;
 use crate::pixmap::{Channels, Depth};
 
 use super::{PngShape, Profile};
+use crate::codec::Palette;
 
 /// The eight bytes every PNG begins with.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
@@ -50,8 +51,8 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
     chunk.close(out);
 }
 
-/// Signature, IHDR, and iCCP when there is a profile.
-pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
+/// Signature, IHDR, and iCCP, PLTE and tRNS when there is a profile or a palette.
+pub(super) fn head(shape: PngShape, icc: Option<&Profile>, palette: Option<&Palette>) -> Vec<u8> {
     let mut out = SIGNATURE.to_vec();
     let mut header = Vec::with_capacity(13);
     header.extend_from_slice(&shape.extent.width().to_be_bytes());
@@ -61,6 +62,7 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
         Depth::Sixteen => 16,
     });
     header.push(match (shape.channels, shape.grey) {
+        (Channels::Rgb, true) if palette.is_some() => 3,
         (Channels::Rgb, true) => 0,
         (Channels::Rgb, false) => 2,
         (Channels::Rgba, true) => 4,
@@ -71,6 +73,12 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>) -> Vec<u8> {
     write(&mut out, *b"IHDR", &header);
     if let Some(Profile { chunk, .. }) = icc {
         out.extend_from_slice(chunk);
+    }
+    if let Some(Palette { colours, alpha }) = palette {
+        write(&mut out, *b"PLTE", colours.as_flattened());
+        if !alpha.is_empty() {
+            write(&mut out, *b"tRNS", alpha);
+        }
     }
     out
 }

@@ -33,6 +33,7 @@ mod tests;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::codec::Palette;
 use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
@@ -141,8 +142,17 @@ impl PngWriter {
             level: Level::detect(),
             bpp: layout::pixel_bytes(shape),
             layout: Layout::new(shape, compression),
-            head: chunk::head(shape, icc).into(),
+            head: chunk::head(shape, icc, None).into(),
         }
+    }
+
+    /// A writer for a label image; one sample per pixel if there is a palette.
+    ///
+    /// # Panics
+    /// Like [`Self::new`].
+    #[must_use]
+    pub fn of_labels(shape: PngShape, compression: Compression, palette: Option<&Palette>) -> Self {
+        Self { head: chunk::head(shape, None, palette).into(), ..Self::new(shape, compression, None) }
     }
 
     /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
@@ -173,7 +183,7 @@ impl PngWriter {
         self.head.len() as u64 + self.layout.max_bytes() + TAIL
     }
 
-    /// Signature, IHDR, and the colour profile.
+    /// Signature, IHDR, and the colour profile or the palette.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         self.head.to_vec()

@@ -1,0 +1,117 @@
+//! Label images: files whose samples are numbers instead of colours. They are read as they are stored: indices of a palette stay indices,
+//! grey of 1, 2 and 4 bit keeps its numbers in 8 bit, and colours stay whole. Transparency beside the samples (a PNG's tRNS chunk) and
+//! colour profiles are not applied.
+
+use super::alloc::room;
+use super::decode::{Decoded, Opened};
+use super::png::write::PngShape;
+use super::probe::Parsed;
+use super::{CodecError, Limits, StepCounter};
+use crate::pixmap::{Depth, Samples};
+
+/// The colours of the labels of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Palette {
+    /// Red, green and blue of each label, at most 256.
+    pub colours: Vec<[u8; 3]>,
+    /// Alpha of the first labels; the others are opaque.
+    pub alpha: Vec<u8>,
+}
+
+/// An upright label image.
+#[derive(Clone, Debug)]
+pub struct Labels {
+    /// Size, depth and samples per pixel.
+    pub shape: PngShape,
+    /// The colours of the labels, if the file has them.
+    pub palette: Option<Palette>,
+    /// The labels as a PNG stores them (16 bit big-endian). Shapes: `[height][width][shape.samples()]`.
+    pub values: Vec<u8>,
+}
+
+/// Reads the header of a label image; as [`super::open`].
+///
+/// # Errors
+/// Those of [`super::open`].
+pub fn open_labels<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
+    let mut opened = super::open(bytes, limits, work)?;
+    opened.parsed.read_labels();
+    opened.header = opened.parsed.header();
+    Ok(opened)
+}
+
+impl Parsed<'_> {
+    /// From now on, samples are read as they are stored.
+    fn read_labels(&mut self) {
+        match self {
+            Self::Png(file) => file.labels = true,
+            Self::Tiff(file) => file.labels = true,
+            Self::Bmp(file) => file.read_labels(),
+            Self::Jpeg(_) | Self::WebP(_) | Self::Gif(_) => {}
+        }
+    }
+
+    fn palette(&self, work: &StepCounter<'_>) -> Result<Option<Palette>, CodecError> {
+        match self {
+            Self::Png(file) => file.label_palette(),
+            Self::Tiff(file) => Ok(file.label_palette()),
+            Self::Bmp(file) => file.label_palette(work),
+            Self::Jpeg(_) | Self::WebP(_) | Self::Gif(_) => Ok(None),
+        }
+    }
+}
+
+impl Opened<'_> {
+    /// Upper bound of the memory for decoding labels, bytes.
+    #[must_use]
+    pub fn label_bytes(&self) -> u64 {
+        self.header.decode_bytes.saturating_add(self.label_shape().sample_bytes())
+    }
+
+    /// The shape of a label image.
+    const fn label_shape(&self) -> PngShape {
+        let header = self.header;
+        PngShape { extent: header.extent, channels: header.channels, grey: header.grey, depth: header.depth }
+    }
+
+    /// Decodes a label image that was opened as one.
+    ///
+    /// # Errors
+    /// Those of [`Opened::decode`].
+    pub fn decode_labels(&self) -> Result<Labels, CodecError> {
+        let palette = self.parsed.palette(self.work)?;
+        let Decoded { pixmap, .. } = self.decode()?;
+        let shape = self.label_shape();
+        let mut values = room(shape.sample_bytes())?;
+        let (stored, written) = (shape.channels.count(), shape.samples());
+        // The first of three equal colours, and alpha.
+        let is_kept = |index: usize| written == stored || index == 0 || index == 3;
+        match pixmap.samples() {
+            Samples::Eight(samples) if written == stored => values.extend_from_slice(samples),
+            Samples::Eight(samples) => {
+                for pixel in samples.chunks_exact(stored) {
+                    values.extend(pixel.iter().enumerate().filter(|(index, _)| is_kept(*index)).map(|(_, sample)| *sample));
+                }
+            }
+            Samples::Sixteen(samples) => {
+                for pixel in samples.chunks_exact(stored) {
+                    let kept = pixel.iter().enumerate().filter(|(index, _)| is_kept(*index));
+                    values.extend(kept.flat_map(|(_, sample)| sample.to_be_bytes()));
+                }
+            }
+        }
+        Ok(Labels { shape, palette, values })
+    }
+}
+
+impl PngShape {
+    /// Bytes of the samples of a file.
+    #[must_use]
+    pub const fn sample_bytes(self) -> u64 {
+        let depth = match self.depth {
+            Depth::Eight => 1,
+            Depth::Sixteen => 2,
+        };
+        self.extent.pixels().saturating_mul(self.samples() as u64).saturating_mul(depth)
+    }
+}

@@ -1,0 +1,255 @@
+//! Coordinate maps: for every pixel of a canvas a position, as arrays of f32 that other programs read. A file is written in bands of rows,
+//! each of which depends on the warp alone, so that no more than one is in memory.
+
+use std::ops::Range;
+
+use super::digest::Collector;
+use super::spec::at_most;
+use super::{CanvasSpec, Digest, Limits, OutputSpec, Posed, Target, WarpError};
+use crate::codec::FloatTiff;
+use crate::geometry::{Mesh, PIXEL_CENTER, Point};
+use crate::pixmap::Extent;
+use crate::render::{Canvas, InverseMap};
+
+/// Positions that are computed for a band.
+const BAND: u32 = 1 << 16;
+/// A band has a whole number of rows that are drawn together.
+const BAND_ROWS: u32 = 32;
+/// Bytes of a position: two f32.
+const POSITION: u64 = 8;
+/// Samples of a pixel: x and y.
+const SAMPLES: u16 = 2;
+
+/// Which positions a map has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Direction {
+    /// For each pixel of the posed plane, the source position that is drawn there; NaN where nothing is.
+    #[default]
+    Inverse,
+    /// For each pixel of the plane at rest, the posed position at which it is drawn; NaN outside the source.
+    Forward,
+}
+
+/// The file of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum MapFormat {
+    /// NumPy's format, version 1: `[height, width, 2]`, little-endian f32.
+    #[default]
+    Npy,
+    /// TIFF of two bands.
+    Tiff,
+}
+
+impl MapFormat {
+    /// All formats, the default first.
+    pub const ALL: [Self; 2] = [Self::Npy, Self::Tiff];
+
+    /// The media type.
+    #[must_use]
+    pub const fn media_type(self) -> &'static str {
+        match self {
+            Self::Npy => "application/x-npy",
+            Self::Tiff => "image/tiff",
+        }
+    }
+}
+
+/// The parameters of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MapSpec {
+    /// Which positions it has.
+    pub direction: Direction,
+    /// The part of the plane that it covers.
+    pub canvas: CanvasSpec,
+    /// Pixels in a row; default the canvas's width.
+    pub width: Option<u32>,
+    /// The file.
+    pub format: MapFormat,
+}
+
+impl MapSpec {
+    fn output(&self) -> OutputSpec {
+        OutputSpec { canvas: self.canvas, width: self.width, ..OutputSpec::default() }
+    }
+
+    /// The target of a posed grid.
+    ///
+    /// # Errors
+    /// Over the limits of pictures; nothing to show on the canvas `fit`.
+    pub fn target(&self, posed: &Posed, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
+        self.check(source, limits)?;
+        self.output().target(source, posed.mesh(), limits)
+    }
+
+    /// Checks the size of the map as far as it is known before anything is posed.
+    ///
+    /// # Errors
+    /// Over the limits of pictures.
+    pub fn check(&self, source: Extent, limits: &Limits) -> Result<(), WarpError> {
+        if self.canvas == CanvasSpec::Same && self.width.is_none() {
+            // There need not be a picture that was checked.
+            at_most("map_side", limits.image.max_side.into(), source.width().max(source.height()).into())?;
+            at_most("map_pixels", limits.image.max_pixels, source.pixels())?;
+        }
+        self.output().check(source, limits)
+    }
+}
+
+/// A map that is ready to be written.
+#[derive(Debug)]
+pub struct CoordinateMap {
+    positions: Positions,
+    target: Target,
+    format: MapFormat,
+    tiff: Option<FloatTiff>,
+    band_rows: u32,
+    etag: Digest,
+}
+
+#[derive(Debug)]
+enum Positions {
+    Inverse(InverseMap),
+    Forward { mesh: Mesh, canvas: Option<Canvas> },
+}
+
+impl CoordinateMap {
+    /// Prepares the map of a posed grid on a target of `spec`.
+    ///
+    /// # Errors
+    /// Too large for the format.
+    pub fn new(spec: &MapSpec, posed: &Posed, target: Target) -> Result<Self, WarpError> {
+        let (positions, computed) = match spec.direction {
+            Direction::Inverse => {
+                let inverse = InverseMap::new(posed.mesh(), target.extent, target.canvas);
+                let computed = inverse.computed_width();
+                (Positions::Inverse(inverse), computed)
+            }
+            Direction::Forward => (Positions::Forward { mesh: posed.mesh().clone(), canvas: target.canvas }, target.extent.width()),
+        };
+        let band_rows = (BAND / computed.max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+        let tiff = match spec.format {
+            MapFormat::Npy => None,
+            MapFormat::Tiff => {
+                let limit = u64::from(u32::MAX) / (POSITION + 1);
+                let too_large = WarpError::TooLarge { what: "map_pixels", limit, actual: target.extent.pixels() };
+                Some(FloatTiff::new(target.extent, SAMPLES, band_rows).ok_or(too_large)?)
+            }
+        };
+        Ok(Self { positions, target, format: spec.format, tiff, band_rows, etag: etag(spec, posed, target) })
+    }
+
+    /// The part of the plane that it covers, and its size.
+    #[must_use]
+    pub const fn target(&self) -> Target {
+        self.target
+    }
+
+    /// File format.
+    #[must_use]
+    pub const fn format(&self) -> MapFormat {
+        self.format
+    }
+
+    /// Digest of the resolved request and the version: the ETag.
+    #[must_use]
+    pub const fn etag(&self) -> Digest {
+        self.etag
+    }
+
+    /// Bytes of the file.
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
+        let tail = self.tiff.as_ref().map_or(0, |tiff| tiff.tail().len());
+        self.target.extent.pixels() * POSITION + (self.head().len() + tail) as u64
+    }
+
+    /// Memory for the computation of one band, the band included, bytes.
+    #[must_use]
+    pub const fn band_bytes(&self) -> u64 {
+        2 * self.band_rows as u64 * self.target.extent.width() as u64 * POSITION
+    }
+
+    /// Number of bands.
+    #[must_use]
+    pub const fn bands(&self) -> u32 {
+        self.target.extent.height().div_ceil(self.band_rows)
+    }
+
+    /// The rows of a band.
+    fn rows(&self, band: u32) -> Range<u32> {
+        band * self.band_rows..((band + 1) * self.band_rows).min(self.target.extent.height())
+    }
+
+    /// The bytes of a band of the file; the head is before the first one, the tail behind the last.
+    ///
+    /// # Panics
+    /// If there is no such band.
+    #[must_use]
+    pub fn band(&self, band: u32) -> Vec<u8> {
+        let rows = self.rows(band);
+        assert!(!rows.is_empty(), "band {band} of {}", self.bands());
+        let mut positions = vec![[0.0; 2]; rows.len() * self.target.extent.width() as usize];
+        match &self.positions {
+            Positions::Inverse(inverse) => inverse.rows(rows, &mut positions),
+            Positions::Forward { mesh, canvas } => forward(mesh, *canvas, self.target.extent, rows, &mut positions),
+        }
+        let mut bytes = if band == 0 { self.head() } else { Vec::new() };
+        bytes.reserve_exact(8 * positions.len());
+        // Indices of an array: the centre of the first pixel is 0, 0.
+        #[expect(clippy::cast_possible_truncation, reason = "1/2")]
+        let indices = positions.as_flattened().iter().map(|c| c - PIXEL_CENTER as f32);
+        match self.format {
+            MapFormat::Npy => bytes.extend(indices.flat_map(f32::to_le_bytes)),
+            MapFormat::Tiff => bytes.extend(indices.flat_map(f32::to_be_bytes)),
+        }
+        if band + 1 == self.bands()
+            && let Some(tiff) = &self.tiff
+        {
+            bytes.extend(tiff.tail());
+        }
+        bytes
+    }
+
+    fn head(&self) -> Vec<u8> {
+        match &self.tiff {
+            Some(tiff) => tiff.head(),
+            None => npy_head(self.target.extent),
+        }
+    }
+}
+
+fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent }: Target) -> Digest {
+    let kind = [spec.direction == Direction::Forward, spec.format == MapFormat::Tiff, canvas.is_some()].map(u8::from);
+    let Canvas { x, y, extent: shown } = canvas.unwrap_or(Canvas::of(extent));
+    let digest = Collector::new("mlswarp map 1").bytes(&posed.digest().0).bytes(&kind).bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes());
+    let sides = [extent.width(), extent.height(), shown.width(), shown.height()];
+    sides.into_iter().fold(digest, |digest, side| digest.integer(side.into())).finish()
+}
+
+/// The head of an array of f32 in NumPy's format, version 1: its length is a multiple of 64.
+fn npy_head(extent: Extent) -> Vec<u8> {
+    const PREFIX: usize = 10;
+    let shape = format!("({}, {}, {SAMPLES})", extent.height(), extent.width());
+    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
+    header.extend(std::iter::repeat_n(' ', padded - header.len() - 1));
+    header.push('\n');
+    let length = u16::try_from(header.len()).expect("a short text");
+    [b"\x93NUMPY\x01\0", length.to_le_bytes().as_slice(), header.as_bytes()].concat()
+}
+
+/// The posed positions of the pixel centres of a canvas at rest.
+fn forward(mesh: &Mesh, canvas: Option<Canvas>, target: Extent, rows: Range<u32>, out: &mut [[f32; 2]]) {
+    let [left, top, right, bottom] = canvas.map_or([0.0, 0.0, mesh.grid().width(), mesh.grid().height()], |canvas| canvas.edges());
+    let px = (right - left) / f64::from(target.width());
+    let py = (bottom - top) / f64::from(target.height());
+    for (row, out) in rows.zip(out.chunks_exact_mut(target.width() as usize)) {
+        let y = top + (f64::from(row) + PIXEL_CENTER) * py;
+        for (column, out) in (0..target.width()).zip(out) {
+            let posed = mesh.map(Point::new(left + (f64::from(column) + PIXEL_CENTER) * px, y));
+            #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
+            let position = posed.map_or([f32::NAN; 2], |p| [p.x as f32, p.y as f32]);
+            *out = position;
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! `POST /map` and `/sessions/{id}/map`: coordinate maps as files, which are computed band by band as the client reads them. Each band is
+//! admitted and computed as a job of its own, so that a slow reader holds no worker; when the client leaves, nothing more is computed.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::Canvas;
+use mlswarp::warp::{CoordinateMap, Digest, Folds, MapFormat, MapSpec, OutputSpec, Posed, Report};
+
+use super::App;
+use super::draw::Planned;
+use super::warp::Resolved;
+use crate::client::Client;
+use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::{Purpose, Reservation};
+use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::problem::{Code, Problem};
+use crate::session::SessionId;
+use crate::wire::{MapObject, in_map, method_text};
+
+/// Attempts to admit a band of a map that has begun, and the pause between them.
+const ATTEMPTS: usize = 100;
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// A map whose first band has been computed.
+#[derive(Debug)]
+pub struct MapFile {
+    /// Warnings and measures for the head of the response.
+    pub report: Report,
+    /// Cost before the first band.
+    pub timing: Timing,
+    /// Whether the plan was built for this request.
+    pub plan_built: bool,
+    /// Digest of the resolved request and the build.
+    pub etag: Digest,
+    /// The part of the plane, if it is not the box of the source.
+    pub canvas: Option<Canvas>,
+    /// File format.
+    pub format: MapFormat,
+    /// Bytes of the file.
+    pub length: u64,
+    /// The first bytes.
+    pub first: Bytes,
+    /// The others.
+    pub rest: MapBands,
+}
+
+/// The bands of a map that are still to be computed.
+#[derive(Debug)]
+pub struct MapBands {
+    app: App,
+    map: Arc<CoordinateMap>,
+    next: u32,
+    key: QueueKey,
+    quota: ClientQuota,
+    /// The memory of the posed grid.
+    _held: Reservation,
+}
+
+impl MapBands {
+    /// The next bytes of the file; `None` at its end.
+    pub async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
+        if self.next >= self.map.bands() {
+            return None;
+        }
+        let band = self.next;
+        self.next += 1;
+        Some(self.band(band).await)
+    }
+
+    async fn band(&self, band: u32) -> Result<Bytes, Problem> {
+        let mut attempts = 0;
+        let ticket = loop {
+            match self.app.0.pool.admit(WorkClass::Upload, self.key).await {
+                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ATTEMPTS => {
+                    attempts += 1;
+                    tokio::time::sleep(PAUSE).await;
+                }
+                admitted => break admitted?,
+            }
+        };
+        let (app, map, quota) = (self.app.clone(), Arc::clone(&self.map), self.quota.clone());
+        self.app.0.pool.run(&ticket, move |_| app.map_band(&map, band, &quota)).await?
+    }
+}
+
+/// Everything that a map is made from.
+struct MapJob {
+    planned: Planned,
+    q: Vec<Handle>,
+    folds: Folds,
+    spec: MapSpec,
+    source: Extent,
+    key: QueueKey,
+    quota: ClientQuota,
+}
+
+impl App {
+    /// The map of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
+    /// Errors: Wrong handles, a map over the limits, or too little capacity.
+    pub async fn coordinate_map_once(&self, client: Client, json: Bytes, format: MapFormat) -> Result<(MapFile, Option<String>), Problem> {
+        let key = QueueKey::client(client);
+        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
+        let mut object = self.0.pool.run(&ticket, move |_| MapObject::parse(&json)).await??;
+        let (mut warp, source) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "a map without a warp"))?;
+        let spec = object.spec(&warp.output, format);
+        spec.check(source, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
+        // Nothing is drawn.
+        warp.output = OutputSpec::default();
+        let app = self.clone();
+        let resolve = move |cancel: &Cancel| app.resolve(warp, source, cancel);
+        let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
+        let method = warp.is_auto.then(|| method_text(&warp.rest));
+        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let planned = self.plan(client.owner, &ticket, &setup, timing).await?;
+        let job = MapJob { planned, q: object.q, folds: warp.folds, spec, source, key, quota: self.response_quota(client) };
+        Ok((self.map_file(&ticket, job).await?, method))
+    }
+
+    /// The map of a session.
+    /// Errors: Unknown session, wrong handles, a map over the limits, or too little capacity.
+    pub async fn coordinate_map_of_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+        format: MapFormat,
+    ) -> Result<MapFile, Problem> {
+        let record = self.touch(id, None).await?.record;
+        let setup = self.session_setup(client, &record).await?;
+        let key = QueueKey::session(client, id);
+        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
+        let object = self.0.pool.run(&ticket, move |_| MapObject::parse_posed(&json)).await??;
+        let spec = object.spec(&record.output, format);
+        spec.check(record.extent, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
+        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let planned = self.plan(id.owner(), &ticket, &setup, timing).await?;
+        let q = record.rest.posed_at(object.strength, object.q);
+        let (folds, source, quota) = (record.folds, record.extent, self.response_quota(client));
+        self.map_file(&ticket, MapJob { planned, q, folds, spec, source, key, quota }).await
+    }
+
+    /// Poses the grid and computes the first band.
+    async fn map_file(&self, ticket: &Ticket, job: MapJob) -> Result<MapFile, Problem> {
+        let MapJob { planned: Planned { setup, plan, mut timing, is_built }, q, folds, spec, source, key, quota } = job;
+        let app = self.clone();
+        let prepare = move |cancel: &Cancel| {
+            let (began, is_cancelled, limits) = (Instant::now(), || cancel.is_cancelled(), app.0.config.limits());
+            let mut held = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
+            let halved = setup.most_halved_bytes();
+            let halved = (halved > 0).then(|| app.reserve(Purpose::Frame, halved)).transpose()?;
+            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
+            let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
+            drop(halved);
+            let target = spec.target(&posed, source, &limits).map_err(|error| in_map(error.into()))?;
+            app.reserve_more(&mut held, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
+            let map = CoordinateMap::new(&spec, &posed, target)?;
+            let report = posed.into_report(Some(target.canvas.unwrap_or(Canvas::of(source))), &is_cancelled)?;
+            timing.deform = began.elapsed();
+            stage("deform", began);
+            let first = app.map_band(&map, 0, &quota)?;
+            let (etag, canvas, format, length) = (map.etag(), target.canvas, map.format(), map.file_bytes());
+            let rest = MapBands { app, map: Arc::new(map), next: 1, key, quota, _held: held };
+            Ok::<_, Problem>(MapFile { report, timing, plan_built: is_built, etag, canvas, format, length, first, rest })
+        };
+        self.0.pool.run(ticket, prepare).await?
+    }
+
+    /// Computes a band in memory that counts for the client until it is sent.
+    fn map_band(&self, map: &CoordinateMap, band: u32, quota: &ClientQuota) -> Result<Bytes, Problem> {
+        let mut reservation = self.reserve_for(Purpose::Frame, quota, map.band_bytes())?;
+        let bytes = map.band(band);
+        reservation.shrink_to(bytes.len() as u64);
+        Ok(reservation.attach(bytes))
+    }
+}

@@ -1,0 +1,37 @@
+//! `POST /map` and `POST /sessions/{id}/map`: coordinate maps, without an image.
+
+use axum::extract::{Path, Request};
+use axum::response::Response;
+use bytes::Bytes;
+use mlswarp::warp::MapFormat;
+
+use super::sessions::session_id;
+use crate::http::accept;
+use crate::http::body::json;
+use crate::http::middleware::authentication::Caller;
+use crate::http::response::{map, with_method};
+use crate::limits::memory::Purpose;
+use crate::problem::Problem;
+
+pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
+    let format = format(&request)?;
+    let body = read(&caller, request).await?;
+    let (file, method) = caller.app.coordinate_map_once(caller.client, body, format).await?;
+    Ok(with_method(map(file), method))
+}
+
+pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let format = format(&request)?;
+    let id = session_id(caller.client, &id)?;
+    caller.app.peek_session(id).await?;
+    let body = read(&caller, request).await?;
+    Ok(map(caller.app.coordinate_map_of_session(caller.client, id, body, format).await?))
+}
+
+fn format(request: &Request) -> Result<MapFormat, Problem> {
+    Ok(MapFormat::ALL[accept::choose(request.headers(), MapFormat::ALL.map(MapFormat::media_type))?])
+}
+
+async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
+    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
+}

@@ -1,0 +1,83 @@
+//! The body of `/map` and `/sessions/{id}/map`.
+
+use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Direction, MapFormat, MapSpec, OutputSpec};
+
+use super::enum_name::enum_name;
+use super::handles::handles;
+use super::json::{Node, optional};
+use super::output::{canvas, width};
+use super::rest::{WarpPatch, strength};
+use super::{HANDLES, SIZE, WarpObject, fields, json, size};
+use crate::problem::Problem;
+
+/// A request for a map. The canvas and the width are those of `output` if they are absent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapObject {
+    /// With `/map` only: the warp object and the extent `[W, H]`.
+    pub warp: Option<(WarpObject, Extent)>,
+    /// Posed handles.
+    pub q: Vec<Handle>,
+    /// How much of the way from p to q the handles are moved.
+    pub strength: f64,
+    direction: Direction,
+    canvas: Option<mlswarp::warp::CanvasSpec>,
+    width: Option<u32>,
+}
+
+impl MapObject {
+    /// Reads the body of `/map`. `q` may be absent if there is no `p`.
+    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
+        let mut warp = WarpPatch::read(warp)?.into_object()?;
+        warp.apply_strength();
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        let q = warp.posed()?.to_vec();
+        Self::read(Some((warp, extent)), q, 1.0, [direction, canvas, width])
+    }
+
+    /// Reads the body of `/sessions/{id}/map`.
+    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [q, strength_, spec @ ..] = root.fields(&fields::MAP_OF_SESSION)?;
+        let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;
+        Self::read(None, q, optional(strength_, strength)?.unwrap_or(1.0), spec)
+    }
+
+    fn read(
+        warp: Option<(WarpObject, Extent)>,
+        q: Vec<Handle>,
+        strength: f64,
+        [direction, canvas_, width_]: [Option<Node<'_, '_>>; 3],
+    ) -> Result<Self, Problem> {
+        let direction = optional(direction, enum_name)?.unwrap_or_default();
+        Ok(Self { warp, q, strength, direction, canvas: optional(canvas_, canvas)?, width: optional(width_, width)? })
+    }
+
+    /// The map beside pictures of `output`.
+    #[must_use]
+    pub fn spec(&self, output: &OutputSpec, format: MapFormat) -> MapSpec {
+        MapSpec {
+            direction: self.direction,
+            canvas: self.canvas.unwrap_or(output.canvas),
+            // A width belongs to its canvas.
+            width: if self.canvas.is_some() { self.width } else { self.width.or(output.width) },
+            format,
+        }
+    }
+}
+
+/// Locates an error in the body of a request for a map.
+pub(crate) fn in_map(mut problem: Problem) -> Problem {
+    if matches!(problem.what, Some("map_side" | "map_pixels")) {
+        return problem.pointer("/extent");
+    }
+    if let Some(pointer) = &mut problem.pointer
+        && matches!(pointer.as_str(), "/output/canvas" | "/output/width")
+    {
+        pointer.replace_range(.."/output".len(), "");
+    }
+    problem
+}
