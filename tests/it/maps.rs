@@ -52,7 +52,7 @@ async fn a_map_has_what_a_picture_shows() {
         let response = map(&server, &body).await;
         assert_eq!(response.headers().get("warp-canvas").cloned(), canvas);
         let (_, width, positions) = array(&response.bytes().await.unwrap());
-        assert_eq!((width as u32, positions.len() as u32), (picture.width, picture.width * picture.height));
+        assert_eq!((width, positions.len()), (picture.width, picture.width * picture.height));
         let mut shown = 0;
         for (pixel, [x, y]) in picture.samples.as_chunks::<8>().0.iter().zip(&positions) {
             let sample = |c: usize| f32::from(u16::from_be_bytes([pixel[2 * c], pixel[2 * c + 1]]));
