@@ -19,8 +19,8 @@ const CLIENTS: u64 = 4;
 /// Sessions that one client keeps.
 const SESSIONS: usize = 6;
 
-/// Picture and handles of a session that is there.
-type State = Option<(usize, Value)>;
+/// Picture, handles and layer of a session that is there.
+type State = Option<(usize, Value, Option<usize>)>;
 
 /// What may be found of each session: one state, or two where nobody was told.
 type Book = HashMap<String, Vec<State>>;
@@ -28,12 +28,20 @@ type Book = HashMap<String, Vec<State>>;
 struct Picture {
     file: Vec<u8>,
     pixels: Decoded,
+    /// Files of its size.
+    layers: Vec<Vec<u8>>,
 }
 
 fn pictures() -> Arc<Vec<Picture>> {
     let picture = |k: u32| {
         let file = photo(40 + 4 * k, 30 + k);
-        Picture { pixels: decoded(&file), file }
+        let layer = |n: u8| {
+            let mut file = std::io::Cursor::new(Vec::new());
+            let grey = image::GrayImage::from_fn(40 + 4 * k, 30 + k, |x, y| image::Luma([(x ^ y) as u8 + n]));
+            grey.write_to(&mut file, image::ImageFormat::Png).unwrap();
+            file.into_inner()
+        };
+        Picture { pixels: decoded(&file), file, layers: (0..3).map(layer).collect() }
     };
     Arc::new((0..8).map(picture).collect())
 }
@@ -81,32 +89,43 @@ async fn client(base: String, pictures: Arc<Vec<Picture>>, mut book: Book, mut d
         known.sort_by(|a, b| a.0.cmp(&b.0));
         let some = (!known.is_empty()).then(|| known.swap_remove(dice.below(known.len())));
         let living = known.iter().filter(|(_, state)| state.is_some()).count();
-        let (id, new, request, expected): (String, State, RequestBuilder, &[u16]) = match (dice.below(10), some) {
+        let (id, new, request, expected): (String, State, RequestBuilder, &[u16]) = match (dice.below(13), some) {
             (0 | 1, Some((id, Some(_)))) => (id.clone(), None, http.delete(format!("{sessions}/{id}")), &[204]),
             (_, Some((id, Some(_)))) if living >= SESSIONS => (id.clone(), None, http.delete(format!("{sessions}/{id}")), &[204]),
-            (2 | 3, Some((id, Some((old, _))))) => {
+            (2 | 3, Some((id, Some((old, _, layer))))) => {
                 let request = http.request(Method::PUT, format!("{sessions}/{id}/handles")).json(&json!({"p": p}));
-                (id, Some((old, p)), request, &[200])
+                (id, Some((old, p, layer)), request, &[200])
+            }
+            (10 | 11, Some((id, Some((old, p, _))))) => {
+                let layer = dice.below(3);
+                let request = http.request(Method::PUT, format!("{sessions}/{id}/layers/x")).body(pictures[old].layers[layer].clone());
+                (id, Some((old, p, Some(layer))), request, &[200, 201])
+            }
+            (12, Some((id, Some((old, p, Some(_)))))) => {
+                let request = http.delete(format!("{sessions}/{id}/layers/x"));
+                (id, Some((old, p, None)), request, &[204])
             }
             (4 | 5, Some((id, state @ Some(_)))) => {
-                let handles = state.as_ref().map(|(_, handles)| handles.clone());
+                let handles = state.as_ref().map(|(_, handles, _)| handles.clone());
                 let request = http.post(format!("{sessions}/{id}/warp")).json(&json!({"q": handles}));
                 (id, state, request, &[200])
             }
             (6, _) => {
                 let request = http.post(&sessions).multipart(form(&pictures[picture].file, warp));
                 match answered(request, &[201]).await {
-                    Ok(Some(made)) => drop(book.insert(made["id"].as_str().unwrap().to_owned(), vec![Some((picture, p))])),
+                    Ok(Some(made)) => drop(book.insert(made["id"].as_str().unwrap().to_owned(), vec![Some((picture, p, None))])),
                     Ok(None) => {}
                     Err(_) => return book,
                 }
                 continue;
             }
             (_, some) => {
-                let new_name = || uuid::Uuid::new_v4().to_string();
-                let id = some.filter(|_| dice.below(2) == 0).map_or_else(new_name, |(id, _)| id);
+                let new_name = || (uuid::Uuid::new_v4().to_string(), None);
+                let (id, old) = some.filter(|_| dice.below(2) == 0).unwrap_or_else(new_name);
                 let request = http.request(Method::PUT, format!("{sessions}/{id}")).multipart(form(&pictures[picture].file, warp));
-                (id, Some((picture, p)), request, &[200, 201])
+                // The same upload again keeps the layer.
+                let layer = old.filter(|(old, handles, _)| (*old, handles) == (picture, &p)).and_then(|(_, _, layer)| layer);
+                (id, Some((picture, p, layer)), request, &[200, 201])
             }
         };
         let states = book.entry(id).or_insert_with(|| vec![None]);
@@ -132,12 +151,20 @@ async fn look(base: &str, pictures: &[Picture], book: &mut Book) -> usize {
             200 => {
                 let session: Value = answer.json().await.unwrap();
                 let picture = (0..pictures.len()).find(|&k| pictures[k].pixels.width as u64 == session["image"]["width"]).unwrap();
-                Some((picture, session["p"].clone()))
+                let layer = if session["layers"].is_object() {
+                    let file = http.get(format!("{url}/layers/x")).send().await.unwrap().bytes().await.unwrap();
+                    let layer = (0..3).find(|&k| pictures[picture].layers[k] == file);
+                    assert!(layer.is_some(), "{id}: another file");
+                    layer
+                } else {
+                    None
+                };
+                Some((picture, session["p"].clone(), layer))
             }
             status => panic!("{status} for {id}"),
         };
         assert!(states.contains(&found), "lost: {id} is {found:?}, and was answered as {states:?}");
-        if let Some((picture, p)) = &found {
+        if let Some((picture, p, _)) = &found {
             there += 1;
             let bent = http.post(format!("{url}/warp")).json(&json!({"q": p})).send().await.unwrap();
             assert_eq!(bent.status(), 200, "{id}");

@@ -43,10 +43,12 @@ async fn operations(server: &Server) -> Vec<(Method, String, Access)> {
 
 /// A request of this route that would succeed for whoever owns the session.
 fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuilder {
-    let request = server.client.request(method.clone(), server.url(&path.replace("{id}", id)));
+    let request = server.client.request(method.clone(), server.url(&path.replace("{id}", id).replace("{name}", "depth")));
     match (method.as_str(), path) {
         ("POST", "/warp" | "/sessions") | ("PUT", "/sessions/{id}") => request.multipart(form(&photo(16, 12), rest().to_string())),
         ("GET" | "DELETE", "/sessions/{id}") => request,
+        ("PUT", "/sessions/{id}/layers/{name}") => request.body(photo(16, 12)),
+        ("GET" | "DELETE", "/sessions/{id}/layers/{name}") => request,
         ("PUT", "/sessions/{id}/handles") => request.json(&json!({"p": [[1, 1]]})),
         ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
         ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]], "points": [[1, 1]]})),

@@ -46,6 +46,7 @@ mod public_path;
 mod real_landmarks;
 mod request_ids;
 mod revisions;
+mod session_layers;
 mod sessions;
 mod slow;
 mod slow_store;

@@ -125,6 +125,7 @@ fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> Request
             request.multipart(texts.fold(base, |form, (name, text)| form.text(name.clone(), text.as_str().unwrap().to_owned())))
         }
         "application/json" => request.json(body),
+        "image/jpeg" => request.body(PICTURE),
         _ => panic!("no body of the type {media_type} can be made"),
     }
 }
@@ -211,6 +212,10 @@ async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<S
             assert_eq!(opened.status(), 201, "{:?}", opened.text().await);
         }
         for _ in 0..2 {
+            if path.ends_with("/layers/{name}") && method != "put" {
+                let stored = server.client.put(server.url(&filled)).body(PICTURE).send().await.unwrap();
+                assert!(stored.status().is_success(), "{:?}", stored.text().await);
+            }
             let mut request = server.client.request(method.to_uppercase().parse().unwrap(), server.url(&filled));
             if operation.find(&["responses", "101"]).is_some() {
                 let upgrade = [("connection", "upgrade"), ("upgrade", "websocket"), ("sec-websocket-version", "13")];

@@ -215,6 +215,7 @@ async fn the_page_shows_what_is_said() {
     compared.borrow_mut().insert("folded");
 
     let id = server.session(&image, &json!({"p": [[2, 2]]})).await;
+    same("no_such_layer", server.get(&format!("/sessions/{id}/layers/depth"))).await;
     let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
     png(pose(42).send().await.unwrap()).await;
     same("superseded", pose(41)).await;

@@ -99,6 +99,16 @@ impl SourceFormat {
             Self::Bmp => "BMP",
         }
     }
+
+    /// The media type.
+    #[must_use]
+    pub const fn media_type(self) -> &'static str {
+        match self {
+            Self::Written(format) => format.media_type(),
+            Self::Gif => "image/gif",
+            Self::Bmp => "image/bmp",
+        }
+    }
 }
 
 /// Describes the format of bytes that are not read here.

@@ -7,6 +7,7 @@ pub mod draw;
 mod fit;
 mod json_text;
 pub mod landmarks;
+mod layers;
 pub(crate) mod lifecycle;
 pub mod map;
 mod metrics_text;

@@ -123,7 +123,7 @@ impl App {
     }
 
     /// Caches the setup of a record, if there is memory for it.
-    async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
+    pub(super) async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
         if let Ok(reservation) = self.reserve(Purpose::Plan, setup_weight(record)) {
             let entry = CacheEntry::new(Arc::clone(setup), reservation);
             let _ = self.0.setups.get(revision_key(record), async { Ok(entry) }, build_aborted).await;

@@ -28,7 +28,7 @@ use crate::wire::{WarpObject, WarpPatch, method_text};
 /// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
 /// The smallest weight of a cached value, bytes.
-const MIN_WEIGHT: u64 = 1024;
+pub(super) const MIN_WEIGHT: u64 = 1024;
 
 /// What a client has uploaded.
 #[derive(Debug)]
@@ -197,7 +197,8 @@ impl App {
         Ok((PreparedWarp { file, digest, object, format, image, setup, held }, planned))
     }
 
-    async fn image(
+    /// The decoded image of a file, from the cache or decoded now.
+    pub(super) async fn image(
         &self,
         owner: Owner,
         ticket: &Ticket,

@@ -28,6 +28,8 @@ use crate::app::App;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
+const LAYER: &str = "/sessions/{id}/layers/{name}";
+
 /// The routes of the contract and who may use them; a test compares them with the OpenAPI document. The page's files are not among them.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
@@ -39,6 +41,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions", Keyed, uploads(post(routes::sessions::create))),
         ("/sessions/{id}", Keyed, get(routes::sessions::read).delete(routes::sessions::delete).merge(uploads(put(routes::sessions::put)))),
         ("/sessions/{id}/handles", Keyed, uploads(put(routes::sessions::handles))),
+        (LAYER, Keyed, get(routes::layers::read).delete(routes::layers::delete).merge(uploads(put(routes::layers::put)))),
         ("/sessions/{id}/warp", Keyed, post(routes::warp::drag)),
         ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
@@ -67,8 +70,9 @@ pub fn paths(app: &App) -> Vec<(&'static str, Access)> {
 pub fn router(app: App) -> Router {
     let mut router = assets::routes(&app).merge(routes::docs::files());
     for (path, access, route) in routes(&app) {
-        // `/warp` and the socket have fields of their own.
-        let route = if matches!(path, "/warp" | "/landmarks" | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
+        // These have fields of their own in the query.
+        let route =
+            if matches!(path, "/warp" | "/landmarks" | LAYER | "/sessions/{id}/drag") { route } else { route.layer(from_fn(reject_query)) };
         let route = if access == Access::Keyed { route.layer(from_fn_with_state(app.clone(), authenticate)) } else { route };
         router = router.route(path, route);
     }

@@ -213,14 +213,14 @@ impl Reservation {
     }
 
     /// Bytes that hold the reservation until the last reference is dropped.
-    pub fn attach(self, bytes: Vec<u8>) -> Bytes {
-        struct HeldBytes {
-            bytes: Vec<u8>,
+    pub fn attach<T: AsRef<[u8]> + Send + 'static>(self, bytes: T) -> Bytes {
+        struct HeldBytes<T> {
+            bytes: T,
             _reservation: Reservation,
         }
-        impl AsRef<[u8]> for HeldBytes {
+        impl<T: AsRef<[u8]>> AsRef<[u8]> for HeldBytes<T> {
             fn as_ref(&self) -> &[u8] {
-                &self.bytes
+                self.bytes.as_ref()
             }
         }
         Bytes::from_owner(HeldBytes { bytes, _reservation: self })

@@ -41,6 +41,7 @@ codes! {
     Forbidden = 403, "forbidden", "Forbidden";
     NotFound = 404, "not_found", "No such route";
     NoSuchSession = 404, "no_such_session", "No such session";
+    NoSuchLayer = 404, "no_such_layer", "No such layer";
     MethodNotAllowed = 405, "method_not_allowed", "Method not allowed";
     NotAcceptable = 406, "not_acceptable", "Not acceptable";
     Timeout = 408, "timeout", "Timeout";

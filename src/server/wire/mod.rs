@@ -43,7 +43,7 @@ use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use rest::WarpPatch;
 use rest::strength;
-pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionObject};
+pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 

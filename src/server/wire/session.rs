@@ -1,10 +1,13 @@
 //! The session object: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
 
+use std::collections::BTreeMap;
+
 use mlswarp::deform::{Coincident, Handle};
 use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
+use crate::layer::LayerKind;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct SessionObject<'a> {
@@ -35,6 +38,9 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) grid: SessionGrid,
     pub(crate) folds: AsJson<Folds>,
     pub(crate) output: AsJson<&'a OutputSpec>,
+    /// By name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) layers: BTreeMap<&'a str, SessionLayer>,
     /// RFC 3339, UTC.
     pub(crate) created: &'a str,
     pub(crate) expires: &'a str,
@@ -47,6 +53,12 @@ pub(crate) struct SessionObject<'a> {
 pub(crate) struct CoincidentGroup {
     /// Indices into `p`, ascending.
     pub(crate) handles: Vec<usize>,
+}
+
+/// A stored layer.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct SessionLayer {
+    pub(crate) kind: AsJson<LayerKind>,
 }
 
 /// Size and digest of the uploaded picture.

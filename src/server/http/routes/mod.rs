@@ -8,6 +8,7 @@ pub(crate) mod docs;
 pub(crate) mod fallbacks;
 pub(crate) mod fit;
 pub(crate) mod landmarks;
+pub(crate) mod layers;
 pub(crate) mod map;
 pub(crate) mod mesh;
 pub(crate) mod points;

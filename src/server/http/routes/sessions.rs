@@ -15,18 +15,19 @@ use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{Warning, json_text, with_method, with_warnings};
 use crate::http::{body, upload};
+use crate::layer::MAX_LAYERS;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
-use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionObject};
+use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 /// Maximum length of a number and its comma in JSON.
 const NUMBER: usize = 25;
-/// Maximum length of a session object without the client's lists: names, ids, dates and single numbers.
-const FIXED_PART: usize = 2048;
+/// Maximum length of a session object without the client's lists: names, ids, dates, single numbers and layers.
+const FIXED_PART: usize = 2048 + 128 * MAX_LAYERS;
 
 /// Creates a session. Its picture is decoded and its table filled before the first drag.
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
@@ -92,7 +93,7 @@ fn not_an_id(text: &str) -> String {
 }
 
 /// The session object, whose memory counts for the client until it is sent.
-fn reserved_object(caller: &Caller, session: &Session, setup: &Setup) -> Result<Response, Problem> {
+pub(super) fn reserved_object(caller: &Caller, session: &Session, setup: &Setup) -> Result<Response, Problem> {
     let text = text(session, setup);
     let held = caller.app.reserve_for(Purpose::Frame, &caller.app.response_quota(caller.client), text.len() as u64)?;
     Ok(with_warnings(json_text(held.attach(text)), setup.rest_warnings()))
@@ -139,6 +140,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
         folds: AsJson(record.folds),
         output: AsJson(&record.output),
+        layers: record.layers.iter().map(|(name, layer)| (name.as_str(), SessionLayer { kind: AsJson(layer.kind) })).collect(),
         created: &rfc3339(record.created),
         expires: &rfc3339(session.expires),
         seq: session.seq,

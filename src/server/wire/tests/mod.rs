@@ -12,6 +12,7 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::layer::LayerKind;
 
 type Expected = (&'static str, Code, Option<&'static str>, Option<usize>);
 
@@ -535,6 +536,7 @@ fn session_object_is_written_in_wire_form() {
         grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
         folds: AsJson(Folds::Report),
         output: AsJson(&output),
+        layers: [("depth", SessionLayer { kind: AsJson(LayerKind::Labels) })].into(),
         created: "2026-11-20T12:00:00Z",
         expires: "2026-11-20T12:15:00Z",
         seq: None,
@@ -549,6 +551,7 @@ fn session_object_is_written_in_wire_form() {
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
             "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same"},
+            "layers": {"depth": {"kind": "labels"}},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
         })
     );

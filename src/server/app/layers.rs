@@ -1,0 +1,183 @@
+//! Layers of a session: further pictures, stored and deleted with it, and warped through its plan.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mlswarp::codec::{self, StepCounter};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Digest, Setup, WarpError};
+
+use super::App;
+use super::warp::{ATTEMPTS, MIN_WEIGHT, revision_key};
+use crate::client::Client;
+use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
+use crate::limits::memory::Purpose;
+use crate::observe::scope::in_stage;
+use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::problem::words::{list, quote};
+use crate::problem::{Code, Problem};
+use crate::session::{Revision, SessionId};
+use crate::store::{NamedFile, Record, Session, StoreError, StoredLayer};
+
+/// A session whose layer was stored.
+#[derive(Debug)]
+pub struct LayerPut {
+    /// The session as it is now.
+    pub session: Session,
+    /// Its setup.
+    pub setup: Arc<Setup>,
+    /// Whether there was no layer of that name.
+    pub is_new: bool,
+}
+
+impl App {
+    /// Stores a layer, or replaces the one of that name. The file is decoded before.
+    /// Errors: Unknown session, a wrong file, another size than the session's picture, too many layers, or too little capacity.
+    pub async fn put_layer(
+        &self,
+        client: Client,
+        id: SessionId,
+        name: &LayerName,
+        kind: LayerKind,
+        file: Bytes,
+    ) -> Result<LayerPut, Problem> {
+        for _ in 0..ATTEMPTS {
+            let session = self.touch(id, None).await?;
+            let old = Arc::clone(&session.record);
+            check_count(&old, name)?;
+            let setup = self.session_setup(client, &old).await?;
+            let digest = self.check_layer(client, &old, kind, file.clone()).await?;
+            let mut layers = old.layers.clone();
+            let before = layers.insert(name.clone(), StoredLayer { kind, digest });
+            let is_new = before.is_none();
+            if layers == old.layers {
+                return Ok(LayerPut { session, setup, is_new });
+            }
+            let file = NamedFile { digest, bytes: file.clone() };
+            if let Some(session) = self.revise_layers(client, &old, layers, Some(file), &setup).await? {
+                return Ok(LayerPut { session, setup, is_new });
+            }
+        }
+        Err(StoreError::Contended.into())
+    }
+
+    /// Removes a layer.
+    /// Errors: Unknown session or layer, or too little capacity.
+    pub async fn delete_layer(&self, client: Client, id: SessionId, name: &str) -> Result<(), Problem> {
+        for _ in 0..ATTEMPTS {
+            let old = self.touch(id, None).await?.record;
+            let (name, _) = find_layer(&old, name)?;
+            let mut layers = old.layers.clone();
+            layers.remove(&name);
+            let setup = self.session_setup(client, &old).await?;
+            if self.revise_layers(client, &old, layers, None, &setup).await?.is_some() {
+                return Ok(());
+            }
+        }
+        Err(StoreError::Contended.into())
+    }
+
+    /// The file of a layer, whose memory counts for the client until it is sent. Reading does not extend the session's life.
+    /// Errors: Unknown session or layer, or too little capacity.
+    pub async fn layer_file(&self, client: Client, id: SessionId, name: &str) -> Result<Bytes, Problem> {
+        for _ in 0..ATTEMPTS {
+            let record = self.peek_session(id).await?.record;
+            let (_, layer) = find_layer(&record, name)?;
+            match self.read_layer(client, id, layer.digest).await {
+                // It was replaced meanwhile, unless the session has ended.
+                Err(problem) if problem.code == Code::NoSuchSession => {}
+                read => return read,
+            }
+        }
+        Err(StoreError::Contended.into())
+    }
+
+    async fn read_layer(&self, client: Client, id: SessionId, digest: Digest) -> Result<Bytes, Problem> {
+        let _ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
+        let bytes = in_stage("store", self.0.store.file_bytes(id, digest)).await?;
+        let mut reservation = self.reserve_for(Purpose::Frame, &self.response_quota(client), bytes.max(MIN_WEIGHT))?;
+        let file = in_stage("store", self.0.store.file(id, digest)).await?;
+        reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
+        Ok(reservation.attach(file))
+    }
+
+    /// Checks the size of a layer's file by its header, and then decodes it; returns its digest.
+    async fn check_layer(&self, client: Client, record: &Record, kind: LayerKind, file: Bytes) -> Result<Digest, Problem> {
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
+        let (limits, expected, header) = (self.0.config.limits().image, record.extent, file.clone());
+        let open = move |cancel: &Cancel| {
+            let is_cancelled = || cancel.is_cancelled();
+            let steps = StepCounter::new(&is_cancelled);
+            let found = codec::open(&header, &limits, &steps).map_err(WarpError::from)?.header().extent;
+            check_extent(found, expected)?;
+            Ok::<_, Problem>(Digest::of(&header))
+        };
+        let digest = self.0.pool.run(&ticket, open).await??;
+        match kind {
+            LayerKind::Image | LayerKind::Labels => {
+                let image = self.image(record.id.owner(), &ticket, digest, file).await?.value;
+                check_extent(image.extent(), expected)?;
+            }
+        }
+        Ok(digest)
+    }
+
+    /// Replaces the layers of a record, counted for its client. `None`: another revision is there.
+    async fn revise_layers(
+        &self,
+        client: Client,
+        old: &Arc<Record>,
+        layers: BTreeMap<LayerName, StoredLayer>,
+        file: Option<NamedFile>,
+        setup: &Arc<Setup>,
+    ) -> Result<Option<Session>, Problem> {
+        let new = Record { revision: Revision::random(), layers, ..(**old).clone() };
+        // Limits the simultaneous transfers, fairly between clients.
+        let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, old.id)).await?;
+        let claim = self.0.client_sessions.claim_revision(&new, file.as_ref())?;
+        // If this future is dropped while the store works, the layer may have been stored: it stays counted.
+        let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new), file)).await;
+        drop(ticket);
+        match &revised {
+            Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
+            _ => self.0.client_sessions.undo(claim),
+        }
+        let Some(session) = revised? else { return Ok(None) };
+        self.cache_setup(&session.record, setup).await;
+        self.0.setups.remove(revision_key(old));
+        for layer in old.layers.values().filter(|layer| !session.record.layers.values().any(|kept| kept == *layer)) {
+            self.evict_file(old.id.owner(), layer.digest);
+        }
+        Ok(Some(session))
+    }
+}
+
+/// The stored layer of that name.
+pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, StoredLayer), Problem> {
+    let found = LayerName::parse(name).and_then(|name| record.layers.get_key_value(&name).map(|(name, layer)| (name.clone(), *layer)));
+    found.ok_or_else(|| {
+        let names: Vec<&str> = record.layers.keys().map(LayerName::as_str).collect();
+        let stored = if names.is_empty() { "it has no layers".to_owned() } else { format!("its layers: {}", list(&names)) };
+        Problem::new(Code::NoSuchLayer, format!("the session has no stored layer {}; {stored}", quote(name)))
+    })
+}
+
+fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {
+    let count = record.layers.len() + usize::from(!record.layers.contains_key(name));
+    if count > MAX_LAYERS {
+        let detail = format!("the session would have {count} layers; the limit is {MAX_LAYERS}. Delete or replace one of them");
+        return Err(Problem::new(Code::TooLarge, detail).limit("session_layers", MAX_LAYERS, count));
+    }
+    Ok(())
+}
+
+/// A layer has the size of its session's picture.
+pub(super) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
+    if found == expected {
+        return Ok(());
+    }
+    let [found, expected] = [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
+    let detail = format!("the layer is {found} px after EXIF orientation; it must have the size of the session's picture, {expected} px");
+    Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
+}

@@ -1,0 +1,62 @@
+//! `/sessions/{id}/layers/{name}`: the layers of a session.
+
+use axum::extract::{Path, Request};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::http::{HeaderValue, StatusCode};
+use axum::response::{IntoResponse as _, Response};
+use mlswarp::codec::SourceFormat;
+
+use super::sessions::{reserved_object, session_id};
+use crate::http::body;
+use crate::http::headers::{bad_query_value, query_fields};
+use crate::http::middleware::authentication::Caller;
+use crate::layer::{LayerKind, LayerName};
+use crate::limits::memory::Purpose;
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
+use crate::wire::EnumName as _;
+
+/// Stores or replaces a layer; the body is its file, of any media type.
+pub(crate) async fn put(caller: Caller, Path((id, name)): Path<(String, String)>, request: Request) -> Result<Response, Problem> {
+    let Caller { app, client } = &caller;
+    let id = session_id(*client, &id)?;
+    app.peek_session(id).await?;
+    let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
+    let [kind] = query_fields(request.uri().query(), ["kind"])?;
+    let kind = kind.map_or(Ok(LayerKind::default()), parse_kind)?;
+    if name.is_region() && kind != LayerKind::Image {
+        return Err(bad_query_value("kind", kind.as_str(), "`image` for the layer `region`, which is a mask"));
+    }
+    let file = body::raw(&caller, request, Purpose::Upload, "body_bytes", app.config().max_body_bytes).await?;
+    let put = app.put_layer(*client, id, &name, kind, file).await?;
+    let object = reserved_object(&caller, &put.session, &put.setup)?;
+    Ok((if put.is_new { StatusCode::CREATED } else { StatusCode::OK }, object).into_response())
+}
+
+/// The stored file of a layer.
+pub(crate) async fn read(caller: Caller, Path((id, name)): Path<(String, String)>) -> Result<Response, Problem> {
+    let file = caller.app.layer_file(caller.client, session_id(caller.client, &id)?, &name).await?;
+    let media_type = SourceFormat::of(&file).map_err(|_| Problem::new(Code::Internal, "internal error"))?.media_type();
+    let headers = [(CONTENT_TYPE, HeaderValue::from_static(media_type)), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
+    Ok((headers, file).into_response())
+}
+
+/// Deletes a layer.
+pub(crate) async fn delete(caller: Caller, Path((id, name)): Path<(String, String)>) -> Result<StatusCode, Problem> {
+    caller.app.delete_layer(caller.client, session_id(caller.client, &id)?, &name).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+fn parse_kind(text: &str) -> Result<LayerKind, Problem> {
+    let found = LayerKind::ALL.iter().find(|kind| kind.as_str() == text);
+    found.copied().ok_or_else(|| bad_query_value("kind", text, "`image` or `labels`"))
+}
+
+fn bad_name(name: &str) -> Problem {
+    let detail = if name.starts_with('@') {
+        format!("a layer cannot be stored as {}: names that begin with `@` are built-in", quote(name))
+    } else {
+        format!("{} is not the name of a layer: it has 1 to 64 of the characters A-Z, a-z, 0-9, `.`, `_` and `-`", quote(name))
+    };
+    Problem::new(Code::BadValue, detail)
+}

@@ -1,0 +1,207 @@
+//! Layers of a session: stored and read to the byte, kept and dropped as the contract says, bounded, and the same in every replica.
+
+use std::time::Duration;
+
+use image::{DynamicImage, GrayImage, RgbImage};
+use reqwest::{Response, StatusCode};
+use serde_json::{Value, json};
+
+use crate::support::redis::Redis;
+use crate::support::server::{form, header, problem};
+use crate::support::{Server, photo};
+
+fn rest() -> Value {
+    json!({"p": [[4, 4], [12, 8], [3, 9], [13, 2]]})
+}
+
+fn grey(width: u32, height: u32, value: u8) -> Vec<u8> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    let image = DynamicImage::ImageLuma8(GrayImage::from_fn(width, height, |x, y| image::Luma([value.wrapping_add((x * y) as u8)])));
+    image.write_to(&mut file, image::ImageFormat::Png).unwrap();
+    file.into_inner()
+}
+
+async fn put(server: &Server, id: &str, name: &str, file: Vec<u8>) -> Response {
+    server.client.put(server.url(&format!("/sessions/{id}/layers/{name}"))).body(file).send().await.unwrap()
+}
+
+async fn stored(server: &Server, id: &str, name: &str) -> Option<Vec<u8>> {
+    let response = server.get(&format!("/sessions/{id}/layers/{name}")).send().await.unwrap();
+    if response.status() == StatusCode::OK {
+        return Some(response.bytes().await.unwrap().to_vec());
+    }
+    problem(response, 404, "no_such_layer").await;
+    None
+}
+
+async fn layers(server: &Server, id: &str) -> Value {
+    let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
+    session["layers"].clone()
+}
+
+#[tokio::test]
+async fn a_layer_is_stored_read_replaced_and_deleted() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    assert_eq!(layers(&server, &id).await, Value::Null);
+    let (first, second) = (grey(16, 12, 1), grey(16, 12, 2));
+    let created = put(&server, &id, "depth", first.clone()).await;
+    assert_eq!(created.status(), 201);
+    assert_eq!(created.json::<Value>().await.unwrap()["layers"], json!({"depth": {"kind": "image"}}));
+    let read = server.get(&format!("/sessions/{id}/layers/depth")).send().await.unwrap();
+    assert_eq!((read.status().as_u16(), header(&read, "content-type"), header(&read, "cache-control")), (200, "image/png", "no-store"));
+    assert_eq!(read.bytes().await.unwrap(), first);
+    for _ in 0..2 {
+        assert_eq!(put(&server, &id, "depth", second.clone()).await.status(), 200);
+        assert_eq!(stored(&server, &id, "depth").await.as_deref(), Some(&second[..]));
+    }
+    let labels = server.client.put(server.url(&format!("/sessions/{id}/layers/parts?kind=labels"))).body(first.clone());
+    assert_eq!(labels.send().await.unwrap().status(), 201);
+    assert_eq!(layers(&server, &id).await, json!({"depth": {"kind": "image"}, "parts": {"kind": "labels"}}));
+    let delete = async || server.client.delete(server.url(&format!("/sessions/{id}/layers/depth"))).send().await.unwrap();
+    assert_eq!(delete().await.status(), 204);
+    problem(delete().await, 404, "no_such_layer").await;
+    assert_eq!(stored(&server, &id, "depth").await, None);
+    assert_eq!(stored(&server, &id, "parts").await.as_deref(), Some(&first[..]));
+}
+
+#[tokio::test]
+async fn new_handles_and_the_same_upload_keep_layers_and_another_upload_drops_them() {
+    let server = Server::start(&[]).await;
+    let (id, layer) = ("5f8fad5b-d9cb-469f-a165-70867728950e", grey(16, 12, 7));
+    let upload = async |picture: &[u8], status: u16| {
+        let put = server.client.put(server.url(&format!("/sessions/{id}"))).multipart(form(picture, rest().to_string()));
+        assert_eq!(put.send().await.unwrap().status(), status);
+    };
+    upload(&photo(16, 12), 201).await;
+    assert_eq!(put(&server, id, "x", layer.clone()).await.status(), 201);
+    upload(&photo(16, 12), 200).await;
+    assert_eq!(stored(&server, id, "x").await.as_deref(), Some(&layer[..]));
+    let handles = server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&json!({"alpha": 1.5})).send().await.unwrap();
+    assert_eq!(handles.json::<Value>().await.unwrap()["layers"], json!({"x": {"kind": "image"}}));
+    assert_eq!(stored(&server, id, "x").await.as_deref(), Some(&layer[..]));
+    upload(&grey(16, 12, 9), 200).await;
+    assert_eq!((stored(&server, id, "x").await, layers(&server, id).await), (None, Value::Null));
+}
+
+#[tokio::test]
+async fn what_is_no_layer_is_refused_and_stores_nothing() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    let wrong = problem(put(&server, &id, "x", grey(12, 16, 1)).await, 422, "bad_value").await;
+    assert_eq!((&wrong["limit"], &wrong["actual"]), (&"16x12".into(), &"12x16".into()), "{wrong}");
+    let good = grey(16, 12, 1);
+    problem(put(&server, &id, "x", good[..good.len() / 2].to_vec()).await, 422, "bad_image").await;
+    for none in [&b""[..], b"hello, I am a layer", b"{\"p\": []}"] {
+        problem(put(&server, &id, "x", none.to_vec()).await, 415, "unsupported_format").await;
+    }
+    // A header that declares more than may be decoded.
+    let mut large = RgbImage::new(4, 4);
+    large.put_pixel(0, 0, image::Rgb([1, 2, 3]));
+    let mut file = std::io::Cursor::new(Vec::new());
+    large.write_to(&mut file, image::ImageFormat::Bmp).unwrap();
+    let mut file = file.into_inner();
+    file[18..22].copy_from_slice(&20_000_i32.to_le_bytes());
+    problem(put(&server, &id, "x", file).await, 413, "too_large").await;
+    for name in ["@coverage", "@holes", "a%20b", "%C3%A9", &"x".repeat(65)] {
+        problem(put(&server, &id, name, good.clone()).await, 422, "bad_value").await;
+    }
+    for (query, status, code) in
+        [("kind=video", 422, "bad_value"), ("kin=image", 422, "unknown_field"), ("kind=image&kind=image", 400, "malformed_request")]
+    {
+        let path = server.url(&format!("/sessions/{id}/layers/x?{query}"));
+        problem(server.client.put(path).body(good.clone()).send().await.unwrap(), status, code).await;
+    }
+    let mask = server.client.put(server.url(&format!("/sessions/{id}/layers/region?kind=labels"))).body(good.clone());
+    problem(mask.send().await.unwrap(), 422, "bad_value").await;
+    assert_eq!(layers(&server, &id).await, Value::Null);
+    problem(put(&server, "0f8fad5b-d9cb-469f-a165-70867728950e", "x", good.clone()).await, 404, "no_such_session").await;
+    let gone = server.get("/sessions/0f8fad5b-d9cb-469f-a165-70867728950e/layers/x").send().await.unwrap();
+    problem(gone, 404, "no_such_session").await;
+    server.is_well().await;
+}
+
+#[tokio::test]
+async fn a_session_has_at_most_sixteen_layers() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    for n in 0..16 {
+        assert_eq!(put(&server, &id, &format!("{}{n}", "long-name.".repeat(6)), grey(16, 12, n)).await.status(), 201);
+    }
+    let more = problem(put(&server, &id, "x", grey(16, 12, 77)).await, 413, "too_large").await;
+    assert_eq!((&more["limit_name"], &more["limit"], &more["actual"]), (&"session_layers".into(), &16.into(), &17.into()));
+    assert_eq!(put(&server, &id, &format!("{}3", "long-name.".repeat(6)), grey(16, 12, 99)).await.status(), 200, "one is replaced");
+    assert_eq!(layers(&server, &id).await.as_object().map(serde_json::Map::len), Some(16));
+}
+
+/// Bytes of layers count for the client and for the store, until they are deleted.
+#[tokio::test]
+async fn layers_count_in_the_quota_of_their_client() {
+    let bytes = (photo(320, 240).len() + 4096) * 5;
+    let server = Server::start(&["--store-bytes", &bytes.to_string(), "--max-client-share", "50"]).await;
+    let id = server.session(&photo(320, 240), &rest()).await;
+    // The picture itself, under another name: its file is stored once.
+    assert_eq!(put(&server, &id, "same", photo(320, 240)).await.status(), 201);
+    let other = |value: u8| {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let noise = |x: u32, y: u32| image::Rgb([x.wrapping_mul(x ^ y) as u8 ^ value, y.wrapping_mul(31 + x) as u8, (x * y + x) as u8]);
+        RgbImage::from_fn(320, 240, noise).write_to(&mut file, image::ImageFormat::Bmp).unwrap();
+        file.into_inner()
+    };
+    let mut stored = 0;
+    let refused = loop {
+        let response = put(&server, &id, &format!("l{stored}"), other(stored)).await;
+        if response.status() != 201 {
+            break problem(response, 429, "rate_limited").await;
+        }
+        stored += 1;
+        assert!(stored < 16);
+    };
+    assert_eq!(refused["limit_name"], "client_store_bytes");
+    assert!(layers(&server, &id).await.as_object().unwrap().len() == usize::from(stored) + 1);
+}
+
+#[tokio::test]
+async fn layers_end_with_their_session() {
+    let server = Server::start(&["--session-idle", "1s"]).await;
+    let expires = server.session(&photo(16, 12), &rest()).await;
+    assert_eq!(put(&server, &expires, "x", grey(16, 12, 1)).await.status(), 201);
+    let deleted = server.session(&photo(16, 12), &rest()).await;
+    assert_eq!(put(&server, &deleted, "x", grey(16, 12, 2)).await.status(), 201);
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{deleted}"))).send().await.unwrap().status(), 204);
+    problem(server.get(&format!("/sessions/{deleted}/layers/x")).send().await.unwrap(), 404, "no_such_session").await;
+    tokio::time::sleep(Duration::from_millis(1300)).await;
+    problem(server.get(&format!("/sessions/{expires}/layers/x")).send().await.unwrap(), 410, "session_expired").await;
+    problem(put(&server, &expires, "y", grey(16, 12, 1)).await, 410, "session_expired").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_replicas_have_the_same_layers() {
+    let redis = Redis::start(&[]);
+    let options = ["--store", &redis.address()];
+    let (a, b) = (Server::start(&options).await, Server::start(&options).await);
+    let id = a.session(&photo(16, 12), &rest()).await;
+    let layer = grey(16, 12, 5);
+    assert_eq!(put(&a, &id, "x", layer.clone()).await.status(), 201);
+    assert_eq!(stored(&b, &id, "x").await.as_deref(), Some(&layer[..]));
+    assert_eq!(put(&b, &id, "x", grey(16, 12, 6)).await.status(), 200);
+    assert_eq!(stored(&a, &id, "x").await, Some(grey(16, 12, 6)));
+    assert_eq!(b.client.delete(b.url(&format!("/sessions/{id}/layers/x"))).send().await.unwrap().status(), 204);
+    assert_eq!((stored(&a, &id, "x").await, layers(&a, &id).await), (None, Value::Null));
+}
+
+/// Requests for different layers at the same time: each is stored.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn simultaneous_changes_lose_no_layer() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    let puts = (0..6).map(|n| put(&server, &id, ["a", "b", "c", "d", "e", "f"][usize::from(n)], grey(16, 12, n)));
+    for response in futures_util::future::join_all(puts).await {
+        assert!(matches!(response.status().as_u16(), 201 | 503), "{:?}", response.text().await);
+    }
+    for (n, name) in ["a", "b", "c", "d", "e", "f"].iter().enumerate() {
+        if layers(&server, &id).await[name].is_object() {
+            assert_eq!(stored(&server, &id, name).await, Some(grey(16, 12, n as u8)));
+        }
+    }
+}
