@@ -1,0 +1,381 @@
+"""Warps a photograph with keypoints, boxes and a label mask by albumentations and by the program, and measures how well the annotations follow
+the picture, and how many pictures per second each makes. Positions are in px; pixel centres have whole coordinates, as in albumentations.
+
+* Keypoints: a dot is drawn at each one, in a channel of its own, and warped with the picture. The drift is the distance between the centroid of
+  the warped dot and the keypoint that is returned. They lie on pixel centres, because albumentations rounds them.
+* Boxes: each is drawn filled, in a channel of its own, and warped. The error is the largest difference of a side of the box that is returned
+  from the bounding box of the pixels that are at least half covered, which is itself rounded to whole pixels.
+* Labels: of the pixels of the warped mask, those whose label the source does not have, and those that differ from the source's label at the
+  exact inverse of the pixel's centre: the map that albumentations draws with, `POST /points` with `"inverse": true` for the program.
+* Speed: one sample of each contender in turn; one thread each."""
+
+import http.client
+import json
+import os
+import pathlib
+import re
+import statistics
+import subprocess
+import time
+import uuid
+import warnings
+
+import albumentations
+import cv2
+import numpy
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PROGRAM = os.environ.get("MLSWARP_PROGRAM", ROOT / "target" / "release" / "mlswarp")
+FILES = ROOT / "target" / "annotations-files"
+RESULTS = ROOT / "tests" / "bench" / "results" / "annotations.md"
+PHOTO = ROOT / "tests" / "images" / "astronaut.png"
+PICTURES, INVERSES = 20, 5
+# Maximum seconds and minimum samples of one contender.
+ENOUGH, LEAST, MOST = 10.0, 3, 200
+# Six keypoints in each direction, and three boxes.
+KEYPOINTS = numpy.array([[x, y] for y in range(46, 512, 84) for x in range(46, 512, 84)])
+BOXES = numpy.array([[x, y, x + 100, y + 80] for y in (40, 210, 380) for x in (40, 200, 360)])
+LABELS = numpy.array([0, 37, 91, 180, 255], numpy.uint8)
+JSON = {"Content-Type": "application/json"}
+
+cv2.setNumThreads(1)
+warnings.simplefilter("ignore")
+lines = []
+
+
+def say(line=""):
+    print(line, flush=True)
+    lines.append(line)
+
+
+def png(picture):
+    return cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
+def decoded(file):
+    return cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def sheets(channels):
+    """Pictures of three channels each."""
+    return [numpy.stack(channels[i : i + 3], axis=2) for i in range(0, len(channels), 3)]
+
+
+def dot(shape, x, y):
+    canvas = numpy.zeros(shape, numpy.uint8)
+    canvas[y - 2 : y + 3, x - 2 : x + 3] = [[0, 60, 120, 60, 0], [60, 180, 255, 180, 60], [120, 255, 255, 255, 120], [60, 180, 255, 180, 60], [0, 60, 120, 60, 0]]
+    return canvas
+
+
+def filled(shape, left, top, right, bottom):
+    canvas = numpy.zeros(shape, numpy.uint8)
+    canvas[top:bottom, left:right] = 255
+    return canvas
+
+
+class Job:
+    """The photograph, its annotations, and the sheets on which they are drawn."""
+
+    def __init__(self):
+        self.photo = cv2.imread(str(PHOTO))
+        self.shape = self.photo.shape[:2]
+        grey = cv2.GaussianBlur(cv2.cvtColor(self.photo, cv2.COLOR_BGR2GRAY), (0, 0), 4)
+        self.mask = LABELS[numpy.digitize(grey, [40, 90, 140, 190])]
+        self.dots = sheets([dot(self.shape, x, y) for x, y in KEYPOINTS])
+        self.boxes = sheets([filled(self.shape, *box) for box in BOXES])
+
+
+class Warped:
+    """A picture and its annotations after a warp. A keypoint or box that was not returned is missing from its dictionary."""
+
+    def __init__(self, photo, mask, keypoints, boxes, dots=(), drawn=()):
+        self.photo, self.mask, self.keypoints, self.boxes = photo, mask, keypoints, boxes
+        self.dots = [sheet[..., c] for sheet in dots for c in range(3)]
+        self.drawn = [sheet[..., c] for sheet in drawn for c in range(3)]
+
+
+class Theirs:
+    """A transform of albumentations. `places()`: the source position of each pixel of the last picture."""
+
+    def __init__(self, job, make, method):
+        self.job, self.transform = job, make(method)
+        self.boxes = albumentations.BboxParams(format="pascal_voc", label_fields=["box_ids"])
+        self.keypoints = albumentations.KeypointParams(format="xy", label_fields=["keypoint_ids"])
+        draw = self.transform.get_params_dependent_on_data
+
+        def recorded(**arguments):
+            self.maps = draw(**arguments)
+            return self.maps
+
+        self.transform.get_params_dependent_on_data = recorded
+        self.composed = self.compose({})
+        self.with_sheets = self.compose({name: "image" for name in self.sheets()})
+
+    def compose(self, targets):
+        return albumentations.Compose([self.transform], self.boxes, self.keypoints, targets, seed=11)
+
+    def sheets(self):
+        return {f"dots{i}": s for i, s in enumerate(self.job.dots)} | {f"boxes{i}": s for i, s in enumerate(self.job.boxes)}
+
+    def annotated(self):
+        ids = {"box_ids": list(range(len(BOXES))), "keypoint_ids": list(range(len(KEYPOINTS)))}
+        return {"image": self.job.photo, "mask": self.job.mask, "bboxes": BOXES, "keypoints": KEYPOINTS} | ids
+
+    def warp(self):
+        done = self.with_sheets(**self.annotated(), **self.sheets())
+        found = [{int(i): numpy.array(v) for i, v in zip(done[ids], done[values])} for ids, values in (("keypoint_ids", "keypoints"), ("box_ids", "bboxes"))]
+        drawn = [[done[name] for name in self.sheets() if name.startswith(kind)] for kind in ("dots", "boxes")]
+        return Warped(done["image"], done["mask"], *found, *drawn)
+
+    def places(self):
+        return numpy.stack([self.maps["map_x"], self.maps["map_y"]], axis=2)
+
+    def arrays(self):
+        return self.composed(**self.annotated())
+
+    def files(self):
+        done = self.composed(**self.annotated())
+        return png(done["image"]), png(done["mask"]), done["keypoints"], done["bboxes"]
+
+
+class Program:
+    """The running program and one connection to it."""
+
+    def __init__(self):
+        # One compute thread; the connection and the sessions outlive the turns of the other side.
+        options = {"listen": "127.0.0.1:0", "workers": "1", "max-warp-json-bytes": "32MiB", "header-timeout": "1h", "session-idle": "1h"}
+        command = [PROGRAM, "serve", *(word for name, value in options.items() for word in (f"--{name}", value))]
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("MLSWARP_")}
+        self.process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        address = next((found[1] for line in self.process.stdout if (found := re.search(r"http://([0-9.]+:[0-9]+)", line))), None)
+        if not address:
+            raise SystemExit("the program did not start")
+        self.connection = http.client.HTTPConnection(address)
+
+    def ask(self, method, path, body=None, headers=JSON):
+        self.connection.request(method, path, body if isinstance(body, bytes | None) else json.dumps(body), headers)
+        response = self.connection.getresponse()
+        data = response.read()
+        if response.status >= 300:
+            raise RuntimeError(f"{method} {path}: {response.status} {data[:300]}")
+        return data
+
+    def session(self, picture, warp):
+        boundary = uuid.uuid4().hex
+        parts = [("image", png(picture)), ("warp", json.dumps(warp).encode())]
+        head = '--{}\r\nContent-Disposition: form-data; name="{}"; filename="a"\r\n\r\n'
+        body = b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in parts) + f"--{boundary}--\r\n".encode()
+        made = self.ask("POST", "/sessions", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
+        return "/sessions/" + json.loads(made)["id"]
+
+
+class Ours:
+    """A method of the program on a lattice of handles that move at random."""
+
+    def __init__(self, job, program, method, handles, sigma):
+        self.job, self.program, self.sigma, self.random = job, program, sigma, numpy.random.default_rng(11)
+        height, width = job.shape
+        x, y = numpy.linspace(0, width, handles), numpy.linspace(0, height, handles)
+        self.p = numpy.stack(numpy.meshgrid(x, y), axis=2).reshape(-1, 2)
+        warp = {"p": self.p.tolist(), "method": method}
+        self.photo = program.session(job.photo, warp)
+        self.mask = program.session(job.mask, warp | {"output": {"filter": "nearest"}})
+        self.dots, self.boxes = ([program.session(sheet, warp) for sheet in drawn] for drawn in (job.dots, job.boxes))
+
+    def pose(self):
+        self.q = (self.p + self.random.normal(0, self.sigma, self.p.shape)).tolist()
+
+    def picture(self, session):
+        return self.program.ask("POST", f"{session}/warp", {"q": self.q})
+
+    def map(self, **annotations):
+        return json.loads(self.program.ask("POST", f"{self.photo}/points", {"q": self.q} | annotations))
+
+    def files(self):
+        self.pose()
+        annotations = self.map(points=(KEYPOINTS + 0.5).tolist(), boxes=BOXES.tolist())
+        return self.picture(self.photo), self.picture(self.mask), annotations["points"], annotations["boxes"]
+
+    def arrays(self):
+        photo, mask, points, boxes = self.files()
+        return decoded(photo), decoded(mask), points, boxes
+
+    def warp(self):
+        photo, mask, points, boxes = self.arrays()
+        # What is outside is dropped, and boxes are clipped, as the other side does it.
+        height, width = self.job.shape
+        keypoints = {i: numpy.array(v) - 0.5 for i, v in enumerate(points) if 0 <= v[0] < width and 0 <= v[1] < height}
+        boxes = {i: numpy.clip(v, 0, [width, height, width, height]) for i, v in enumerate(boxes)}
+        dots, drawn = ([decoded(self.picture(session))[..., :3] for session in group] for group in (self.dots, self.boxes))
+        return Warped(photo[..., :3], mask[..., 0] if mask.ndim > 2 else mask, keypoints, boxes, dots, drawn)
+
+    def places(self):
+        y, x = numpy.indices(self.job.shape)
+        centres = numpy.stack([x, y], axis=2).reshape(-1, 2) + 0.5
+        found = self.map(points=centres.tolist(), inverse=True)["points"]
+        found = numpy.array([[numpy.nan, numpy.nan] if place is None else place for place in found])
+        return found.reshape(*self.job.shape, 2) - 0.5
+
+
+def centroid(channel):
+    weights = numpy.where(channel >= 64, channel, 0).astype(float)
+    y, x = numpy.indices(channel.shape)
+    return numpy.array([(x * weights).sum(), (y * weights).sum()]) / weights.sum()
+
+
+def bounding(channel):
+    y, x = numpy.nonzero(channel >= 128)
+    return numpy.array([x.min(), y.min(), x.max() + 1, y.max() + 1])
+
+
+def touches_border(channel, least):
+    return max(side.max() for side in (channel[:3], channel[-3:], channel[:, :3], channel[:, -3:])) >= least
+
+
+def labels_at(mask, places, shift=(0, 0)):
+    """The labels of the pixels nearest to places; 0 outside."""
+    height, width = mask.shape
+    places = numpy.rint(numpy.nan_to_num(places + numpy.array(shift), nan=-2)).astype(int)
+    x, y = places[..., 0], places[..., 1]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return numpy.where(inside, mask[y.clip(0, height - 1), x.clip(0, width - 1)], 0)
+
+
+class Figures:
+    """What is measured over all pictures of one contender."""
+
+    def __init__(self):
+        self.drift, self.sides, self.displacements = [], [], []
+        self.lost = self.invented = self.pixels = self.wrong = self.wrong_inside = self.dots = 0
+
+    def add(self, job, warped):
+        for i, channel in enumerate(warped.dots):
+            # A dot at the border may be cut off.
+            if channel.max() < 128 or touches_border(channel, 32):
+                continue
+            self.dots += 1
+            if i not in warped.keypoints:
+                self.lost += 1
+                continue
+            centre = centroid(channel)
+            self.drift.append(numpy.hypot(*(warped.keypoints[i] - centre)))
+            self.displacements.append(((centre - KEYPOINTS[i]) ** 2).sum())
+        for i, channel in enumerate(warped.drawn):
+            if channel.max() >= 128 and i in warped.boxes:
+                self.sides.append(numpy.abs(warped.boxes[i] - bounding(channel)).max())
+        self.invented += (~numpy.isin(warped.mask, numpy.unique(numpy.append(job.mask, 0)))).sum()
+
+    def add_labels(self, job, mask, places):
+        expected = labels_at(job.mask, places)
+        wrong = mask != expected
+        around = [labels_at(job.mask, places, (dx, dy)) for dx in (-0.5, 0, 0.5) for dy in (-0.5, 0, 0.5)]
+        self.pixels += mask.size
+        self.wrong += wrong.sum()
+        self.wrong_inside += (wrong & numpy.all([labels == expected for labels in around], axis=0)).sum()
+
+
+def measure(job, contenders):
+    """The figures of contenders: {name: object}; those of albumentations after the first have the same maps."""
+    figures = {}
+    for name, contender in contenders.items():
+        figures[name] = Figures()
+        for i in range(PICTURES):
+            warped = contender.warp()
+            figures[name].add(job, warped)
+            if i < INVERSES:
+                figures[name].add_labels(job, warped.mask, contender.places())
+            if i == 0:
+                show(name, job, warped)
+    return figures
+
+
+def show(name, job, warped):
+    """Writes the picture with what was returned, the mask, and the dots in red, green and blue."""
+    marked = warped.photo.copy()
+    for x, y in warped.keypoints.values():
+        cv2.circle(marked, (round(x), round(y)), 3, (0, 255, 255), 1)
+    for box in warped.boxes.values():
+        left, top, right, bottom = (round(float(v)) for v in box[:4])
+        cv2.rectangle(marked, (left, top), (right - 1, bottom - 1), (0, 255, 0), 1)
+    dots = numpy.zeros_like(job.photo)
+    for i, channel in enumerate(warped.dots):
+        dots[..., i % 3] = numpy.maximum(dots[..., i % 3], channel)
+    mask = cv2.cvtColor(warped.mask, cv2.COLOR_GRAY2BGR)
+    FILES.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(FILES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")), numpy.hstack([marked, mask, dots]))
+
+
+def turns(contenders):
+    """Pictures per second of {name: function}; one sample of each in turn, after one that is not measured. Slow ones stop when their time is used."""
+    samples, spent = {name: [] for name in contenders}, dict.fromkeys(contenders, 0.0)
+    for turn in range(MOST + 1):
+        for name, work in contenders.items():
+            if turn <= LEAST or spent[name] < ENOUGH:
+                began = time.perf_counter()
+                work()
+                seconds = time.perf_counter() - began
+                spent[name] += seconds
+                if turn > 0:
+                    samples[name].append(seconds)
+    return {name: 1 / statistics.median(s) for name, s in samples.items()}
+
+
+def row(name, figures):
+    drift, sides = numpy.array(figures.drift), numpy.array(figures.sides)
+    at = f"{numpy.median(drift):.2f} | {numpy.percentile(drift, 99):.2f} | {drift.max():.2f}"
+    box = f"{numpy.median(sides):.2f} | {sides.max():.2f}"
+    displaced = numpy.sqrt(numpy.mean(figures.displacements))
+    share = f"{100 * figures.wrong / figures.pixels:.3f} | {figures.wrong_inside}"
+    say(f"| {name} | {displaced:.1f} | {at} | {figures.lost} of {figures.dots} | {box} | {figures.invented} | {share} |")
+
+
+def kinds():
+    """{kind: (a function that makes their transform, its description, our method, handles along a side, sigma of their displacement in px)}."""
+    return {
+        "elastic": (
+            lambda method: albumentations.ElasticTransform(alpha=1600, sigma=24, keypoint_remapping_method=method, p=1),
+            "`ElasticTransform(alpha=1600, sigma=24)`", "rigid", 9, 8.0,
+        ),
+        "piecewise affine": (
+            lambda method: albumentations.PiecewiseAffine(keypoint_remapping_method=method, p=1),
+            "`PiecewiseAffine()`", "affine", 4, 0.04 * 512 / 3,
+        ),
+        "thin plate": (
+            lambda method: albumentations.ThinPlateSpline(scale_range=(0.02, 0.02), keypoint_remapping_method=method, p=1),
+            "`ThinPlateSpline(scale_range=(0.02, 0.02))`", "tps", 4, 0.04 * 512 / 3,
+        ),
+    }
+
+
+def main():
+    job = Job()
+    cpu = [line.split(": ")[1] for line in open("/proc/cpuinfo") if line.startswith("model name")]
+    versions = f"albumentations {albumentations.__version__}, cv2 {cv2.__version__}, numpy {numpy.__version__}"
+    say("# annotations: a picture, its keypoints, boxes and label mask, side by side with albumentations\n")
+    say(f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}.\n")
+    program = Program()
+    try:
+        for kind, (make, description, method, handles, sigma) in kinds().items():
+            mine = f"mlswarp, `{method}`, {handles} x {handles} handles"
+            contenders = {mine: Ours(job, program, method, handles, sigma)}
+            contenders |= {f"{description}, keypoints by `{way}`": Theirs(job, make, way) for way in ("mask", "direct")}
+            say(f"## {kind}: accuracy, {PICTURES} pictures\n")
+            say("| what | displacement, px RMS | keypoint drift, px: median | p99 | max | keypoints lost | box sides, px: median | max | invented labels | pixels with another label than the inverse, % | of them not at a border |")
+            say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+            for name, figures in measure(job, contenders).items():
+                row(name, figures)
+            say(f"\n## {kind}: pictures per second with annotations, one thread each\n")
+            say("| what | pictures per second |\n|---|---:|")
+            speed = {}
+            for name, contender in contenders.items():
+                speed[f"{name}: PNG files"], speed[f"{name}: arrays"] = contender.files, contender.arrays
+            for name, rate in turns(speed).items():
+                say(f"| {name} | {rate:.2f} |")
+            say()
+    finally:
+        program.process.terminate()
+        program.process.wait()
+    RESULTS.write_text("\n".join(lines) + "\n")
+
+
+main()
