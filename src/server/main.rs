@@ -1,4 +1,4 @@
-//! The program: `mlswarp` serves, `mlswarp warp` warps one image offline, `mlswarp health` asks a running server.
+//! The program: `mlswarp` serves, `mlswarp health` asks a running server, and the other subcommands do the work of a route offline.
 //! Exit codes: 0 success, 1 failure, 2 a wrong command line or environment.
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -7,7 +7,7 @@ mod malloc_trim;
 
 use std::process::ExitCode;
 
-use mlswarp_server::cli::{health, warp};
+use mlswarp_server::cli::{health, points, warp};
 use mlswarp_server::config::{Cli, Command};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
@@ -29,10 +29,8 @@ fn main() -> ExitCode {
             connection::run(config).map_err(|e| format!("error: {e}"))
         }
         Command::Health => health::ask(&config).map_err(|e| format!("error: {e}")),
-        Command::Warp { image, warp, landmarks, landmarks_q, extent_p, extent_q, canvas, out } => {
-            let input = warp::Input { image, warp, landmarks, landmarks_q, extent_p, extent_q, canvas };
-            warp::run(&config, &input, &out).map(|summary| eprintln!("{summary}"))
-        }
+        Command::Warp(args) => warp::run(&config, &args).map(Some).map_err(|e| e.to_string()).map(print),
+        Command::Points(args) => points::run(&config, &args).map_err(|e| e.to_string()).map(print),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -40,5 +38,12 @@ fn main() -> ExitCode {
             eprintln!("{error}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Prints what a server would send in response headers.
+fn print(summary: Option<String>) {
+    if let Some(summary) = summary {
+        eprintln!("{summary}");
     }
 }

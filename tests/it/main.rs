@@ -35,6 +35,7 @@ mod mistakes;
 mod mutation;
 mod nulls;
 mod offline;
+mod offline_tools;
 mod openapi;
 mod openapi_examples;
 mod oracle;

@@ -1,4 +1,11 @@
 //! The subcommands beside the server.
 
+mod failure;
 pub mod health;
+mod input;
+mod output;
+pub mod points;
+mod service;
 pub mod warp;
+
+pub use failure::Failure;

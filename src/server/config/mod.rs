@@ -3,6 +3,7 @@
 mod auth;
 pub(crate) mod available_memory;
 mod clients;
+mod command;
 mod option;
 mod store;
 mod telemetry;
@@ -10,11 +11,10 @@ mod work;
 
 use std::ffi::OsString;
 use std::net::SocketAddr;
-use std::path::PathBuf;
 
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
-use clap::{Arg, ArgMatches, Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::{Arg, ArgMatches, Args, CommandFactory as _, FromArgMatches as _, Parser};
 use mlswarp::warp::{ImageLimits, Limits};
 
 use option::{Checked, clear_mistakes, keep_final, report, size, take_mistakes, variable, whole};
@@ -22,6 +22,8 @@ use option::{Checked, clear_mistakes, keep_final, report, size, take_mistakes, v
 pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
+pub use command::{Command, ExtentInput, PointsArgs, WarpArgs, WarpInput};
+use command::{EFFECTIVE, help_of};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
 pub use work::WorkConfig;
@@ -41,77 +43,6 @@ pub struct Cli {
     #[command(flatten)]
     pub config: Config,
 }
-
-/// The commands of the program.
-#[derive(Debug, Subcommand)]
-pub enum Command {
-    /// Start the server (the default).
-    Serve,
-    /// Warp one image without a server, into a file with the same bytes as the response of POST /warp.
-    #[command(after_help = WARP_EXAMPLE)]
-    Warp {
-        /// Image file (PNG, JPEG, WebP, TIFF, GIF, BMP); `-` reads standard input.
-        image: PathBuf,
-        /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
-        #[arg(required_unless_present = "landmarks")]
-        warp: Option<PathBuf>,
-        /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp CSV,
-        /// ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points.
-        #[arg(long, value_name = "FILE", display_order = 1)]
-        landmarks: Option<PathBuf>,
-        /// Landmark file with q.
-        #[arg(long, value_name = "FILE", requires = "landmarks", display_order = 2)]
-        landmarks_q: Option<PathBuf>,
-        /// Size of the image that p belongs to, if the landmark file is normalised (0 to 1). By default that of the image.
-        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
-        extent_p: Option<String>,
-        /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
-        #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
-        extent_q: Option<String>,
-        /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
-        /// precedence over the warp object.
-        #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true, display_order = 4)]
-        canvas: Option<String>,
-        /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg, .webp, .tif or .tiff. A format in the
-        /// warp object takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
-        // All of these stand before the options of the server.
-        #[arg(short, long, display_order = 4)]
-        out: PathBuf,
-    },
-    /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
-    Health,
-}
-
-const WARP_EXAMPLE: &str = r#"Examples:
-  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
-  mlswarp warp cat.png warp.json -o warped.png
-  mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts -o average.jpg"#;
-
-/// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
-const EFFECTIVE: [(&str, &[(&str, &str)]); 2] = [
-    (
-        "warp",
-        &[
-            ("workers", "Number of compute threads. auto = number of cores"),
-            ("max-body-bytes", "Maximum size of the image file, and of a landmark file"),
-            ("max-warp-json-bytes", "Maximum size of the warp object"),
-            ("max-image-pixels", ""),
-            ("max-image-side", ""),
-            ("max-columns", ""),
-            ("max-fit-handles", "Maximum number of handles on which the method auto compares methods; the time grows with its cube"),
-            ("max-plan-bytes", ""),
-        ],
-    ),
-    (
-        "health",
-        &[
-            ("listen", "Address and port of the server"),
-            ("metrics-listen", "Metrics address and port of the server; if this is set, it is the one that is asked"),
-            ("tls-cert", "Certificate of the server, PEM: the only one that is trusted"),
-            ("tls-key", "Private key of the certificate (not used, but required with --tls-cert)"),
-        ],
-    ),
-];
 
 /// All options.
 #[derive(Args, Clone, Debug, PartialEq)]
@@ -184,11 +115,6 @@ pub fn command() -> clap::Command {
     })
 }
 
-/// The other help text of an option, or none in words; `None` if the option has no effect.
-fn help_of(effective: &[(&str, &'static str)], option: &Arg) -> Option<&'static str> {
-    effective.iter().find(|(flag, _)| option.get_long() == Some(flag)).map(|(_, help)| *help)
-}
-
 /// Notes the options of the command line that have no effect on the subcommand. A variable may be meant for another command.
 fn report_without_effect(matches: &ArgMatches, command: &clap::Command) {
     let Some((name, given)) = matches.subcommand() else { return };
@@ -232,6 +158,26 @@ impl Config {
     /// Errors: As [`Cli::read`].
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
         Cli::read(args).map(|cli| cli.config)
+    }
+
+    /// The options that have an effect without a server, and the defaults of all others.
+    pub fn offline(&self) -> Self {
+        let Self { max_body_bytes, max_warp_json_bytes, max_image_pixels, max_image_side, max_columns, max_fit_handles, .. } = *self;
+        let Self { max_plan_bytes, work, .. } = *self;
+        let mut offline = Self::default();
+        // Nobody waits for a response.
+        offline.timeouts.request = std::time::Duration::from_secs(u64::from(u32::MAX));
+        Self {
+            max_body_bytes,
+            max_warp_json_bytes,
+            max_image_pixels,
+            max_image_side,
+            max_columns,
+            max_fit_handles,
+            max_plan_bytes,
+            work,
+            ..offline
+        }
     }
 
     /// What one warp may use.

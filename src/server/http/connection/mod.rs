@@ -2,7 +2,7 @@
 
 pub(crate) mod reload;
 pub(crate) mod serve;
-mod signals;
+pub(crate) mod signals;
 pub(crate) mod stream_stall;
 pub(crate) mod transport;
 

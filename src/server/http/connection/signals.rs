@@ -52,4 +52,4 @@ mod platform {
     }
 }
 
-pub(super) use platform::Signals;
+pub(crate) use platform::Signals;

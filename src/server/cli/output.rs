@@ -1,0 +1,92 @@
+//! What the subcommands write. A file appears under its name when it is complete, also if the program is interrupted before.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, Once, PoisonError};
+
+use super::failure::Failure;
+use super::input::is_stdio;
+use crate::http::connection::signals::Signals;
+
+/// The exit code of an interrupted program.
+const INTERRUPTED: i32 = 130;
+/// The file that is being written. It is created, renamed and removed by the thread that holds the lock.
+static PART: Mutex<Option<PathBuf>> = Mutex::new(None);
+
+/// Errors: The directory of the file does not exist.
+pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
+    match out.parent() {
+        Some(directory) if !directory.as_os_str().is_empty() && !directory.is_dir() => {
+            Err(Failure::Local(format!("cannot write {out:?}: there is no directory {directory:?}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes text to a file or standard output. Errors: As [`write`].
+pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
+    write(out, |sink| {
+        sink.write_all(text)?;
+        if is_stdio(out) && io::stdout().is_terminal() { sink.write_all(b"\n") } else { Ok(()) }
+    })
+}
+
+/// Writes a file or standard output by `content`.
+/// Errors: It cannot be written.
+pub(super) fn write(out: &Path, content: impl FnOnce(&mut (dyn Write + Send)) -> io::Result<()>) -> Result<(), Failure> {
+    let buffered = |file: &mut (dyn Write + Send)| {
+        let mut buffer = BufWriter::new(file);
+        content(&mut buffer)?;
+        buffer.flush()
+    };
+    let written = if is_stdio(out) {
+        buffered(&mut io::stdout())
+    } else if out.exists() && !out.is_file() || out.is_symlink() {
+        // A device, a pipe or a link is not replaced.
+        File::options().write(true).create(true).truncate(true).open(out).and_then(|mut file| buffered(&mut file))
+    } else {
+        replace(out, buffered)
+    };
+    written.map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))
+}
+
+/// Writes a file beside `out`, which is renamed when it is complete.
+fn replace(out: &Path, content: impl FnOnce(&mut (dyn Write + Send)) -> io::Result<()>) -> io::Result<()> {
+    let mut name = out.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let path = out.with_file_name(name);
+    watch_signals();
+    let part = || PART.lock().unwrap_or_else(PoisonError::into_inner);
+    let created = {
+        let mut part = part();
+        *part = Some(path.clone());
+        File::create(&path)
+    };
+    let written = created.and_then(|mut file| content(&mut file));
+    let mut part = part();
+    *part = None;
+    // It may not exist.
+    written.and_then(|()| fs::rename(&path, out)).inspect_err(|_| drop(fs::remove_file(&path)))
+}
+
+/// Removes the incomplete file and ends the program at SIGTERM or Ctrl-C. Without signals, the system ends the program.
+fn watch_signals() {
+    static STARTED: Once = Once::new();
+    STARTED.call_once(|| {
+        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
+        let signals = {
+            let _entered = runtime.enter();
+            Signals::stop()
+        };
+        let Ok(mut signals) = signals else { return };
+        std::thread::spawn(move || {
+            runtime.block_on(signals.recv());
+            let part = PART.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(path) = &*part {
+                let _ = fs::remove_file(path);
+            }
+            std::process::exit(INTERRUPTED);
+        });
+    });
+}

@@ -1,0 +1,45 @@
+//! The use cases of the service in this process, without a listener: a subcommand then has the bytes of its route.
+
+use std::future::Future;
+
+use mlswarp::warp::Warning;
+use tokio::runtime::Runtime;
+
+use super::failure::Failure;
+use super::input::Body;
+use crate::app::App;
+use crate::client::Client;
+use crate::config::Config;
+use crate::problem::Problem;
+use crate::wire::landmarks::UNMATCHED;
+
+/// A service that one client uses.
+pub(super) struct Service {
+    pub(super) app: App,
+    pub(super) client: Client,
+    runtime: Runtime,
+}
+
+impl Service {
+    /// Errors: Its threads cannot be started.
+    pub(super) fn start(config: &Config) -> Result<Self, Failure> {
+        let cannot = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot start compute threads: {e}"));
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|e| cannot(&e))?;
+        let app = App::new(config.offline()).map_err(|e| cannot(&e))?;
+        Ok(Self { app, client: Client::default(), runtime })
+    }
+
+    /// Waits for a use case.
+    /// Errors: Those of the use case.
+    pub(super) fn wait<T>(&self, use_case: impl Future<Output = Result<T, Problem>>) -> Result<T, Failure> {
+        Ok(self.runtime.block_on(use_case)?)
+    }
+}
+
+/// What a server sends in response headers: the method that was chosen, and warnings. `None` if there is neither.
+pub(super) fn summary(method: Option<String>, warnings: &[Warning], body: &Body) -> Option<String> {
+    let method = method.map(|method| format!("method {method}"));
+    let warnings = warnings.iter().map(|warning| warning.code()).chain(body.has_unmatched.then_some(UNMATCHED)).map(str::to_owned);
+    let words: Vec<String> = method.into_iter().chain(warnings).collect();
+    (!words.is_empty()).then(|| words.join(", "))
+}

@@ -1,0 +1,141 @@
+//! The commands of the program, their arguments, and the options that have an effect on them.
+
+use std::path::PathBuf;
+
+use clap::{Arg, Args, Subcommand};
+
+/// The commands of the program.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start the server (the default).
+    Serve,
+    /// Warp one image without a server, into a file with the same bytes as the response of POST /warp.
+    #[command(after_help = WARP_EXAMPLE)]
+    Warp(WarpArgs),
+    /// Map points, polygons, boxes and GeoJSON without a server: the JSON of POST /points.
+    #[command(after_help = POINTS_EXAMPLE)]
+    Points(PointsArgs),
+    /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
+    Health,
+}
+
+/// The handles and what belongs to them; `-` is standard input.
+#[derive(Args, Clone, Debug)]
+pub struct WarpInput {
+    /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
+    #[arg(required_unless_present = "landmarks")]
+    pub warp: Option<PathBuf>,
+    /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp CSV,
+    /// ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points.
+    #[arg(long, value_name = "FILE", display_order = 1)]
+    pub landmarks: Option<PathBuf>,
+    /// Landmark file with q.
+    #[arg(long, value_name = "FILE", requires = "landmarks", display_order = 2)]
+    pub landmarks_q: Option<PathBuf>,
+    /// Size of the image that p belongs to, if the landmark file is normalised (0 to 1). By default that of the image.
+    #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
+    pub extent_p: Option<String>,
+    /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
+    #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
+    pub extent_q: Option<String>,
+}
+
+/// The size of the image, where no picture is drawn.
+#[derive(Args, Clone, Debug)]
+#[group(multiple = false)]
+pub struct ExtentInput {
+    /// Size of the image that the warp belongs to, unless the warp object has it in `extent`.
+    #[arg(long, value_name = "WIDTH,HEIGHT", display_order = 4)]
+    pub extent: Option<String>,
+    /// Image file that the warp belongs to, from which only the size is read; `-` reads standard input.
+    #[arg(long, value_name = "FILE", display_order = 4)]
+    pub image: Option<PathBuf>,
+}
+
+/// The arguments of `mlswarp warp`.
+#[derive(Args, Clone, Debug)]
+pub struct WarpArgs {
+    /// Image file (PNG, JPEG, WebP, TIFF, GIF, BMP); `-` reads standard input.
+    pub image: PathBuf,
+    /// The handles.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
+    /// precedence over the warp object.
+    #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true, display_order = 4)]
+    pub canvas: Option<String>,
+    /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg, .webp, .tif or .tiff. A format in the
+    /// warp object takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
+    // All of these stand before the options of the server.
+    #[arg(short, long, display_order = 4)]
+    pub out: PathBuf,
+}
+
+/// The arguments of `mlswarp points`.
+#[derive(Args, Clone, Debug)]
+pub struct PointsArgs {
+    /// The handles.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they stand in the
+    /// warp object, as in the body of POST /points.
+    pub annotations: Option<PathBuf>,
+    /// The size of the image.
+    #[command(flatten)]
+    pub extent: ExtentInput,
+    /// Output file (JSON); `-` writes standard output.
+    #[arg(short, long, default_value = "-", display_order = 5)]
+    pub out: PathBuf,
+}
+
+const WARP_EXAMPLE: &str = r#"Examples:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  mlswarp warp cat.png warp.json -o warped.png
+  mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts -o average.jpg"#;
+
+const POINTS_EXAMPLE: &str = r#"Examples:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  echo '{"points": [[240, 250]], "boxes": [[150, 90, 330, 150]]}' | mlswarp points warp.json - --image cat.png
+  echo '{"points": [[240, 250]], "inverse": true}' | mlswarp points warp.json - --extent 451,300 -o source.json"#;
+
+/// The limits of what is computed, with the help texts that fit a command.
+const LIMITS: [(&str, &str); 8] = [
+    ("workers", "Number of compute threads. auto = number of cores"),
+    ("max-body-bytes", "Maximum size of the image file, and of a landmark file"),
+    ("max-warp-json-bytes", "Maximum size of the warp object, and of the annotations"),
+    ("max-image-pixels", ""),
+    ("max-image-side", ""),
+    ("max-columns", ""),
+    ("max-fit-handles", "Maximum number of handles on which the method auto compares methods; the time grows with its cube"),
+    ("max-plan-bytes", ""),
+];
+
+/// Beside [`LIMITS`], of the commands that compute as the server does.
+const MEMORY: (&str, &str) =
+    ("memory-bytes", "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the control group");
+const SERVICE: [(&str, &str); 9] = {
+    let mut options = [MEMORY; 9];
+    let (limits, _) = options.split_at_mut(LIMITS.len());
+    limits.copy_from_slice(&LIMITS);
+    options
+};
+
+/// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
+pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 3] = [
+    ("warp", &LIMITS),
+    ("points", &SERVICE),
+    (
+        "health",
+        &[
+            ("listen", "Address and port of the server"),
+            ("metrics-listen", "Metrics address and port of the server; if this is set, it is the one that is asked"),
+            ("tls-cert", "Certificate of the server, PEM: the only one that is trusted"),
+            ("tls-key", "Private key of the certificate (not used, but required with --tls-cert)"),
+        ],
+    ),
+];
+
+/// The other help text of an option, or none in words; `None` if the option has no effect.
+pub(super) fn help_of(effective: &[(&str, &'static str)], option: &Arg) -> Option<&'static str> {
+    effective.iter().find(|(flag, _)| option.get_long() == Some(flag)).map(|(_, help)| *help)
+}

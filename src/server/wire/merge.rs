@@ -1,0 +1,46 @@
+//! One JSON object made of several texts. Offline, the handles, the annotations and the size of the image may come from different files.
+
+use mlswarp::pixmap::Extent;
+
+use super::json::{self, optional};
+use super::size;
+use crate::problem::Problem;
+
+/// An object with the fields of all objects; a field of two of them is then one that is given twice.
+/// Errors: A text that is not a JSON object.
+pub(crate) fn merged(objects: &[&[u8]]) -> Result<Vec<u8>, Problem> {
+    let mut fields = Vec::new();
+    for object in objects {
+        let text = json::root(object)?.text;
+        // Without its braces.
+        let inside = text.get(1..text.len() - 1).unwrap_or_default().trim();
+        fields.extend((!inside.is_empty()).then_some(inside));
+    }
+    Ok(format!("{{{}}}", fields.join(",")).into_bytes())
+}
+
+/// The field `extent` of an object.
+/// Errors: Not a size.
+pub(crate) fn extent_in(object: &[u8]) -> Result<Option<Extent>, Problem> {
+    let root = json::root(object)?;
+    let [extent] = root.find(&["extent"])?;
+    optional(extent, size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_of_all_objects_stay_as_they_are_written() {
+        let merged = |objects: &[&str]| merged(&objects.iter().map(|text| text.as_bytes()).collect::<Vec<_>>());
+        let text = |objects: &[&str]| String::from_utf8(merged(objects).unwrap()).unwrap();
+        assert_eq!(text(&[]), "{}");
+        assert_eq!(text(&["{}", " { } \n"]), "{}");
+        assert_eq!(text(&["{\"a\": {\"b\": {}}}", "{}", "{\"c\": 1e0 , \"d\": {}}"]), "{\"a\": {\"b\": {}},\"c\": 1e0 , \"d\": {}}");
+        assert!(merged(&["[]"]).is_err() && merged(&["{}", "{"]).is_err() && merged(&["{} {}"]).is_err());
+        assert_eq!(extent_in(b"{\"extent\": [4, 3]}").unwrap(), Extent::new(4, 3));
+        assert_eq!(extent_in(b"{\"extent\": null, \"p\": []}").unwrap(), None);
+        assert!(extent_in(b"{\"extent\": [4]}").is_err());
+    }
+}

@@ -1,0 +1,164 @@
+//! The subcommands that draw nothing: each writes the bytes that the route of its name answers. And what every subcommand does when its
+//! output cannot be written, or the program is interrupted.
+
+use std::io::{Read as _, Write as _};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::support::program::mlswarp;
+use crate::support::{Scratch, Server, photo};
+
+/// Runs the program with text on its standard input.
+fn run(args: &[&str], stdin: &str) -> Output {
+    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // A command that fails at once closes the pipe.
+    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
+    child.wait_with_output().unwrap()
+}
+
+/// Standard output of a command that succeeds, and what it says.
+fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
+    let output = run(args, stdin);
+    assert!(output.status.success(), "{args:?}: {output:?}");
+    (output.stdout, String::from_utf8(output.stderr).unwrap())
+}
+
+/// What a command says that fails.
+fn failed(args: &[&str], stdin: &str) -> String {
+    let output = run(args, stdin);
+    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+/// The fields of both objects.
+fn merged(one: &Value, other: &Value) -> Value {
+    let fields = [one, other].into_iter().flat_map(|object| object.as_object().unwrap().clone());
+    Value::Object(fields.collect())
+}
+
+async fn answer(server: &Server, path: &str, body: &Value) -> Vec<u8> {
+    let response = server.post(path).json(body).send().await.unwrap();
+    assert_eq!(response.status(), 200, "{path} {body}");
+    response.bytes().await.unwrap().to_vec()
+}
+
+#[tokio::test]
+async fn points_are_those_that_the_server_answers() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let warp = json!({"p": [[20, 20], [300, 200], [[40, 250], [350, 260]]], "q": [[40, 20], [300, 180], [[40, 255], [350, 240]]]});
+    let points = json!([[0, 0], [123.25, 45.5], [399, 299]]);
+    let forward = json!({"boxes": [[10, 20, 200, 120]], "points": points, "polygons": [[[5, 5], [300, 20], [40, 280]]], "geojson": {
+        "type": "FeatureCollection",
+        "features": [{"type": "Feature", "id": 7, "properties": {"name": "a"}, "geometry": {"type": "Point", "coordinates": [12, 34]}}],
+    }});
+    let inverse = json!({"points": [[0, 0], [123.25, 45.5], [1e5, 1e5]], "inverse": true});
+    let (warp_file, image) = (scratch.path("warp.json"), scratch.path("image.png"));
+    std::fs::write(&warp_file, warp.to_string()).unwrap();
+    std::fs::write(&image, photo(400, 300)).unwrap();
+    for (name, annotations) in [("forward.json", forward), ("inverse.json", inverse), ("none.json", json!({}))] {
+        let whole = merged(&merged(&warp, &annotations), &json!({"extent": [400, 300]}));
+        let expected = answer(&server, "/points", &whole).await;
+        let (file, out, whole) = (scratch.path(name), scratch.path("out.json"), whole.to_string());
+        std::fs::write(&file, annotations.to_string()).unwrap();
+        for (args, stdin) in [
+            (&["points", &*warp_file, &*file, "--extent", "400,300"][..], ""),
+            (&["points", &*warp_file, "-", "--image", &*image], &*annotations.to_string()),
+            (&["points", "-", &*file, "--image", &*image], &*warp.to_string()),
+            (&["points", "-"], &*whole),
+        ] {
+            assert!(done(args, stdin) == (expected.clone(), String::new()), "{name}: {args:?}");
+        }
+        assert!(done(&["points", "-", "-o", &out], &whole).0.is_empty());
+        assert!(std::fs::read(out).unwrap() == expected, "{name}");
+    }
+    // The size of a file on standard input; the handles of landmark files; the method and the warnings that a server sends in headers.
+    let mut child = mlswarp(&["points", &warp_file, "--image", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(&photo(400, 300)).unwrap();
+    assert_eq!(child.wait_with_output().unwrap().stdout, b"{}");
+    let landmarks = scratch.path("landmarks.csv");
+    std::fs::write(&landmarks, "px,py,qx,qy\n20,20,40,20\n300,200,300,180\n150,20,152,21\n50,220,50,222\n").unwrap();
+    let handles = json!({"p": [[20, 20], [300, 200], [150, 20], [50, 220]], "q": [[40, 20], [300, 180], [152, 21], [50, 222]]});
+    let rest = json!({"method": "auto", "extent": [400, 300], "points": points});
+    let expected = answer(&server, "/points", &merged(&handles, &rest)).await;
+    let (stdout, said) = done(&["points", "-", "--landmarks", &landmarks], &rest.to_string());
+    assert!(stdout == expected && said.starts_with("method "), "{said}");
+    let (_, said) = done(&["points", "-"], r#"{"p": [[0.1, 0.2]], "q": [[0.2, 0.2]], "extent": [40, 30]}"#);
+    assert_eq!(said, "looks_normalized\n");
+}
+
+#[test]
+fn points_name_what_is_wrong() {
+    let scratch = Scratch::new();
+    let (annotations, landmarks) = (scratch.path("annotations.json"), scratch.path("landmarks.csv"));
+    std::fs::write(&annotations, r#"{"points": [[1, 2]]}"#).unwrap();
+    std::fs::write(&landmarks, "px,py,qx,qy\n1,2,3,4\n").unwrap();
+    let extent = ["--extent", "40,30"];
+    for (args, stdin, sentence) in [
+        (&["-"][..], "{}", "error: the size of the image is missing; give --extent"),
+        (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]], "q": [[2, 2]], "point": []}"#, "unknown_field: unknown field `point`"),
+        (&["-", &annotations, extent[0], extent[1]], r#"{"points": []}"#, "malformed_request: the field `points` is given twice (/points)"),
+        (&["-", extent[0], extent[1]], r#"{"extent": [4, 3]}"#, "malformed_request: the field `extent` is given twice (/extent)"),
+        (&["-", extent[0], extent[1]], r#"{"points": [[1, 2], [3]]}"#, "bad_value: "),
+        (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]]}"#, "bad_value: `q` is missing"),
+        (&["-", "--landmarks", &landmarks, extent[0], extent[1]], r#"{"p": [[1, 1]]}"#, "malformed_request: the field `p` is given twice"),
+        (&["-", "--extent", "40"], "{}", "bad_value: `--extent` must be the width and height"),
+        (&["-", "--image", &annotations], "{}", "unsupported_format: "),
+        (&["-", "-", extent[0], extent[1]], "{}", "error: standard input can be one of the input files only"),
+        (&["-", "--image", "-"], "{}", "error: standard input can be one of the input files only"),
+        (&["missing.json", extent[0], extent[1]], "", "error: cannot read the warp object "),
+        (&["-", "missing.json", extent[0], extent[1]], "{}", "error: cannot read the annotations "),
+        (&["-", extent[0], extent[1], "-o", "missing/out.json"], "{}", "error: cannot write "),
+        (&["-", extent[0], extent[1], "--max-warp-json-bytes", "1"], "{}", "too_large: the warp object is larger than 1 bytes"),
+    ] {
+        let said = failed(&[&["points"], args].concat(), stdin);
+        assert!(said.starts_with(sentence), "{args:?}: {said}");
+    }
+    let both = run(&["points", "-", "--extent", "40,30", "--image", "a.png"], "{}");
+    assert_eq!(both.status.code(), Some(2), "one size only: {both:?}");
+}
+
+#[test]
+fn a_reader_that_leaves_is_a_failure_and_no_panic() {
+    let scratch = Scratch::new();
+    let (warp, image) = (scratch.path("warp.json"), scratch.path("image.png"));
+    let places: Vec<[u32; 2]> = (0..50_000).map(|i| [i % 400, i % 300]).collect();
+    std::fs::write(&warp, json!({"p": [[9, 9]], "q": [[19, 9]], "extent": [400, 300], "points": places}).to_string()).unwrap();
+    std::fs::write(&image, photo(1200, 900)).unwrap();
+    let handles = scratch.path("handles.json");
+    std::fs::write(&handles, r#"{"p": [[9, 9]], "q": [[19, 9]]}"#).unwrap();
+    for args in [&["points", &*warp][..], &["warp", &*image, &*handles, "-o", "-"]] {
+        let mut child = mlswarp(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut first = [0; 4];
+        let mut stdout = child.stdout.take().unwrap();
+        stdout.read_exact(&mut first).unwrap();
+        drop(stdout);
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(1) && said.starts_with("error: cannot write \"-\": ") && said.lines().count() == 1, "{said}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_program_leaves_no_incomplete_file() {
+    let scratch = Scratch::new();
+    let (image, warp, out) = (scratch.path("image.png"), scratch.path("warp.json"), scratch.path("out/out.png"));
+    let directory = std::path::Path::new(&out).parent().unwrap();
+    std::fs::create_dir(directory).unwrap();
+    std::fs::write(&image, photo(3000, 3000)).unwrap();
+    std::fs::write(&warp, r#"{"p": [[9, 9]], "q": [[19, 9]], "output": {"compression": "best", "width": 7000}}"#).unwrap();
+    let files = || std::fs::read_dir(directory).unwrap().count();
+    for signal in ["-INT", "-TERM"] {
+        let mut child = mlswarp(&["warp", &image, &warp, "-o", &out]).stderr(Stdio::null()).spawn().unwrap();
+        let began = Instant::now();
+        while files() == 0 {
+            assert!(began.elapsed() < Duration::from_secs(60) && child.try_wait().unwrap().is_none(), "no file is begun");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{signal}");
+        assert_eq!(files(), 0, "{signal}");
+    }
+}
