@@ -1,13 +1,5 @@
-"""Warps a photograph with keypoints, boxes and a label mask by albumentations and by the program, and measures how well the annotations follow
-the picture, and how many pictures per second each makes. Positions are in px; pixel centres have whole coordinates, as in albumentations.
-
-* Keypoints: a dot is drawn at each one, in a channel of its own, and warped with the picture. The drift is the distance between the centroid of
-  the warped dot and the keypoint that is returned. They lie on pixel centres, because albumentations rounds them.
-* Boxes: each is drawn filled, in a channel of its own, and warped. The error is the largest difference of a side of the box that is returned
-  from the bounding box of the pixels that are at least half covered, which is itself rounded to whole pixels.
-* Labels: of the pixels of the warped mask, those whose label the source does not have, and those that differ from the source's label at the
-  exact inverse of the pixel's centre: the map that albumentations draws with, `POST /points` with `"inverse": true` for the program.
-* Speed: one sample of each contender in turn; one thread each."""
+"""Warps a photograph with keypoints, boxes and a label mask by albumentations and by the program, and measures how well the annotations
+follow the picture, and how many pictures per second each makes. Run it by tests/bench/annotations."""
 
 import http.client
 import json
@@ -32,15 +24,36 @@ PHOTO = ROOT / "tests" / "images" / "astronaut.png"
 PICTURES, INVERSES = 20, 5
 # Maximum seconds and minimum samples of one contender.
 ENOUGH, LEAST, MOST = 10.0, 3, 200
+# Frames of a batch.
+BATCH = 50
 # Six keypoints in each direction, and three boxes.
 KEYPOINTS = numpy.array([[x, y] for y in range(46, 512, 84) for x in range(46, 512, 84)])
 BOXES = numpy.array([[x, y, x + 100, y + 80] for y in (40, 210, 380) for x in (40, 200, 360)])
 LABELS = numpy.array([0, 37, 91, 180, 255], numpy.uint8)
+DOT = [[0, 60, 120, 60, 0], [60, 180, 255, 180, 60], [120, 255, 255, 255, 120], [60, 180, 255, 180, 60], [0, 60, 120, 60, 0]]
 JSON = {"Content-Type": "application/json"}
 
 cv2.setNumThreads(1)
 warnings.simplefilter("ignore")
 lines = []
+
+HEAD = """Both sides warp one photograph of 512 x 512 pixels with 36 keypoints, 9 boxes and a label mask, with random displacements of about the
+same size where the other side has a parameter for it. Positions are in px.
+
+- **Keypoints.** A dot of 5 x 5 pixels is drawn at each one, in a channel of its own, and warped with the picture. The drift is the distance
+  between the centroid of the warped dot and the keypoint that is returned. The keypoints lie on pixel centres, because albumentations rounds
+  them. A keypoint is lost if its dot is in the picture and it is not returned.
+- **Boxes.** Each is drawn filled, in a channel of its own, and warped. The error is the largest difference of a side of the box that is
+  returned from the bounding box of the pixels that are at least half covered, which is itself rounded to whole pixels.
+- **Labels.** Of the pixels of the warped mask: those whose label the source does not have, and those that differ from the source's label at
+  the exact inverse of the pixel's centre, which is the map that albumentations draws with, and `POST /points` with `"inverse": true` for
+  mlswarp. A pixel is at a border if the source has another label within 0.5 px of that position.
+- **Speed.** Samples of all contenders alternate; medians; one compute thread each. albumentations runs in the measuring process and returns
+  arrays, or PNG files of the picture and the mask (compression 1). mlswarp runs in a process of its own and always returns PNG files over
+  HTTP, as three requests for each picture (picture, mask, positions) or as one batch; `arrays` includes their decoding by OpenCV.
+
+`mask` and `direct` are the two ways in which albumentations maps keypoints; `mask` is its default.
+"""
 
 
 def say(line=""):
@@ -63,7 +76,7 @@ def sheets(channels):
 
 def dot(shape, x, y):
     canvas = numpy.zeros(shape, numpy.uint8)
-    canvas[y - 2 : y + 3, x - 2 : x + 3] = [[0, 60, 120, 60, 0], [60, 180, 255, 180, 60], [120, 255, 255, 255, 120], [60, 180, 255, 180, 60], [0, 60, 120, 60, 0]]
+    canvas[y - 2 : y + 3, x - 2 : x + 3] = DOT
     return canvas
 
 
@@ -123,19 +136,28 @@ class Theirs:
 
     def warp(self):
         done = self.with_sheets(**self.annotated(), **self.sheets())
-        found = [{int(i): numpy.array(v) for i, v in zip(done[ids], done[values])} for ids, values in (("keypoint_ids", "keypoints"), ("box_ids", "bboxes"))]
+        keypoints, boxes = (
+            {int(i): numpy.array(v) for i, v in zip(done[ids], done[values])}
+            for ids, values in (("keypoint_ids", "keypoints"), ("box_ids", "bboxes"))
+        )
         drawn = [[done[name] for name in self.sheets() if name.startswith(kind)] for kind in ("dots", "boxes")]
-        return Warped(done["image"], done["mask"], *found, *drawn)
+        return Warped(done["image"], done["mask"], keypoints, boxes, *drawn)
 
     def places(self):
         return numpy.stack([self.maps["map_x"], self.maps["map_y"]], axis=2)
 
     def arrays(self):
-        return self.composed(**self.annotated())
+        self.composed(**self.annotated())
+        return 1
 
     def files(self):
         done = self.composed(**self.annotated())
-        return png(done["image"]), png(done["mask"]), done["keypoints"], done["bboxes"]
+        png(done["image"])
+        png(done["mask"])
+        return 1
+
+    def contenders(self):
+        return {"PNG files": self.files, "arrays": self.arrays}
 
 
 class Program:
@@ -178,36 +200,59 @@ class Ours:
         x, y = numpy.linspace(0, width, handles), numpy.linspace(0, height, handles)
         self.p = numpy.stack(numpy.meshgrid(x, y), axis=2).reshape(-1, 2)
         warp = {"p": self.p.tolist(), "method": method}
-        self.photo = program.session(job.photo, warp)
-        self.mask = program.session(job.mask, warp | {"output": {"filter": "nearest"}})
-        self.dots, self.boxes = ([program.session(sheet, warp) for sheet in drawn] for drawn in (job.dots, job.boxes))
+        self.session = program.session(job.photo, warp)
+        self.dots, self.boxes = ([f"{kind}{i}" for i in range(len(drawn))] for kind, drawn in (("dots", job.dots), ("boxes", job.boxes)))
+        for name, picture in zip(self.dots + self.boxes, job.dots + job.boxes):
+            self.put(name, picture, "image")
+        self.put("mask", job.mask, "labels")
+
+    def put(self, name, picture, kind):
+        self.program.ask("PUT", f"{self.session}/layers/{name}?kind={kind}", png(picture), {"Content-Type": "image/png"})
 
     def pose(self):
-        self.q = (self.p + self.random.normal(0, self.sigma, self.p.shape)).tolist()
+        return (self.p + self.random.normal(0, self.sigma, self.p.shape)).tolist()
 
-    def picture(self, session):
-        return self.program.ask("POST", f"{session}/warp", {"q": self.q})
+    def picture(self, **layer):
+        return self.program.ask("POST", f"{self.session}/warp", {"q": self.q} | layer)
 
     def map(self, **annotations):
-        return json.loads(self.program.ask("POST", f"{self.photo}/points", {"q": self.q} | annotations))
+        return json.loads(self.program.ask("POST", f"{self.session}/points", {"q": self.q} | annotations))
+
+    def made(self):
+        self.q = self.pose()
+        annotations = self.map(**self.annotations())
+        return self.picture(), self.picture(layer="mask"), annotations["points"], annotations["boxes"]
+
+    def annotations(self):
+        return {"points": (KEYPOINTS + 0.5).tolist(), "boxes": BOXES.tolist()}
 
     def files(self):
-        self.pose()
-        annotations = self.map(points=(KEYPOINTS + 0.5).tolist(), boxes=BOXES.tolist())
-        return self.picture(self.photo), self.picture(self.mask), annotations["points"], annotations["boxes"]
+        self.made()
+        return 1
 
     def arrays(self):
-        photo, mask, points, boxes = self.files()
-        return decoded(photo), decoded(mask), points, boxes
+        photo, mask, *_ = self.made()
+        decoded(photo)
+        decoded(mask)
+        return 1
+
+    def batch(self):
+        body = {"frames": [{"q": self.pose()} for _ in range(BATCH)], "layers": ["mask"]} | self.annotations()
+        self.program.ask("POST", f"{self.session}/batch", body)
+        return BATCH
+
+    def contenders(self):
+        return {"PNG files": self.files, "arrays": self.arrays, f"PNG files, batches of {BATCH}": self.batch}
 
     def warp(self):
-        photo, mask, points, boxes = self.arrays()
+        photo, mask, points, boxes = self.made()
+        photo, mask = decoded(photo), decoded(mask)
         # What is outside is dropped, and boxes are clipped, as the other side does it.
         height, width = self.job.shape
         keypoints = {i: numpy.array(v) - 0.5 for i, v in enumerate(points) if 0 <= v[0] < width and 0 <= v[1] < height}
         boxes = {i: numpy.clip(v, 0, [width, height, width, height]) for i, v in enumerate(boxes)}
-        dots, drawn = ([decoded(self.picture(session))[..., :3] for session in group] for group in (self.dots, self.boxes))
-        return Warped(photo[..., :3], mask[..., 0] if mask.ndim > 2 else mask, keypoints, boxes, dots, drawn)
+        dots, drawn = ([decoded(self.picture(layer=name))[..., :3] for name in group] for group in (self.dots, self.boxes))
+        return Warped(photo[..., :3], mask, keypoints, boxes, dots, drawn)
 
     def places(self):
         y, x = numpy.indices(self.job.shape)
@@ -306,18 +351,25 @@ def show(name, job, warped):
 
 
 def turns(contenders):
-    """Pictures per second of {name: function}; one sample of each in turn, after one that is not measured. Slow ones stop when their time is used."""
+    """Pictures per second of {name: function, which makes that many}; one sample of each in turn, after one that is not measured. Slow ones
+    stop when their time is used."""
     samples, spent = {name: [] for name in contenders}, dict.fromkeys(contenders, 0.0)
     for turn in range(MOST + 1):
         for name, work in contenders.items():
             if turn <= LEAST or spent[name] < ENOUGH:
                 began = time.perf_counter()
-                work()
+                pictures = work()
                 seconds = time.perf_counter() - began
                 spent[name] += seconds
                 if turn > 0:
-                    samples[name].append(seconds)
+                    samples[name].append(seconds / pictures)
     return {name: 1 / statistics.median(s) for name, s in samples.items()}
+
+
+COLUMNS = [
+    "displacement, px RMS", "keypoint drift, px: median", "p99", "max", "keypoints lost", "box sides, px: median", "max", "invented labels",
+    "labels unlike the inverse, % of pixels", "pixels of these not at a border",
+]
 
 
 def row(name, figures):
@@ -330,7 +382,7 @@ def row(name, figures):
 
 
 def kinds():
-    """{kind: (a function that makes their transform, its description, our method, handles along a side, sigma of their displacement in px)}."""
+    """{kind: (a function that makes their transform, its description, our method, handles along a side, sigma of their moves in px)}."""
     return {
         "elastic": (
             lambda method: albumentations.ElasticTransform(alpha=1600, sigma=24, keypoint_remapping_method=method, p=1),
@@ -352,6 +404,7 @@ def main():
     cpu = [line.split(": ")[1] for line in open("/proc/cpuinfo") if line.startswith("model name")]
     versions = f"albumentations {albumentations.__version__}, cv2 {cv2.__version__}, numpy {numpy.__version__}"
     say("# annotations: a picture, its keypoints, boxes and label mask, side by side with albumentations\n")
+    say(HEAD)
     say(f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}.\n")
     program = Program()
     try:
@@ -360,15 +413,14 @@ def main():
             contenders = {mine: Ours(job, program, method, handles, sigma)}
             contenders |= {f"{description}, keypoints by `{way}`": Theirs(job, make, way) for way in ("mask", "direct")}
             say(f"## {kind}: accuracy, {PICTURES} pictures\n")
-            say("| what | displacement, px RMS | keypoint drift, px: median | p99 | max | keypoints lost | box sides, px: median | max | invented labels | pixels with another label than the inverse, % | of them not at a border |")
-            say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+            say("| what | " + " | ".join(COLUMNS) + " |\n|---|" + "---:|" * len(COLUMNS))
             for name, figures in measure(job, contenders).items():
                 row(name, figures)
             say(f"\n## {kind}: pictures per second with annotations, one thread each\n")
             say("| what | pictures per second |\n|---|---:|")
             speed = {}
             for name, contender in contenders.items():
-                speed[f"{name}: PNG files"], speed[f"{name}: arrays"] = contender.files, contender.arrays
+                speed |= {f"{name}: {what}": work for what, work in contender.contenders().items()}
             for name, rate in turns(speed).items():
                 say(f"| {name} | {rate:.2f} |")
             say()

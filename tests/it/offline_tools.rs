@@ -85,7 +85,42 @@ async fn points_are_those_that_the_server_answers() {
     let (stdout, said) = done(&["points", "-", "--landmarks", &landmarks], &rest.to_string());
     assert!(stdout == expected && said.starts_with("method "), "{said}");
     let (_, said) = done(&["points", "-"], r#"{"p": [[0.1, 0.2]], "q": [[0.2, 0.2]], "extent": [40, 30]}"#);
-    assert_eq!(said, "looks_normalized\n");
+    assert_eq!(said, "translation_only, looks_normalized\n");
+}
+
+#[tokio::test]
+async fn maps_are_the_files_that_the_server_answers() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let warp = json!({"p": [[20, 20], [300, 200], [150, 20]], "q": [[40, 20], [300, 180], [152, 21]]});
+    let (warp_file, image) = (scratch.path("warp.json"), scratch.path("image.png"));
+    std::fs::write(&warp_file, warp.to_string()).unwrap();
+    std::fs::write(&image, photo(400, 300)).unwrap();
+    for (direction, extension, media_type) in
+        [("inverse", "npy", "application/x-npy"), ("forward", "npy", "application/x-npy"), ("inverse", "tif", "image/tiff")]
+    {
+        let body = merged(&warp, &json!({"extent": [400, 300], "direction": direction}));
+        let response = server.post("/map").header("Accept", media_type).json(&body).send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        let expected = response.bytes().await.unwrap();
+        let out = scratch.path(&format!("out.{extension}"));
+        let (stdout, said) = done(&["map", &warp_file, "--image", &image, "--direction", direction, "-o", &out], "");
+        assert!(stdout.is_empty() && said.is_empty() && std::fs::read(&out).unwrap() == expected, "{direction} {extension}");
+        if extension == "npy" {
+            assert!(done(&["map", "-", "-o", "-"], &body.to_string()).0 == expected, "{direction}");
+        }
+    }
+    let size = ["--extent", "40,30", "-o"];
+    let (outside, directory) = (scratch.path("out.png"), scratch.path("missing/out.npy"));
+    for (args, stdin, sentence) in [
+        (&["map", "-", size[0], size[1], size[2], &outside][..], "{}", "unsupported_format: cannot write "),
+        (&["map", "-", size[0], size[1], size[2], &directory], "{}", "error: cannot write "),
+        (&["map", "-", size[0], size[1], size[2], "-", "--direction", "back"], "{}", "bad_value: "),
+        (&["map", "-", size[2], "-"], "{}", "error: the size of the image is missing"),
+        (&["map", "-", "--extent", "20000,30", size[2], "-"], "{}", "too_large: "),
+    ] {
+        let said = failed(args, stdin);
+        assert!(said.starts_with(sentence), "{args:?}: {said}");
+    }
 }
 
 #[test]
@@ -97,7 +132,7 @@ fn points_name_what_is_wrong() {
     let extent = ["--extent", "40,30"];
     for (args, stdin, sentence) in [
         (&["-"][..], "{}", "error: the size of the image is missing; give --extent"),
-        (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]], "q": [[2, 2]], "point": []}"#, "unknown_field: unknown field `point`"),
+        (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]], "q": [[2, 2]], "point": []}"#, "unknown_field: unknown field: `point`"),
         (&["-", &annotations, extent[0], extent[1]], r#"{"points": []}"#, "malformed_request: the field `points` is given twice (/points)"),
         (&["-", extent[0], extent[1]], r#"{"extent": [4, 3]}"#, "malformed_request: the field `extent` is given twice (/extent)"),
         (&["-", extent[0], extent[1]], r#"{"points": [[1, 2], [3]]}"#, "bad_value: "),

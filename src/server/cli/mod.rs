@@ -3,6 +3,7 @@
 mod failure;
 pub mod health;
 mod input;
+pub mod map;
 mod output;
 pub mod points;
 mod service;

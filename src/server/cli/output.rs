@@ -24,35 +24,49 @@ pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
     }
 }
 
+/// A file or standard output that is being written.
+pub(super) struct Sink<'a> {
+    out: &'a Path,
+    file: BufWriter<Box<dyn Write + Send>>,
+}
+
+impl Sink<'_> {
+    /// Appends bytes.
+    /// Errors: They cannot be written.
+    pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+        self.file.write_all(bytes).map_err(|e| cannot_write(self.out, &e))
+    }
+}
+
+fn cannot_write(out: &Path, e: &io::Error) -> Failure {
+    Failure::Local(format!("cannot write {out:?}: {e}"))
+}
+
 /// Writes text to a file or standard output. Errors: As [`write`].
 pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
     write(out, |sink| {
-        sink.write_all(text)?;
-        if is_stdio(out) && io::stdout().is_terminal() { sink.write_all(b"\n") } else { Ok(()) }
+        sink.put(text)?;
+        if is_stdio(out) && io::stdout().is_terminal() { sink.put(b"\n") } else { Ok(()) }
     })
 }
 
 /// Writes a file or standard output by `content`.
-/// Errors: It cannot be written.
-pub(super) fn write(out: &Path, content: impl FnOnce(&mut (dyn Write + Send)) -> io::Result<()>) -> Result<(), Failure> {
-    let buffered = |file: &mut (dyn Write + Send)| {
-        let mut buffer = BufWriter::new(file);
-        content(&mut buffer)?;
-        buffer.flush()
+/// Errors: It cannot be written, or those of `content`.
+pub(super) fn write(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
+    let fill = |file: Box<dyn Write + Send>| {
+        let mut sink = Sink { out, file: BufWriter::new(file) };
+        content(&mut sink)?;
+        sink.file.flush().map_err(|e| cannot_write(out, &e))
     };
-    let written = if is_stdio(out) {
-        buffered(&mut io::stdout())
-    } else if out.exists() && !out.is_file() || out.is_symlink() {
+    if is_stdio(out) {
+        return fill(Box::new(io::stdout()));
+    }
+    if out.exists() && !out.is_file() || out.is_symlink() {
         // A device, a pipe or a link is not replaced.
-        File::options().write(true).create(true).truncate(true).open(out).and_then(|mut file| buffered(&mut file))
-    } else {
-        replace(out, buffered)
-    };
-    written.map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))
-}
-
-/// Writes a file beside `out`, which is renamed when it is complete.
-fn replace(out: &Path, content: impl FnOnce(&mut (dyn Write + Send)) -> io::Result<()>) -> io::Result<()> {
+        let file = File::options().write(true).create(true).truncate(true).open(out);
+        return fill(Box::new(file.map_err(|e| cannot_write(out, &e))?));
+    }
+    // A file beside it is renamed when it is complete.
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let path = out.with_file_name(name);
@@ -63,11 +77,12 @@ fn replace(out: &Path, content: impl FnOnce(&mut (dyn Write + Send)) -> io::Resu
         *part = Some(path.clone());
         File::create(&path)
     };
-    let written = created.and_then(|mut file| content(&mut file));
+    let written = created.map_err(|e| cannot_write(out, &e)).and_then(|file| fill(Box::new(file)));
     let mut part = part();
     *part = None;
+    let renamed = written.and_then(|()| fs::rename(&path, out).map_err(|e| cannot_write(out, &e)));
     // It may not exist.
-    written.and_then(|()| fs::rename(&path, out)).inspect_err(|_| drop(fs::remove_file(&path)))
+    renamed.inspect_err(|_| drop(fs::remove_file(&path)))
 }
 
 /// Removes the incomplete file and ends the program at SIGTERM or Ctrl-C. Without signals, the system ends the program.

@@ -17,5 +17,5 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
     let service = Service::start(config)?;
     let ((json, warnings), method) = service.wait(service.app.map_once(service.client, body.json.clone()))?;
     output::write_text(out, &json)?;
-    Ok(summary(method, &warnings, &body))
+    Ok(summary(method, &warnings, body.has_unmatched))
 }

@@ -6,7 +6,6 @@ use mlswarp::warp::Warning;
 use tokio::runtime::Runtime;
 
 use super::failure::Failure;
-use super::input::Body;
 use crate::app::App;
 use crate::client::Client;
 use crate::config::Config;
@@ -34,12 +33,18 @@ impl Service {
     pub(super) fn wait<T>(&self, use_case: impl Future<Output = Result<T, Problem>>) -> Result<T, Failure> {
         Ok(self.runtime.block_on(use_case)?)
     }
+
+    /// Waits for the next part of a file; `None` at its end.
+    /// Errors: Those of the use case.
+    pub(super) fn next<T>(&self, part: impl Future<Output = Option<Result<T, Problem>>>) -> Result<Option<T>, Failure> {
+        Ok(self.runtime.block_on(part).transpose()?)
+    }
 }
 
 /// What a server sends in response headers: the method that was chosen, and warnings. `None` if there is neither.
-pub(super) fn summary(method: Option<String>, warnings: &[Warning], body: &Body) -> Option<String> {
+pub(super) fn summary(method: Option<String>, warnings: &[Warning], has_unmatched: bool) -> Option<String> {
     let method = method.map(|method| format!("method {method}"));
-    let warnings = warnings.iter().map(|warning| warning.code()).chain(body.has_unmatched.then_some(UNMATCHED)).map(str::to_owned);
+    let warnings = warnings.iter().map(|warning| warning.code()).chain(has_unmatched.then_some(UNMATCHED)).map(str::to_owned);
     let words: Vec<String> = method.into_iter().chain(warnings).collect();
     (!words.is_empty()).then(|| words.join(", "))
 }

@@ -1,7 +1,6 @@
 //! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`: `POST /warp` without a server, with the same parser
 //! and the same bytes.
 
-use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -47,7 +46,14 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
     object.output.check(image.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     let warp = Warp::new(Subject::Image(&image), &posed, &object.output, &config.limits())?;
-    output::write(out, |sink| write(&warp, config.work.workers.saturating_sub(1), sink))?;
+    output::write(out, |sink| {
+        let mut written = Ok(());
+        let _ = warp.write(config.work.workers.saturating_sub(1), &(), &mut |bytes| {
+            written = sink.put(&bytes);
+            if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        });
+        written
+    })?;
     let target = warp.target();
     let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(Subject::Image(&image), &target, &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
@@ -72,13 +78,4 @@ fn format_of(out: &Path) -> Result<Format, Problem> {
             Err(Problem::new(Code::UnsupportedFormat, detail))
         }
     }
-}
-
-fn write(warp: &Warp, helpers: usize, out: &mut (dyn Write + Send)) -> io::Result<()> {
-    let mut written = Ok(());
-    let _ = warp.write(helpers, &(), &mut |bytes| {
-        written = out.write_all(&bytes);
-        if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-    });
-    written
 }

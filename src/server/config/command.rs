@@ -15,6 +15,9 @@ pub enum Command {
     /// Map points, polygons, boxes and GeoJSON without a server: the JSON of POST /points.
     #[command(after_help = POINTS_EXAMPLE)]
     Points(PointsArgs),
+    /// Write the coordinate map without a server: the file of POST /map.
+    #[command(after_help = MAP_EXAMPLE)]
+    Map(MapArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
@@ -88,6 +91,25 @@ pub struct PointsArgs {
     pub out: PathBuf,
 }
 
+/// The arguments of `mlswarp map`.
+#[derive(Args, Clone, Debug)]
+pub struct MapArgs {
+    /// The handles.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// The size of the image.
+    #[command(flatten)]
+    pub extent: ExtentInput,
+    /// `inverse`: for each output pixel, the source position that is drawn there; `forward`: for each source pixel, where it is drawn.
+    /// By default `direction` in the warp object, or inverse.
+    #[arg(long, value_name = "inverse|forward", display_order = 5)]
+    pub direction: Option<String>,
+    /// Output file; `-` writes standard output. Its extension selects the format: .npy (NumPy, float32, [height, width, 2]), .tif or .tiff
+    /// (two float bands). Otherwise the output is NumPy.
+    #[arg(short, long, display_order = 5)]
+    pub out: PathBuf,
+}
+
 const WARP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp warp cat.png warp.json -o warped.png
@@ -95,8 +117,13 @@ const WARP_EXAMPLE: &str = r#"Examples:
 
 const POINTS_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
-  echo '{"points": [[240, 250]], "boxes": [[150, 90, 330, 150]]}' | mlswarp points warp.json - --image cat.png
-  echo '{"points": [[240, 250]], "inverse": true}' | mlswarp points warp.json - --extent 451,300 -o source.json"#;
+  echo '{"boxes": [[150, 90, 330, 150]]}' | mlswarp points warp.json - --image cat.png
+  echo '{"points": [[9, 9]], "inverse": true}' | mlswarp points warp.json - --extent 451,300"#;
+
+const MAP_EXAMPLE: &str = r#"Examples:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  mlswarp map warp.json --image cat.png -o map.npy    # cv2.remap(cat, numpy.load("map.npy"), ...)
+  mlswarp map warp.json --extent 451,300 --direction forward -o forward.tif"#;
 
 /// The limits of what is computed, with the help texts that fit a command.
 const LIMITS: [(&str, &str); 8] = [
@@ -121,9 +148,10 @@ const SERVICE: [(&str, &str); 9] = {
 };
 
 /// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
-pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 3] = [
+pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 4] = [
     ("warp", &LIMITS),
     ("points", &SERVICE),
+    ("map", &SERVICE),
     (
         "health",
         &[
