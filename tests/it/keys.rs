@@ -51,6 +51,7 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
         ("GET" | "DELETE", "/sessions/{id}/layers/{name}") => request,
         ("PUT", "/sessions/{id}/handles") => request.json(&json!({"p": [[1, 1]]})),
         ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
+        ("POST", "/sessions/{id}/batch") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]], "steps": 2})),
         ("POST", "/sessions/{id}/points") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]], "points": [[1, 1]]})),
         ("POST", "/sessions/{id}/fit") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
         ("POST", "/fit") => request.json(&json!({"extent": [9, 9], "p": rest()["p"], "q": rest()["p"]})),

@@ -34,7 +34,7 @@ const ENGINE: [(&str, &[&str]); 7] = [
     ("level", &[]),
 ];
 /// Crates that only some modules or files may name.
-const CRATES: [(&str, &[&str]); 12] = [
+const CRATES: [(&str, &[&str]); 14] = [
     ("axum", &["server/http"]),
     // Spans are posted, which is no part of the service's own HTTP.
     ("hyper", &["server/http", "server/observe/otlp_client.rs"]),
@@ -48,6 +48,8 @@ const CRATES: [(&str, &[&str]); 12] = [
     ("rayon", &["engine/deform", "engine/render", "engine/warp", "server"]),
     ("image", &["engine/codec"]),
     ("png", &["engine/codec"]),
+    ("rand_chacha", &["engine/warp/batch.rs"]),
+    ("zip", &["server/app/batch/package.rs"]),
 ];
 
 type Module = Vec<String>;

@@ -4,6 +4,7 @@
 
 mod account;
 mod bad_input;
+mod batch;
 mod binary;
 mod canvas;
 mod clients;

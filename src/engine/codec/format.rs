@@ -53,6 +53,17 @@ impl Format {
         }
     }
 
+    /// The extension of file names.
+    #[must_use]
+    pub const fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg => "jpg",
+            Self::WebP => "webp",
+            Self::Tiff => "tif",
+        }
+    }
+
     /// The longest side that the format can store, px.
     #[must_use]
     pub const fn max_side(self) -> u32 {

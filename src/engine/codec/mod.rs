@@ -43,7 +43,7 @@ pub use error::CodecError;
 pub use format::{Format, SourceFormat};
 pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;
-pub use png::write::{Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
+pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
 pub use tiff::floats::FloatTiff;

@@ -25,6 +25,20 @@ impl Canvas {
         Self { x: 0, y: 0, extent: source }
     }
 
+    /// The smallest box that contains both. Boxes beyond the range of their coordinates are cut off.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        let end = |at: i32, length: u32| i64::from(at) + i64::from(length);
+        let side = |a: (i32, u32), b: (i32, u32)| {
+            let (first, last) = (a.0.min(b.0), end(a.0, a.1).max(end(b.0, b.1)));
+            (first, u32::try_from(last - i64::from(first)).unwrap_or(u32::MAX))
+        };
+        let (one, two) = (self.extent, other.extent);
+        let (x, width) = side((self.x, one.width()), (other.x, two.width()));
+        let (y, height) = side((self.y, one.height()), (other.y, two.height()));
+        Self { x, y, extent: Extent::new(width, height).unwrap_or(one) }
+    }
+
     /// Left, top, right and bottom edge, px.
     #[must_use]
     pub fn edges(&self) -> [f64; 4] {

@@ -113,6 +113,8 @@ pub struct RenderOptions {
     pub filter: Filter,
     /// What fills target pixels that the posed picture does not cover.
     pub outside: Outside,
+    /// Whether the target has alpha also where the posed picture covers it.
+    pub alpha: bool,
 }
 
 /// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same bytes.
@@ -173,7 +175,7 @@ impl Renderer {
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge | Outside::Reflect => false,
         };
-        let channels = if clear { Channels::Rgba } else { pixmap.channels() };
+        let channels = if clear || options.alpha { Channels::Rgba } else { pixmap.channels() };
         Self { source, options, channels, level: kernel.level(), work }
     }
 
@@ -200,7 +202,13 @@ impl Renderer {
         }
     }
 
-    /// RGBA if the source has alpha or some target pixel may need it, otherwise RGB.
+    /// Whether the target has alpha and the source has none.
+    #[must_use]
+    pub fn adds_alpha(&self) -> bool {
+        self.channels != self.source.pixmap().channels()
+    }
+
+    /// RGBA if the source has alpha, some target pixel may need it or it was requested, otherwise RGB.
     #[must_use]
     pub const fn channels(&self) -> Channels {
         self.channels
@@ -228,7 +236,7 @@ impl Renderer {
         assert_eq!(out.len(), size, "one sample for each channel of each pixel");
         let pixmap = self.source.pixmap();
         match &self.work {
-            Work::Copy { x: 0, y: 0 } if self.options.target == pixmap.extent() => sampler::copy(pixmap, rows, out),
+            Work::Copy { x: 0, y: 0 } if self.options.target == pixmap.extent() && !self.adds_alpha() => sampler::copy(pixmap, rows, out),
             Work::Copy { x, y } => {
                 for (row, out) in rows.clone().zip(out.chunks_exact_mut(size / rows.len())) {
                     sampler::copy_row(pixmap, (i64::from(*x), i64::from(*y) + i64::from(row)), self.options.outside, self.channels, out);

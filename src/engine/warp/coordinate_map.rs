@@ -218,7 +218,7 @@ impl CoordinateMap {
     }
 }
 
-fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent }: Target) -> Digest {
+fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent, .. }: Target) -> Digest {
     let kind = [spec.direction == Direction::Forward, spec.format == MapFormat::Tiff, canvas.is_some()].map(u8::from);
     let Canvas { x, y, extent: shown } = canvas.unwrap_or(Canvas::of(extent));
     let digest = Collector::new("mlswarp map 1").bytes(&posed.digest().0).bytes(&kind).bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes());

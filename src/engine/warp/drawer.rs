@@ -68,6 +68,14 @@ impl Drawer {
         }
     }
 
+    /// Whether what is drawn has alpha and the subject has none.
+    pub(super) fn adds_alpha(&self) -> bool {
+        match self {
+            Self::Image { renderer, .. } => renderer.adds_alpha(),
+            Self::Labels { .. } | Self::Coverage(_) => false,
+        }
+    }
+
     /// Bytes of a pixel that is drawn.
     pub(super) fn pixel_bytes(&self) -> usize {
         match self {

@@ -60,6 +60,12 @@ impl Warp {
         self.format
     }
 
+    /// Whether the file has alpha and the subject has none.
+    #[must_use]
+    pub fn adds_alpha(&self) -> bool {
+        self.drawer.adds_alpha()
+    }
+
     /// Whether it is rendered and encoded in one piece.
     #[must_use]
     pub const fn is_one_piece(&self) -> bool {
@@ -105,7 +111,7 @@ impl Warp {
     }
 }
 
-fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent }: Target) -> Digest {
+fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, alpha }: Target) -> Digest {
     let encoding = match output.encoding() {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
@@ -135,6 +141,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         .bytes(&outside)
         .integer(extent.width().into())
         .integer(extent.height().into());
+    let digest = if alpha { digest.bytes(b"alpha") } else { digest };
     let digest = match canvas {
         None => digest,
         Some(Canvas { x, y, extent }) => {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{Digest, Warning, WarpError};
 use crate::codec::{self, Limits, Opened, Profile, StepCounter};
-use crate::pixmap::Extent;
+use crate::pixmap::{Channels, Extent};
 use crate::render::Source;
 
 /// A decoded, upright picture with its derived copies for sampling, and its colour profile for every output.
@@ -73,6 +73,12 @@ impl Image {
     #[must_use]
     pub fn extent(&self) -> Extent {
         self.source.pixmap().extent()
+    }
+
+    /// Whether the picture has an alpha channel.
+    #[must_use]
+    pub fn has_alpha(&self) -> bool {
+        self.source.pixmap().channels() == Channels::Rgba
     }
 
     /// Upper bound of the memory of the picture, all sampling copies included, bytes: its weight in a cache.

@@ -4,6 +4,7 @@
 //! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in
 //! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 
+mod batch;
 mod coordinate_map;
 mod digest;
 mod drawer;
@@ -23,6 +24,7 @@ mod target;
 mod tests;
 mod transform;
 
+pub use self::batch::{Easing, Jitter};
 pub use self::coordinate_map::{CoordinateMap, Direction, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;

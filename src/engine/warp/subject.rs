@@ -69,7 +69,8 @@ impl Subject<'_> {
     }
 
     pub(super) fn drawer(self, target: Target, posed: &Posed, output: &OutputSpec) -> Drawer {
-        let options = RenderOptions { target: target.extent, canvas: target.canvas, filter: output.filter, outside: output.outside };
+        let Target { canvas, extent, alpha } = target;
+        let options = RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, alpha };
         match self {
             Self::Image(image) => Drawer::image(image, posed, options),
             Self::Labels(labels) => Drawer::labels(labels, posed, options),

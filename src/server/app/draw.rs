@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
-use mlswarp::deform::Handle;
+use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::warp::{
     Digest, Folds, Image, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Subject, Target, Warp, WarpError,
     WriteObserver,
@@ -78,12 +78,14 @@ pub(crate) struct DrawJob {
     pub(crate) output: OutputSpec,
     /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its tolerance.
     pub(crate) preview: Option<u32>,
+    /// Whether the picture has alpha also where the posed picture covers it: all pictures of a batch have, or none.
+    pub(crate) alpha: bool,
     /// The client's quota of memory for responses.
     pub(crate) quota: ClientQuota,
 }
 
 impl DrawJob {
-    fn pose(&self, limits: &Limits, is_cancelled: &(dyn Fn() -> bool + Sync)) -> Result<(Posed, Target), WarpError> {
+    fn pose(&self, limits: &Limits, is_cancelled: IsCancelled<'_>) -> Result<(Posed, Target), WarpError> {
         let Self { image, planned: Planned { setup, plan, .. }, q, folds, output, preview, .. } = self;
         output.check(image.extent(), limits)?;
         let pose_as = if preview.is_some() { Posed::coarse } else { Posed::new };
@@ -95,7 +97,7 @@ impl DrawJob {
             }
             _ => target,
         };
-        Ok((posed, target))
+        Ok((posed, Target { alpha: self.alpha, ..target }))
     }
 }
 
@@ -117,6 +119,17 @@ pub struct Drawn {
     /// The file.
     pub picture: Picture,
 }
+
+/// A whole file, drawn on one thread.
+#[derive(Debug)]
+pub(crate) struct DrawnFile {
+    pub(crate) report: Report,
+    pub(crate) target: Target,
+    pub(crate) bytes: Bytes,
+}
+
+/// A warp that is ready to be drawn, its report, and the memory that drawing needs.
+pub(super) type Prepared = (Warp, Report, Reservation);
 
 /// Measures the drawing of one image and counts it when it is dropped: abandoned unless it was finished.
 struct Meter {
@@ -198,8 +211,8 @@ impl Drop for Meter {
 /// Observes one thread that draws.
 struct Observer<'a> {
     meter: &'a Meter,
-    /// The thread stops when this request no longer waits.
-    answer: Option<&'a oneshot::Sender<Result<Drawn, Problem>>>,
+    /// The thread stops when this is true: the request no longer waits.
+    is_cancelled: Option<IsCancelled<'a>>,
     /// A helper returns when a request waits for its thread.
     ticket: Option<&'a Ticket>,
 }
@@ -210,7 +223,7 @@ impl WriteObserver for Observer<'_> {
     }
 
     fn is_wanted(&self) -> bool {
-        self.answer.is_none_or(|answer| !answer.is_closed())
+        self.is_cancelled.is_none_or(|is_cancelled| !is_cancelled())
     }
 
     fn goes_on(&self) -> bool {
@@ -232,7 +245,7 @@ struct SharedDrawing {
 impl SharedDrawing {
     /// Draws strips; with a ticket, as a helper.
     fn draw(&self, ticket: Option<&Ticket>) {
-        if self.strips.work(&Observer { meter: &self.meter, answer: None, ticket }) {
+        if self.strips.work(&Observer { meter: &self.meter, is_cancelled: None, ticket }) {
             self.meter.finish();
             // A client that leaves after the last strip has everything.
             let _ = self.end.send(Piece::End(self.meter.cost()));
@@ -288,28 +301,60 @@ impl App {
         // The task always answers, unless it panics.
         result.await.map_err(|_| PoolError::Panicked)?
     }
+
+    /// Poses and draws a whole file on this compute thread alone.
+    /// Errors: As of [`App::draw`]; cancelled.
+    pub(crate) fn draw_file(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<DrawnFile, Problem> {
+        let began = Instant::now();
+        let (warp, report, reservation) = self.prepare_drawing(job, is_cancelled)?;
+        stage("deform", began);
+        self.metrics().prepared(&Timing { deform: began.elapsed(), ..job.planned.timing });
+        let (bytes, _) = self.write_whole(&warp, reservation, is_cancelled).ok_or(WarpError::Cancelled)?;
+        Ok(DrawnFile { report, target: warp.target(), bytes })
+    }
+
+    /// Poses, and reserves the memory of the picture.
+    pub(super) fn prepare_drawing(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<Prepared, Problem> {
+        let (setup, limits) = (&job.planned.setup, self.config().limits());
+        let mut reservation = self.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
+        // Not in the client's quota: it is given back before the client may read slowly.
+        let halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
+        let halved = (halved > 0).then(|| self.reserve(Purpose::Frame, halved)).transpose()?;
+        let pose = || job.pose(&limits, is_cancelled);
+        let (posed, target) = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
+        drop(halved);
+        self.reserve_more(&mut reservation, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
+        let warp = Warp::onto(target, Subject::Image(&job.image), &posed, &job.output);
+        let report = posed.into_report_on(Subject::Image(&job.image), &target, is_cancelled)?;
+        self.reserve_more(&mut reservation, warp.work_bytes())?;
+        Ok((warp, report, reservation))
+    }
+
+    /// Draws a whole file on this thread; `None` if it was cancelled.
+    fn write_whole(&self, warp: &Warp, mut reservation: Reservation, is_cancelled: IsCancelled<'_>) -> Option<(Bytes, Cost)> {
+        let (meter, mut file) = (Meter::new(self.clone()), Vec::new());
+        let observer = Observer { meter: &meter, is_cancelled: Some(is_cancelled), ticket: None };
+        let flow = warp.write(0, &observer, &mut |bytes| {
+            if file.is_empty() {
+                file = bytes;
+            } else {
+                file.extend_from_slice(&bytes);
+            }
+            if is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        if flow.is_break() {
+            return None;
+        }
+        meter.finish();
+        reservation.shrink_to(file.len() as u64);
+        Some((reservation.attach(file), meter.cost()))
+    }
 }
 
 impl DrawTask {
     fn draw(mut self, job: &DrawJob) {
         let began = Instant::now();
-        let (setup, limits) = (&job.planned.setup, self.app.config().limits());
-        let is_cancelled = || self.answer.is_closed();
-        let prepare = || {
-            let mut reservation = self.app.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
-            // Not in the client's quota: it is given back before the client may read slowly.
-            let halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
-            let halved = (halved > 0).then(|| self.app.reserve(Purpose::Frame, halved)).transpose()?;
-            let pose = || job.pose(&limits, &is_cancelled);
-            let (posed, target) = if setup.is_wide() { self.app.0.pool.run_parallel(pose) } else { pose() }?;
-            drop(halved);
-            self.app.reserve_more(&mut reservation, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
-            let warp = Warp::onto(target, Subject::Image(&job.image), &posed, &job.output);
-            let report = posed.into_report_on(Subject::Image(&job.image), &target, &is_cancelled)?;
-            self.app.reserve_more(&mut reservation, warp.work_bytes())?;
-            Ok((warp, report, reservation))
-        };
-        let (warp, report, reservation) = match prepare() {
+        let (warp, report, reservation) = match self.app.prepare_drawing(job, &|| self.answer.is_closed()) {
             Ok(prepared) => prepared,
             Err(problem) => {
                 let _ = self.answer.send(Err(problem));
@@ -326,25 +371,12 @@ impl DrawTask {
         }
     }
 
-    fn draw_whole(self, warp: &Warp, report: Report, mut reservation: Reservation) {
-        let (meter, mut file) = (Meter::new(self.app), Vec::new());
-        let observer = Observer { meter: &meter, answer: Some(&self.answer), ticket: None };
-        let flow = warp.write(0, &observer, &mut |bytes| {
-            if file.is_empty() {
-                file = bytes;
-            } else {
-                file.extend_from_slice(&bytes);
-            }
-            if self.answer.is_closed() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        });
-        if flow.is_continue() {
-            meter.finish();
-        }
-        reservation.shrink_to(file.len() as u64);
-        let picture = Picture::Whole { bytes: reservation.attach(file), cost: meter.cost() };
-        let Self { timing, plan_built, answer, .. } = self;
+    fn draw_whole(self, warp: &Warp, report: Report, reservation: Reservation) {
+        let Self { app, timing, plan_built, answer, .. } = self;
+        // Without a file, nobody waits for the answer.
+        let Some((bytes, cost)) = app.write_whole(warp, reservation, &|| answer.is_closed()) else { return };
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
-        let _ = answer.send(Ok(Drawn { report, etag, target, format, timing, plan_built, picture }));
+        let _ = answer.send(Ok(Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } }));
     }
 
     fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, image: Arc<CacheEntry<Image>>, began: Instant) {

@@ -1,6 +1,7 @@
 //! The use cases, one file each, and the state that they share. HTTP is not known here, and `wire` defines the JSON. Every error is a
 //! [`Problem`].
 
+pub mod batch;
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;

@@ -124,8 +124,16 @@ impl App {
         let (prepared, planned) = self.prepare(client.owner, &ticket, upload, Some(formats)).await?;
         let q = prepared.object.posed()?.to_vec();
         let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
-        let job =
-            DrawJob { image: Arc::clone(&prepared.image), planned, q, folds, output, preview: None, quota: self.response_quota(client) };
+        let job = DrawJob {
+            image: Arc::clone(&prepared.image),
+            planned,
+            q,
+            folds,
+            output,
+            preview: None,
+            alpha: false,
+            quota: self.response_quota(client),
+        };
         Ok((self.draw(ticket, job).await?, prepared))
     }
 

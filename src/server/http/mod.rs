@@ -45,6 +45,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/warp", Keyed, post(routes::warp::drag)),
         ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
+        ("/sessions/{id}/batch", Keyed, uploads(post(routes::batch::batch))),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),
         ("/points", Keyed, uploads(post(routes::points::once))),
         ("/sessions/{id}/map", Keyed, uploads(post(routes::map::of_session))),

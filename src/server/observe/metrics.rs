@@ -32,6 +32,7 @@ pub(crate) struct Metrics {
     /// Poses of drag sockets that a newer pose replaced before a frame was sent.
     pub(crate) poses_superseded: Counter,
     pub(crate) frames_sent: Counter,
+    pub(crate) batch_frames: Counter,
 }
 
 /// The method if HTTP defines it: a client may send any word.
@@ -64,6 +65,8 @@ impl Default for Metrics {
         registry.register("superseded", "Poses that newer ones replaced", superseded.clone());
         let frames_sent = Counter::default();
         registry.register("frames_sent", "Frames sent to drag sockets", frames_sent.clone());
+        let batch_frames = Counter::default();
+        registry.register("batch_frames", "Frames of batches that were made and taken", batch_frames.clone());
         let picture = |state: &str| pictures.get_or_create_owned(&[("state", state.to_owned())]);
         let by = |origin: &str| superseded.get_or_create_owned(&[("by", origin.to_owned())]);
         Self {
@@ -78,6 +81,7 @@ impl Default for Metrics {
             requests_superseded: by("request"),
             poses_superseded: by("socket"),
             frames_sent,
+            batch_frames,
         }
     }
 }

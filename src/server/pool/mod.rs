@@ -240,6 +240,11 @@ impl Pool {
         }
     }
 
+    /// Number of requests of a class that run at the same time.
+    pub(crate) const fn workers(&self) -> usize {
+        self.workers
+    }
+
     /// The number of helper threads that a drawing may use.
     pub(crate) const fn helpers(&self) -> usize {
         self.workers.saturating_sub(1)

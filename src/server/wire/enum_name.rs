@@ -4,7 +4,7 @@
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Folds, Method, Units};
+use mlswarp::warp::{Direction, Easing, Folds, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -111,5 +111,6 @@ enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
 enum_names!(Direction, unsupported [], Direction::Inverse = "inverse", Direction::Forward = "forward");
+enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

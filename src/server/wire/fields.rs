@@ -49,6 +49,12 @@ pub(crate) const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "can
 pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
+/// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
+pub(crate) const BATCH: [&str; 13] =
+    ["frames", "q", "strength", "steps", "easing", "jitter", "delay", "output", "points", "polygons", "boxes", "geojson", "refine"];
+pub(crate) const BATCH_FRAME: [&str; 2] = ["q", "strength"];
+pub(crate) const JITTER: [&str; 3] = ["seed", "count", "sigma"];
+
 /// The fields of a candidate.
 pub(crate) const CANDIDATE: [&str; 3] = ["method", "alpha", "smoothing"];
 
@@ -73,8 +79,9 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 7] = [
+const UNSUPPORTED: [(&str, &str); 8] = [
     ("layer", "q"),
+    ("layers", "frames"),
     ("region", "q"),
     ("holes", "q"),
     ("subsampling", "quality"),

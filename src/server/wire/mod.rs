@@ -5,6 +5,7 @@
 //! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
 
 pub mod annotations;
+mod batch;
 mod enum_name;
 pub(crate) mod fields;
 mod fit;
@@ -29,6 +30,8 @@ pub(crate) mod tests;
 
 use crate::problem::{Code, Problem};
 pub use annotations::{Annotation, Annotations, MappedAnnotations};
+pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FramePosition, in_frame};
+pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};

@@ -5,9 +5,11 @@ use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
+use bytes::Bytes;
+use mlswarp::deform::Handle;
 use mlswarp::warp::{CoordinateMap, Image, ImageLimits, Limits, MapFormat, Posed, Setup, Subject, Warp};
 use mlswarp_server::problem::Problem;
-use mlswarp_server::wire::{DragObject, MapObject, PointsObject, WarpObject};
+use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, WarpObject};
 
 use serde_json::{Map, Value};
 
@@ -25,13 +27,14 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
-    let refused = match route % 8 {
+    let refused = match route % 9 {
         0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
         3 => as_with_nulls("Drag", json, DragObject::parse).err(),
         4 => as_with_nulls("Points", json, PointsObject::parse).and_then(|object| mapped(&object)).err(),
         5 => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
         6 => as_with_nulls("Map", json, MapObject::parse).and_then(|object| inverted(&object)).err(),
-        _ => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
+        7 => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
+        _ => as_with_nulls("Batch", json, batch).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
@@ -53,6 +56,16 @@ fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8
         assert_eq!(parse(&more), read, "{}", String::from_utf8_lossy(&more));
     }
     read
+}
+
+/// The poses of a batch that the request gives: their number, and each until one is refused.
+type Poses = (u32, Vec<Result<(Vec<Handle>, f64), Problem>>);
+
+fn batch(json: &[u8]) -> Result<Poses, Problem> {
+    let object = BatchObject::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16)?;
+    let count = object.poses.count();
+    assert!((1..=10_000).contains(&count), "{count}");
+    Ok((count, (0..count.min(100)).map(|frame| object.poses.given(frame)).collect()))
 }
 
 fn warped(object: &WarpObject) -> Result<(), Problem> {

@@ -126,7 +126,11 @@ fn positions_are_those_that_the_nearest_filter_samples() {
     for (name, mesh) in meshes() {
         for canvas in [None, Some(Canvas { x: -1050, y: -30, extent: extent(1300, 220) })] {
             let target = canvas.map_or(size, |canvas| canvas.extent);
-            let (_, drawn) = draw(&source, &mesh, RenderOptions { target, canvas, filter: Filter::Nearest, outside: Outside::Transparent });
+            let (_, drawn) = draw(
+                &source,
+                &mesh,
+                RenderOptions { target, canvas, filter: Filter::Nearest, outside: Outside::Transparent, alpha: false },
+            );
             let map = positions(&mesh, target, canvas, 50);
             for (k, (pixel, [x, y])) in drawn.as_chunks::<8>().0.iter().zip(&map).enumerate() {
                 let shown = [0, 1].map(|c| u16::from_be_bytes([pixel[2 * c], pixel[2 * c + 1]]));

@@ -114,6 +114,26 @@ fn channels_follow_source_and_outside() {
 }
 
 #[test]
+fn requested_alpha_is_opaque_where_the_picture_covers() {
+    let extent = extent(20, 20);
+    let grid = Grid::with_cell(20.0, 20.0, 5.0);
+    let grown = posed(grid, |p| Point::new(p.x * 1.5 - 5.0, p.y * 1.5 - 5.0));
+    for depth in [Depth::Eight, Depth::Sixteen] {
+        let source = Arc::new(Source::new(noise(extent, Channels::Rgb, depth)));
+        for mesh in [&Mesh::identity(grid), &grown] {
+            let (without, rgb) = draw(&source, mesh, options(extent));
+            let (with, rgba) = draw(&source, mesh, RenderOptions { alpha: true, ..options(extent) });
+            assert_eq!((without.channels(), with.channels()), (Channels::Rgb, Channels::Rgba));
+            assert_eq!((without.adds_alpha(), with.adds_alpha()), (false, true));
+            let bytes = depth.bytes();
+            for (rgb, rgba) in rgb.chunks(3 * bytes).zip(rgba.chunks(4 * bytes)) {
+                assert!(rgba[..3 * bytes] == *rgb && rgba[3 * bytes..].iter().all(|byte| *byte == 255));
+            }
+        }
+    }
+}
+
+#[test]
 fn colours_under_alpha_zero_leave_no_halo() {
     let size = 64;
     let pixels = (0..size * size).flat_map(|k| {

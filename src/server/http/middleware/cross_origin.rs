@@ -14,7 +14,7 @@ use crate::problem::{Code, Problem};
 
 const METHODS: [Method; 5] = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE];
 const REQUEST_HEADERS: [&str; 7] = ["accept", "authorization", "content-type", "if-none-match", "te", "traceparent", "x-request-id"];
-const RESPONSE_HEADERS: [&str; 14] = [
+const RESPONSE_HEADERS: [&str; 15] = [
     "allow",
     "etag",
     "location",
@@ -22,6 +22,7 @@ const RESPONSE_HEADERS: [&str; 14] = [
     "server-timing",
     "warp-canvas",
     "warp-folds",
+    "warp-frames",
     "warp-method",
     "warp-plan",
     "warp-residual",

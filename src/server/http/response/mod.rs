@@ -16,6 +16,7 @@ use http_body_util::StreamBody;
 use mlswarp::warp::Report;
 use tokio::sync::mpsc::UnboundedReceiver;
 
+use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Picture, Piece};
 use crate::app::landmarks::HeldLandmarks;
 use crate::app::map::MapFile;
@@ -28,6 +29,7 @@ use crate::wire::landmarks::UNMATCHED;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_CANVAS: HeaderName = HeaderName::from_static("warp-canvas");
+const WARP_FRAMES: HeaderName = HeaderName::from_static("warp-frames");
 const WARP_METHOD: HeaderName = HeaderName::from_static("warp-method");
 const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
 const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
@@ -179,6 +181,20 @@ fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
             None => Some(Err(io::Error::other("the picture was not finished"))),
         })
     })))
+}
+
+/// The headers of a batch.
+pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(form.media_type()));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(VARY, HeaderValue::from_static("accept"));
+    headers.insert(WARP_FRAMES, batch.frames.into());
+    headers.insert(WARP_PLAN, HeaderValue::from_static(if batch.plan_built { "built" } else { "hit" }));
+    if let Some(canvas) = batch.canvas {
+        headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
+    }
+    headers
 }
 
 /// A response whose body is computed as the client takes it: the next piece when hyper asks for it. The first piece is known, so that its

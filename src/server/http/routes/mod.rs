@@ -1,5 +1,6 @@
 //! The routes, one file per family.
 
+pub(crate) mod batch;
 #[cfg(feature = "docs")]
 pub(crate) mod docs;
 #[cfg(not(feature = "docs"))]

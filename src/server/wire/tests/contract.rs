@@ -4,7 +4,7 @@
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Method, Units};
+use mlswarp::warp::{Direction, Easing, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -198,6 +198,7 @@ fn enums_list_what_this_version_has() {
     words::<Filter>("/Filter");
     words::<Direction>("/Direction");
     words::<Format>("/Output/properties/format");
+    words::<Easing>("/Easing");
 }
 
 /// `null` as the value of a known field is absence, which the document says in words: a schema with `null` everywhere makes clumsy clients.
@@ -217,7 +218,9 @@ fn without_nulls(value: Value, known: Option<&Value>) -> Value {
 fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     type Parse = fn(&[u8]) -> bool;
-    let parsers: [(&str, Parse, &str); 8] = [
+    let batch = |b: &[u8]| BatchObject::parse(&bytes::Bytes::copy_from_slice(b), 1 << 20, 1 << 16).is_ok();
+    let parsers: [(&str, Parse, &str); 9] = [
+        ("Batch", batch, "\"q\": [], \"steps\": 2"),
         ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
@@ -298,6 +301,15 @@ fn schemas_and_parsers_agree_on_a_table() {
         "output: {\"canvas\": {\"x\": 0, \"y\": 1000001, \"width\": 1, \"height\": 1}}",
         "output: {\"canvas\": {\"x\": 0, \"y\": 0, \"width\": 0, \"height\": 1}}",
         "output: {\"x\": 1}",
+        "steps: 0",
+        "steps: 10000",
+        "steps: 10001",
+        "steps: 2.5",
+        "easing: \"ease-in-out\"",
+        "easing: \"ease\"",
+        "delay: 1",
+        "delay: 60001",
+        "delay: 0.5",
         "seq: 0",
         "seq: -1",
         "seq: 1.5",

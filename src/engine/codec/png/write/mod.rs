@@ -8,6 +8,8 @@
 #[forbid(unsafe_code)]
 mod adler;
 #[forbid(unsafe_code)]
+mod animation;
+#[forbid(unsafe_code)]
 mod best;
 #[forbid(unsafe_code)]
 mod bits;
@@ -37,6 +39,7 @@ use crate::codec::Palette;
 use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
+pub use self::animation::Animation;
 use self::layout::Layout;
 use self::rows::Rows;
 

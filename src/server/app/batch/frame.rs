@@ -1,0 +1,168 @@
+//! One frame of a batch, on one compute thread: its pose, its picture and its annotations.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mlswarp::codec::Format;
+use mlswarp::deform::Handle;
+use mlswarp::render::{Canvas, Outside};
+use mlswarp::warp::{CanvasSpec, Folds, Image, OutputSpec, Plan, Setup};
+
+use super::package::{BatchForm, PackedFrame};
+use super::poses::{FramePose, check, pose_of};
+use crate::app::App;
+use crate::app::draw::{DrawJob, DrawnFile, Planned};
+use crate::app::json_text::json_unless;
+use crate::cache::CacheEntry;
+use crate::client::Client;
+use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::{Purpose, Reservation};
+use crate::observe::stages::Timing;
+use crate::pool::Cancel;
+use crate::problem::Problem;
+use crate::store::Record;
+use crate::wire::annotations::Annotations;
+use crate::wire::{AsJson, BatchFrame, BatchPoses, FrameAnnotations, FramePosition, in_frame};
+
+/// Everything that the frames of a batch have in common.
+#[derive(Debug)]
+pub(crate) struct BatchJob {
+    pub(crate) app: App,
+    pub(crate) client: Client,
+    pub(crate) quota: ClientQuota,
+    pub(crate) record: Arc<Record>,
+    pub(crate) image: Arc<CacheEntry<Image>>,
+    pub(crate) setup: Arc<Setup>,
+    pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) poses: BatchPoses,
+    pub(crate) annotations: Annotations,
+    pub(crate) output: OutputSpec,
+    pub(crate) form: BatchForm,
+    /// Whether the pictures have alpha where the posed picture covers them.
+    pub(crate) alpha: bool,
+}
+
+/// A frame that is ready to be appended, and its memory.
+pub(crate) struct Frame {
+    pub(crate) packed: PackedFrame,
+    pub(crate) entry: BatchFrame,
+    pub(crate) held: Reservation,
+}
+
+impl BatchJob {
+    /// The number of frames.
+    pub(crate) fn count(&self) -> u32 {
+        self.poses.count()
+    }
+
+    /// Files of each frame in an archive.
+    pub(crate) fn files_per_frame(&self) -> u32 {
+        1 + u32::from(self.has_annotations())
+    }
+
+    fn has_annotations(&self) -> bool {
+        !self.annotations.kinds.is_empty() || matches!(self.poses, BatchPoses::Jitter { .. })
+    }
+
+    fn draw_job(&self, q: Vec<Handle>, timing: Timing) -> DrawJob {
+        let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
+        let (image, quota) = (Arc::clone(&self.image), self.quota.clone());
+        DrawJob { image, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
+    }
+
+    /// Adds the number of a frame to the pointer of a problem, if the frame has a pose of its own.
+    fn located(&self, frame: u32, problem: Problem) -> Problem {
+        let is_pose = problem.pointer.as_deref().is_some_and(|pointer| pointer.starts_with("/q"));
+        if is_pose && matches!(self.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
+    }
+
+    /// Checks all poses, and decides what all pictures have in common: alpha, and the canvas of an animation. Frames are posed for this
+    /// until it is decided: at once if nothing depends on it, all of them if one of them may be refused.
+    /// Errors: Those of a frame.
+    pub(crate) fn prepare(&mut self, cancel: &Cancel) -> Result<(), Problem> {
+        check(&self.poses, &self.record.rest, &self.setup, &|| cancel.is_cancelled())?;
+        let is_fit = self.output.canvas == CanvasSpec::Fit;
+        let may_be_refused = is_fit || self.record.folds == Folds::Reject;
+        let needs_alpha = self.may_need_alpha();
+        let (mut canvas, mut has_one_canvas): (Option<Canvas>, _) = (None, true);
+        let last = self.count() - 1;
+        // The last in-between moves the most.
+        for frame in std::iter::once(last).chain(0..last) {
+            if !may_be_refused && (self.alpha || !needs_alpha) {
+                break;
+            }
+            let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
+            let prepared = self.app.prepare_drawing(&self.draw_job(q, Timing::default()), &|| cancel.is_cancelled());
+            let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
+            self.alpha |= warp.adds_alpha();
+            if let Some(shown) = warp.target().canvas {
+                let all = canvas.map_or(shown, |canvas| canvas.union(shown));
+                has_one_canvas &= canvas.is_none_or(|canvas| canvas == shown);
+                canvas = Some(all);
+            }
+        }
+        if let Some(canvas) = canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
+            self.output.canvas = CanvasSpec::Box(canvas);
+            self.output.check(self.image.extent(), &self.app.config().limits())?;
+            // A frame that is smaller than all together does not cover them.
+            self.alpha |= needs_alpha && !has_one_canvas;
+        }
+        Ok(())
+    }
+
+    /// Whether pictures have alpha if the posed picture does not cover them, and none otherwise.
+    fn may_need_alpha(&self) -> bool {
+        let is_opaque = match self.output.outside {
+            Outside::Transparent => false,
+            Outside::Colour([.., alpha]) => alpha == u8::MAX,
+            Outside::Edge | Outside::Reflect => true,
+        };
+        !is_opaque && !self.image.has_alpha() && self.output.format != Format::Jpeg
+    }
+
+    /// Draws a frame and maps its annotations.
+    pub(crate) fn draw(&self, frame: u32, timing: Timing, cancel: &Cancel) -> Result<Frame, Problem> {
+        let located = |problem| self.located(frame, problem);
+        let FramePose { q, position } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
+        let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
+            Some((format!("{frame:04}.json"), self.annotate(&q, position, cancel).map_err(located)?))
+        } else {
+            None
+        };
+        let job = self.draw_job(q, timing);
+        let DrawnFile { report, target, bytes } = self.app.draw_file(&job, &|| cancel.is_cancelled()).map_err(located)?;
+        let entry = BatchFrame {
+            picture: format!("{frame:04}.{}", self.output.format.extension()),
+            annotations: annotations.as_ref().map(|(name, _)| name.clone()),
+            position,
+            width: target.extent.width(),
+            height: target.extent.height(),
+            canvas: target.canvas.map(AsJson),
+            folds: report.folds,
+            residual: report.residual,
+            warnings: report.warnings.iter().map(|warning| warning.code()).collect(),
+            exceeded: (report.exceeded > 0).then_some(report.exceeded),
+        };
+        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(annotations).collect();
+        // A copy of each, and then the bytes of the file that is sent.
+        let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
+        let held = self.app.reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
+        Ok(Frame { packed: self.form.pack(files)?, entry, held })
+    }
+
+    /// The annotations of a frame as JSON, as `/points` returns them.
+    fn annotate(&self, q: &[Handle], position: FramePosition, cancel: &Cancel) -> Result<Bytes, Problem> {
+        let least = self.annotations.least_mapped_bytes() + 2 * self.record.rest.p.len() as u64;
+        let mut reservation = self.app.reserve_for(Purpose::Frame, &self.quota, least)?;
+        let pose = self.setup.pose(q)?;
+        let mapped = self.annotations.clone().map(&self.setup.transform(&pose), &|| cancel.is_cancelled())?;
+        let text = mapped.text_bytes();
+        // Outlines may have more vertices now.
+        self.app.reserve_more(&mut reservation, text as u64)?;
+        let q = matches!(position, FramePosition::Jitter { .. }).then_some(AsJson(q));
+        let mut body = json_unless(cancel, &FrameAnnotations { q, mapped }, text)?;
+        body.shrink_to_fit();
+        reservation.shrink_to(body.len() as u64);
+        Ok(reservation.attach(body))
+    }
+}

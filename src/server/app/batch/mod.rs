@@ -1,0 +1,103 @@
+//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is sent while it is made. A frame is drawn by one thread,
+//! and several are drawn at the same time: that takes less than dividing each.
+
+mod frame;
+pub(crate) mod package;
+mod poses;
+mod stream;
+
+use bytes::Bytes;
+use mlswarp::codec::Format;
+use mlswarp::render::Canvas;
+use mlswarp::warp::{CanvasSpec, OutputSpec};
+
+use super::App;
+use super::session_warp::AdmittedPlan;
+use super::warp::columns;
+use crate::client::Client;
+use crate::pool::{QueueKey, WorkClass};
+use crate::problem::{Code, Problem};
+use crate::session::SessionId;
+use crate::wire::BatchObject;
+use crate::wire::formats::Formats;
+use frame::BatchJob;
+pub use package::BatchForm;
+use package::DELAY;
+pub(crate) use stream::BatchStream;
+
+/// A batch whose first frame has been drawn.
+pub(crate) struct Batch {
+    /// The number of frames.
+    pub(crate) frames: u32,
+    /// What all pictures of an animation show; `None` if that is the box of the source.
+    pub(crate) canvas: Option<Canvas>,
+    /// Whether the plan was built for this request.
+    pub(crate) plan_built: bool,
+    /// The first bytes of the file.
+    pub(crate) first: Bytes,
+    /// The others.
+    pub(crate) rest: BatchStream,
+}
+
+impl App {
+    /// Draws the first frame of a batch, and the others as they are taken. `most_frame_bytes`: as of the JSON of a drag, by the columns of
+    /// the session.
+    /// Errors: Unknown session, a wrong pose in any frame, or too little capacity.
+    pub(crate) async fn batch(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+        form: BatchForm,
+        most_frame_bytes: fn(u64) -> u64,
+    ) -> Result<Batch, Problem> {
+        let record = self.touch(id, None).await?.record;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let (most, most_of_frame) = (self.0.config.max_warp_json_bytes, most_frame_bytes(columns(&record)));
+        let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
+        drop(ticket);
+        check_form(&object, form)?;
+        let (record, image, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record).await?;
+        drop(ticket);
+        let BatchObject { poses, annotations, output, delay } = object;
+        let format = match form {
+            BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
+            BatchForm::Apng => Format::Png,
+        };
+        let output = OutputSpec { format, ..output.merge_onto(&record.output) };
+        let (setup, plan, quota) = (planned.setup, planned.plan, self.response_quota(client));
+        let mut job =
+            BatchJob { app: self.clone(), client, quota, record, image, setup, plan, poses, annotations, output, form, alpha: false };
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let job = self.0.pool.run(&ticket, move |cancel| job.prepare(cancel).map(|()| job)).await??;
+        drop(ticket);
+        let frames = job.count();
+        let canvas = match job.output.canvas {
+            CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
+            _ => None,
+        };
+        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY))?;
+        let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
+        Ok(Batch { frames, canvas, plan_built: planned.is_built, first, rest })
+    }
+}
+
+/// Errors: What the kind of file does not have.
+fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
+    let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
+    match form {
+        BatchForm::Zip if object.delay.is_some() => {
+            refused("/delay", "`delay` does not apply to an archive: send `Accept: image/apng` for an animation")
+        }
+        BatchForm::Apng if !object.annotations.kinds.is_empty() => {
+            let name = object.annotations.kinds[0].name();
+            let why = format!("`{name}` does not apply to an animation, which has pictures only: send `Accept: application/zip`");
+            refused(&format!("/{name}"), &why)
+        }
+        BatchForm::Apng if object.output.format.is_some_and(|format| format != Format::Png) => {
+            let why = "`output.format` must be `png`: the frames of an animation are PNG";
+            Err(Problem::new(Code::NotAcceptable, why).pointer("/output/format"))
+        }
+        BatchForm::Zip | BatchForm::Apng => Ok(()),
+    }
+}

@@ -1,0 +1,370 @@
+//! `POST /sessions/{id}/batch`: the poses of a batch in one of three forms, and the index of its result. Frames stay text until each is
+//! drawn.
+
+use std::ops::Range;
+
+use bytes::Bytes;
+use mlswarp::deform::Handle;
+use mlswarp::render::Canvas;
+use mlswarp::warp::{Easing, Jitter};
+use serde::Serialize;
+
+use super::annotations::{Annotations, MappedAnnotations};
+use super::enum_name::enum_name;
+use super::handles::handles;
+use super::json::{At, Node, optional};
+use super::number::{count, number_in, whole};
+use super::output::OutputPatch;
+use super::rest::strength;
+use super::{AsJson, HANDLES, fields, json};
+use crate::problem::{Code, Problem};
+
+/// The most frames of a batch.
+const MOST_FRAMES: u32 = 10_000;
+/// The largest standard deviation of a jitter, px.
+const MOST_SIGMA: f64 = 10_000.0;
+/// The longest display of a frame, ms.
+const MOST_DELAY: u16 = 60_000;
+
+/// The body of the request.
+#[derive(Clone, Debug)]
+pub struct BatchObject {
+    /// The poses of the frames.
+    pub poses: BatchPoses,
+    /// Mapped in every frame.
+    pub annotations: Annotations,
+    /// Replaces fields of the session's output.
+    pub(crate) output: OutputPatch,
+    /// How long an animation shows each frame, ms.
+    pub(crate) delay: Option<u16>,
+}
+
+/// The poses of a batch.
+#[derive(Clone, Debug)]
+pub enum BatchPoses {
+    /// Each frame has its own.
+    Frames(FrameTexts),
+    /// From rest to `q`.
+    Steps {
+        /// The last pose.
+        q: Vec<Handle>,
+        /// How much of the way from p to q the handles are moved in the last frame.
+        strength: f64,
+        /// The number of frames.
+        steps: u32,
+        /// How they follow one another.
+        easing: Easing,
+    },
+    /// Around `q`.
+    Jitter {
+        /// The pose that is displaced.
+        q: Vec<Handle>,
+        /// How much of the way from p to q the handles are moved before.
+        strength: f64,
+        /// The displacements.
+        jitter: Jitter,
+        /// The number of frames.
+        count: u32,
+    },
+}
+
+/// The objects in `frames`, as the client has written them.
+#[derive(Clone, Debug)]
+pub struct FrameTexts {
+    body: Bytes,
+    places: Vec<Range<usize>>,
+}
+
+impl FrameTexts {
+    /// Reads `q` and `strength` of a frame.
+    fn read(&self, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
+        let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
+        let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
+        let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
+        let node = Node { text, at: At::Item(&frames, index) };
+        let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
+        let strength = optional(strength_, strength)?.unwrap_or(1.0);
+        Ok((handles(&q.ok_or_else(|| node.missing("q", HANDLES))?)?, strength))
+    }
+}
+
+/// The problem of a frame's pose: its pointer begins at the frame.
+pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
+    problem.pointer = problem.pointer.map(|pointer| format!("/frames/{frame}{pointer}"));
+    problem
+}
+
+impl BatchPoses {
+    /// `q` and the strength that the request gives for a frame.
+    /// Errors: A frame with another form.
+    pub fn given(&self, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
+        match self {
+            Self::Frames(texts) => texts.read(frame),
+            Self::Steps { q, strength, .. } | Self::Jitter { q, strength, .. } => Ok((q.clone(), *strength)),
+        }
+    }
+
+    /// The number of frames.
+    pub fn count(&self) -> u32 {
+        match self {
+            Self::Frames(texts) => u32::try_from(texts.places.len()).unwrap_or(u32::MAX),
+            Self::Steps { steps, .. } => *steps,
+            Self::Jitter { count, .. } => *count,
+        }
+    }
+}
+
+impl BatchObject {
+    /// Reads the object. `most_bytes`: the most bytes of everything but the frames; `most_frame_bytes`: the most of one frame.
+    pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64) -> Result<Self, Problem> {
+        let root = json::root(body)?;
+        let [frames, q, strength_, steps, easing, jitter, delay, output, points, polygons, boxes, geojson, refine] =
+            root.fields(&fields::BATCH)?;
+        let of_frames = frames.map_or(0, |frames| frames.text.len());
+        let rest = (body.len() - of_frames) as u64;
+        if rest > most_bytes {
+            let detail = format!("the JSON of a batch has {rest} bytes without its frames; the limit is {most_bytes}");
+            return Err(Problem::new(Code::TooLarge, detail).limit("json_bytes", most_bytes, rest));
+        }
+        let poses = match (frames, steps, jitter) {
+            (Some(frames), None, None) => {
+                let others = [("q", q), ("strength", strength_), ("easing", easing)];
+                refuse_beside("frames", "each frame has its own", &others)?;
+                BatchPoses::Frames(frame_texts(body, &frames, most_frame_bytes)?)
+            }
+            (None, Some(steps), None) => BatchPoses::Steps {
+                q: posed(&root, q)?,
+                strength: optional(strength_, strength)?.unwrap_or(1.0),
+                steps: frame_count(&steps)?,
+                easing: optional(easing, enum_name)?.unwrap_or_default(),
+            },
+            (None, None, Some(jitter)) => {
+                refuse_beside("jitter", "it applies to `steps`", &[("easing", easing)])?;
+                let [seed, count, sigma] = jitter.fields(&fields::JITTER)?;
+                let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
+                let (seed_of, sigma_of) = ("a whole number, at least 0", "a number of pixels between 0 and 10000");
+                BatchPoses::Jitter {
+                    q: posed(&root, q)?,
+                    strength: optional(strength_, strength)?.unwrap_or(1.0),
+                    count: frame_count(&required(count, "count", "a number of frames")?)?,
+                    jitter: Jitter {
+                        seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
+                        sigma: number_in(&required(sigma, "sigma", sigma_of)?, 0.0..=MOST_SIGMA, sigma_of)?,
+                    },
+                }
+            }
+            (None, None, None) => {
+                let detail = "the poses are missing: send `frames`, or `q` with `steps` or `jitter`";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/frames"));
+            }
+            _ => {
+                let last = jitter.or(steps).unwrap_or(root);
+                return Err(last.problem(Code::BadValue, "send one of `frames`, `steps` and `jitter`"));
+            }
+        };
+        let annotations = Annotations::read([points, polygons, boxes, geojson, None, refine])?;
+        let output = optional(output, OutputPatch::read)?.unwrap_or_default();
+        Ok(Self { poses, annotations, output, delay: optional(delay, read_delay)? })
+    }
+}
+
+fn posed(root: &Node<'_, '_>, q: Option<Node<'_, '_>>) -> Result<Vec<Handle>, Problem> {
+    handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)
+}
+
+/// Errors: A field that does not apply.
+fn refuse_beside(form: &str, why: &str, others: &[(&str, Option<Node<'_, '_>>)]) -> Result<(), Problem> {
+    match others.iter().find_map(|(name, node)| Some((name, (*node)?))) {
+        Some((name, node)) => Err(node.problem(Code::BadValue, format!("`{name}` does not apply beside `{form}`: {why}"))),
+        None => Ok(()),
+    }
+}
+
+/// Where each frame is; nothing is parsed.
+fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<FrameTexts, Problem> {
+    let (mut places, mut count) = (Vec::new(), 0_u64);
+    frames.items::<Problem>("an array of frames, {\"q\": [...], \"strength\": t}", |_, item| {
+        let length = item.text.len();
+        if length as u64 > most_bytes {
+            let detail = format!("the frame has {length} bytes; the limit is {most_bytes}");
+            return Err(item.problem(Code::TooLarge, detail).limit("drag_json_bytes", most_bytes, length));
+        }
+        if count < MOST_FRAMES.into() {
+            let start = item.text.as_ptr() as usize - body.as_ptr() as usize;
+            places.push(start..start + length);
+        }
+        count += 1;
+        Ok(())
+    })?;
+    match count {
+        0 => Err(frames.unexpected("at least one frame", "an empty array")),
+        _ if count > MOST_FRAMES.into() => Err(too_many(frames, count)),
+        _ => Ok(FrameTexts { body: body.clone(), places }),
+    }
+}
+
+fn frame_count(node: &Node<'_, '_>) -> Result<u32, Problem> {
+    match count(node, 1, "a number of frames, at least 1")? {
+        count if count > MOST_FRAMES => Err(too_many(node, count.into())),
+        count => Ok(count),
+    }
+}
+
+fn too_many(node: &Node<'_, '_>, actual: u64) -> Problem {
+    let problem = node.problem(Code::TooLarge, format!("a batch has at most {MOST_FRAMES} frames; found {actual}"));
+    problem.limit("batch_frames", MOST_FRAMES, actual)
+}
+
+fn read_delay(node: &Node<'_, '_>) -> Result<u16, Problem> {
+    const DELAY: &str = "a whole number of milliseconds, 1 to 60000";
+    let value = count(node, 1, DELAY)?;
+    u16::try_from(value).ok().filter(|delay| *delay <= MOST_DELAY).ok_or_else(|| node.unexpected(DELAY, value).actual(value))
+}
+
+/// How far a frame is from the handles at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum FramePosition {
+    /// Of a frame with a pose of its own.
+    Strength(f64),
+    /// Of an in-between.
+    T(f64),
+    /// The seed, and the number of the frame.
+    Jitter { seed: u64, frame: u32 },
+}
+
+/// What the index of a batch says of a frame.
+#[derive(Debug, Serialize)]
+pub(crate) struct BatchFrame {
+    /// The file names.
+    pub(crate) picture: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) annotations: Option<String>,
+    #[serde(flatten)]
+    pub(crate) position: FramePosition,
+    /// Size of the picture, px.
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// The part of the posed plane that the picture shows; absent if it is that of the source.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) canvas: Option<AsJson<Canvas>>,
+    /// Drawn cells that fold.
+    pub(crate) folds: u64,
+    /// Largest distance between a posed handle and where it is drawn, px.
+    pub(crate) residual: f64,
+    /// Codes of warnings.
+    pub(crate) warnings: Vec<&'static str>,
+    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) exceeded: Option<u64>,
+}
+
+/// `frames.json`.
+#[derive(Debug, Serialize)]
+pub(crate) struct BatchIndex<'a> {
+    pub(crate) frames: &'a [BatchFrame],
+}
+
+/// The file of a frame's annotations.
+#[derive(Debug, Serialize)]
+pub(crate) struct FrameAnnotations<'a> {
+    /// Where jitter has posed the handles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) q: Option<AsJson<&'a [Handle]>>,
+    #[serde(flatten)]
+    pub(crate) mapped: MappedAnnotations,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<BatchObject, Problem> {
+        BatchObject::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100)
+    }
+
+    #[test]
+    fn the_three_forms_are_read() {
+        let frames =
+            parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
+                .unwrap();
+        let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
+        assert_eq!((frames.poses.count(), texts.read(0).unwrap().1, texts.read(1).unwrap().1), (2, 1.0, 0.5));
+        assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
+        let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
+        let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, strength: 2.0, .. } = steps.poses else { panic!() };
+        assert_eq!(steps.delay, Some(20));
+        let jitter = parse(r#"{"q": [[1, 2]], "jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#).unwrap();
+        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, .. } = jitter.poses else { panic!() };
+    }
+
+    #[test]
+    fn mistakes_name_their_place() {
+        let long = format!(r#"{{"frames": [{{"q": []}}, {{"q": [{}]}}]}}"#, "[1, 2],".repeat(20) + "[1, 2]");
+        let many = format!(r#"{{"frames": [{}1]}}"#, "1,".repeat(10_000));
+        let much = format!(r#"{{"q": [{}[1, 2]], "steps": 2}}"#, "[1, 2],".repeat(200));
+        for (text, code, pointer) in [
+            ("{}", Code::BadValue, Some("/frames")),
+            (r#"{"q": []}"#, Code::BadValue, Some("/frames")),
+            (r#"{"frames": []}"#, Code::BadValue, Some("/frames")),
+            (r#"{"frames": {}}"#, Code::BadValue, Some("/frames")),
+            (r#"{"frames": [{"q": []}], "q": []}"#, Code::BadValue, Some("/q")),
+            (r#"{"frames": [{"q": []}], "steps": 2}"#, Code::BadValue, Some("/steps")),
+            (r#"{"q": [], "steps": 2, "jitter": {}}"#, Code::BadValue, Some("/jitter")),
+            (r#"{"steps": 2}"#, Code::BadValue, Some("/q")),
+            (r#"{"q": [], "steps": 0}"#, Code::BadValue, Some("/steps")),
+            (r#"{"q": [], "steps": 10001}"#, Code::TooLarge, Some("/steps")),
+            (r#"{"q": [], "steps": 2, "easing": "bounce"}"#, Code::BadValue, Some("/easing")),
+            (r#"{"q": [], "steps": 2, "delay": 0}"#, Code::BadValue, Some("/delay")),
+            (r#"{"q": [], "steps": 2, "delay": 60001}"#, Code::BadValue, Some("/delay")),
+            (r#"{"q": [], "jitter": {"count": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/seed")),
+            (r#"{"q": [], "jitter": {"seed": -1, "count": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/seed")),
+            (r#"{"q": [], "jitter": {"seed": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/count")),
+            (r#"{"q": [], "jitter": {"seed": 1, "count": 10001, "sigma": 1}}"#, Code::TooLarge, Some("/jitter/count")),
+            (r#"{"q": [], "jitter": {"seed": 1, "count": 1}}"#, Code::BadValue, Some("/jitter/sigma")),
+            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": -1}}"#, Code::BadValue, Some("/jitter/sigma")),
+            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1, "scale": 1}}"#, Code::UnknownField, Some("/jitter/scale")),
+            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1}, "easing": "linear"}"#, Code::BadValue, Some("/easing")),
+            (r#"{"q": [], "steps": 2, "inverse": true}"#, Code::UnknownField, Some("/inverse")),
+            (&long, Code::TooLarge, Some("/frames/1")),
+            (&many, Code::TooLarge, Some("/frames")),
+            (&much, Code::TooLarge, None),
+        ] {
+            let problem = parse(text).unwrap_err();
+            assert_eq!((problem.code, problem.pointer.as_deref()), (code, pointer), "{}: {problem}", &text[..text.len().min(80)]);
+        }
+        let many = parse(&many).unwrap_err();
+        assert_eq!((many.what, many.limit, many.actual), (Some("batch_frames"), Some(10_000.into()), Some(10_001.into())));
+        let BatchPoses::Frames(texts) = parse(r#"{"frames": [{"q": []}, {"q": [[1]]}, 7, {"strength": 1}]}"#).unwrap().poses else {
+            panic!()
+        };
+        for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2"), (3, "/frames/3/q")] {
+            assert_eq!(texts.read(frame).unwrap_err().pointer.as_deref(), Some(pointer));
+        }
+    }
+
+    #[test]
+    fn the_index_has_one_object_for_each_frame() {
+        let frame = |position, annotations: Option<&str>| BatchFrame {
+            picture: "0000.png".to_owned(),
+            annotations: annotations.map(str::to_owned),
+            position,
+            width: 4,
+            height: 3,
+            canvas: None,
+            folds: 1,
+            residual: 0.5,
+            warnings: vec!["translation_only"],
+            exceeded: None,
+        };
+        let frames = [frame(FramePosition::T(0.25), None), frame(FramePosition::Jitter { seed: 7, frame: 1 }, Some("0001.json"))];
+        assert_eq!(
+            serde_json::to_value(BatchIndex { frames: &frames }).unwrap(),
+            serde_json::json!({"frames": [
+                {"picture": "0000.png", "t": 0.25, "width": 4, "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
+                {"picture": "0000.png", "annotations": "0001.json", "jitter": {"seed": 7, "frame": 1}, "width": 4, "height": 3, "folds": 1,
+                 "residual": 0.5, "warnings": ["translation_only"]}
+            ]})
+        );
+    }
+}
