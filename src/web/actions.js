@@ -2,6 +2,7 @@
 
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
+import { brushSizeOf, isRegionTool, partOf, regionOf, withPart, withoutRegion } from "./region.js";
 import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
 import { PINS_ONLY, count, places } from "./words.js";
 
@@ -48,15 +49,47 @@ export class Actions {
     const { tool, draft, arm } = this.state;
     if (arm === "move") return this.moveTo(place);
     if (tool === "point") return this.add([place]);
+    if (tool === "brush") return this.outline([place]);
     const places = [...draft, place];
     if (tool === "line" && places.length === 2) return this.add(places);
     this.store.do("draft", { places });
-    this.say(`${tool === "line" ? "Line" : "Path"}: ${count(places.length, "point")}`);
+    this.say(`${edits.toolName(tool)}: ${count(places.length, "point")}`);
+  }
+
+  /** Adds what lasso or brush have drawn along these places to the region, or takes it away. */
+  outline(places) {
+    const { state } = this;
+    const part = partOf(state, places, Math.min(1, 0.5 / this.view.zoom));
+    this.store.do("draft", { places: [] });
+    if (!part) return this.say("A lasso needs three points");
+    this.edit(withPart(state.document, part));
+    this.say(part.removes ? "Removed from the region" : "Added to the region");
+  }
+
+  invertRegion() {
+    this.edit(withPart(this.state.document, { kind: "invert" }));
+    this.say("Region inverted");
+  }
+
+  clearRegion() {
+    if (!regionOf(this.state.document).parts.length) return;
+    this.edit(withoutRegion(this.state.document));
+    this.say("The whole picture moves");
+  }
+
+  /** Makes the brush larger (1) or smaller (-1) by a fifth. */
+  resizeBrush(way) {
+    const size = brushSizeOf(this.state);
+    const next = way > 0 ? Math.ceil(1.2 * size) : Math.floor(size / 1.2);
+    const brush = Math.min(Math.max(...this.view.size), Math.max(1, next));
+    this.store.do("show", { what: { brush } });
+    this.say(`Brush ${brush} px`);
   }
 
   finish() {
-    const { draft } = this.state;
-    if (draft.length > 1) this.add(draft);
+    const { draft, tool } = this.state;
+    if (tool === "lasso") this.outline(draft);
+    else if (draft.length > 1) this.add(draft);
     else this.store.do("draft", { places: [] });
   }
 
@@ -156,7 +189,7 @@ export class Actions {
   addInTheMiddle() {
     const middle = this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
     const reach = Math.min(...this.view.size) / 8;
-    const offsets = { point: [[0, 0]], line: [[-reach, 0], [reach, 0]], path: [[-reach, 0], [0, -reach / 2], [reach, 0]] }[this.state.tool];
+    const offsets = { point: [[0, 0]], line: [[-reach, 0], [reach, 0]], path: [[-reach, 0], [0, -reach / 2], [reach, 0]] }[isRegionTool(this.state.tool) ? "point" : this.state.tool];
     this.add(offsets.map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
   }
 

@@ -9,11 +9,11 @@ import { posesOf } from "./strength.js";
 import { PLAY } from "./words.js";
 
 /** The easings of the server: share of the way as a function of the share of the time. */
-const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
+export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
 /** Parts of the way between fetched meshes. */
 const PARTS = 8;
 /** Time of one way, ms. */
-const TIME = 1500;
+export const TIME = 1500;
 /** Stills that replace the motion of one way if the user prefers reduced motion. */
 const STILLS = 5;
 

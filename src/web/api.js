@@ -34,8 +34,8 @@ export class Problem extends Error {
 const wasAborted = (error) => error?.name === "AbortError";
 export { wasAborted };
 
-async function ask(method, path, { json, file, accept, signal } = {}) {
-  const headers = { ...keyHeaders(), ...(json && { "Content-Type": "application/json" }), ...(accept && { Accept: accept }) };
+async function ask(method, path, { json, file, accept, signal, media } = {}) {
+  const headers = { ...keyHeaders(), ...(json ? { "Content-Type": "application/json" } : media && { "Content-Type": media }), ...(accept && { Accept: accept }) };
   let response;
   try {
     response = await fetch(path, { method, headers, body: json ? JSON.stringify(json) : file, signal, cache: "no-store" });
@@ -99,6 +99,32 @@ const session = (id) => `sessions/${encodeURIComponent(id)}`;
 export const readSession = async (id) => read(await ask("GET", session(id)), "json");
 
 export const putHandles = async (id, rest, signal) => read(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }), "json");
+
+const region = (id) => `${session(id)}/layers/region`;
+
+/** The mask of the region, a picture of the size of the session's. The session then draws every picture through it. */
+export const putRegion = async (id, file) => read(await ask("PUT", region(id), { file, media: file.type }), "json");
+/** Deletes the mask, if there is one; returns the session. */
+export async function deleteRegion(id) {
+  await ask("DELETE", region(id)).catch((problem) => {
+    if (problem.code !== "no_such_layer") throw problem;
+  });
+  return readSession(id);
+}
+export const readRegion = async (id, signal) => read(await ask("GET", region(id), { signal }), "blob");
+
+/** Many poses in one file, as a response that is read with `stream`. */
+export const batch = (id, body, accept, signal) => ask("POST", `${session(id)}/batch`, { json: body, accept, signal });
+
+/** The parts of a body as they arrive. */
+export async function* stream(response) {
+  const reader = response.body.getReader();
+  for (;;) {
+    const { done, value } = await read(reader, "read");
+    if (done) return;
+    yield value;
+  }
+}
 
 /** How well methods predict the handles: { best, candidates }. */
 export const fit = async (id, body) => read(await ask("POST", `${session(id)}/fit`, { json: body }), "json");

@@ -23,11 +23,13 @@ export function boundsOf(mesh) {
   return bounds;
 }
 
-/** The box of a canvas around a posed grid on a picture of this size. */
-export function boxOf(canvas, size, mesh) {
+/** The box of a canvas around a posed grid on a picture of this size. `staying`: with the picture itself, of which only a region moves. */
+export function boxOf(canvas, size, mesh, staying = false) {
   if (canvas === "same" || !mesh) return boxOfPicture(size);
   if (canvas !== "fit") return [canvas.x, canvas.y, canvas.width, canvas.height];
-  const [left, top, right, bottom] = boundsOf(mesh).map((edge) => Math.round(edge * STEPS) / STEPS);
+  const bounds = boundsOf(mesh);
+  const whole = staying ? [0, 0, ...size].map((edge, k) => (k < 2 ? Math.min : Math.max)(edge, bounds[k])) : bounds;
+  const [left, top, right, bottom] = whole.map((edge) => Math.round(edge * STEPS) / STEPS);
   const [x, y] = [Math.floor(left), Math.floor(top)];
   return [x, y, Math.max(1, Math.ceil(right) - x), Math.max(1, Math.ceil(bottom) - y)];
 }

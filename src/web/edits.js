@@ -2,10 +2,13 @@
 // rounded to 0.01, so that the table shows the values that are sent.
 
 import { canvasOf } from "./canvas.js";
+import { regionOf } from "./region.js";
 import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
 export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
+
+export const toolName = (tool) => ({ point: "Point", line: "Line", path: "Path", lasso: "Lasso", brush: "Brush" })[tool];
 
 /** The server's limit of a coordinate. */
 const REACH = 1e6;
@@ -179,6 +182,9 @@ export const outsideOf = ({ outside }) => outside ?? "transparent";
 /** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
 export const filterOf = ({ filter }) => filter ?? "bilinear";
 
+/** What is seen where the content of the region has moved away: `keep` (the picture) or `transparent`. */
+export const holesOf = ({ holes }) => holes ?? "keep";
+
 /** What happens to coincident handles by default: they follow the mean of their targets. */
 const MEAN = { policy: "mean", within: 0 };
 
@@ -191,12 +197,14 @@ export function restOf(document) {
   const point_mass = mass === undefined ? {} : { point_mass: mass };
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
   const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
-  const output = { outside: outsideOf(document), filter: filterOf(document), canvas: canvasOf(document) };
+  // Without a region there are no holes.
+  const holes = regionOf(document).parts.length ? { holes: holesOf(document) } : {};
+  const output = { outside: outsideOf(document), filter: filterOf(document), canvas: canvasOf(document), ...holes };
   return { p: wire(document, "p"), ...weights, method, ...parameters, coincident: document.coincident ?? MEAN, grid: typeof grid === "number" ? { cell: grid } : grid, output };
 }
 
 /** The defaults of `output`, which an exported warp object leaves out. */
-const USUAL = { outside: "transparent", filter: "bilinear", canvas: "same" };
+const USUAL = { outside: "transparent", filter: "bilinear", canvas: "same", holes: "keep" };
 
 /** The complete warp object, for export. */
 export function warpOf(document) {

@@ -1,11 +1,12 @@
 // The export dialog: format, size, quality, compression and background of the file. The file is prepared while the dialog is open, so that
-// its size is known; "Download" and "Copy curl" give these bytes.
+// its size is known; "Download" and "Copy curl" give these bytes. An animation is made when it is downloaded (animation.js).
 
+import { AnimationExport } from "./animation.js";
 import * as api from "./api.js";
 import { outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
-import { warpedPicture, copy, curlLine, pictureName, save } from "./share.js";
-import { EXPORT, bytes, problemWords } from "./words.js";
+import { animationName, batchLine, warpedPicture, copy, curlLine, pictureName, save, saveRegion } from "./share.js";
+import { ANIMATION, EXPORT, REGION, bytes, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(`export-${id}`);
 const text = (id, words) => (find(id).textContent = words);
@@ -13,7 +14,7 @@ const text = (id, words) => (find(id).textContent = words);
 /** Time without a change, ms, after which the file is prepared. */
 const REST = 250;
 /** Largest side of a file by format, px; the limits of the server apply too. */
-const SIDES = { png: Infinity, jpeg: 65535, webp: 16383 };
+const SIDES = { png: Infinity, jpeg: 65535, webp: 16383, animation: Infinity };
 const DEFAULTS = { format: "png", scale: 100, quality: 90, compression: "fast", background: "#ffffff" };
 
 /** The stored settings; invalid ones are replaced by the defaults. */
@@ -54,6 +55,11 @@ export class ExportDialog {
 
   constructor(store, sync, limits, toast) {
     Object.assign(this, { store, sync, limits, toast, dialog: document.getElementById("export") });
+    const cancel = () => {
+      this.#stop();
+      text("result", EXPORT.cancelled);
+    };
+    this.animation = new AnimationExport(store, sync, () => this.#changed(), cancel);
     find("close").addEventListener("click", () => this.dialog.close());
     this.dialog.addEventListener("click", (event) => event.target === this.dialog && this.dialog.close());
     // The event arrives late: the dialog may be open again.
@@ -104,7 +110,7 @@ export class ExportDialog {
   get #output() {
     const { format, quality, compression, background } = this.#settings;
     return {
-      ...(format !== "png" && { format }),
+      ...((format === "jpeg" || format === "webp") && { format }),
       ...(format === "jpeg" && { quality }),
       ...(format === "png" && compression !== "fast" && { compression }),
       ...(this.#width !== this.#size[0] && { width: this.#width }),
@@ -120,8 +126,12 @@ export class ExportDialog {
   #changed(typed = null) {
     this.#stop();
     this.#draw(typed);
-    if (!find("width").checkValidity()) return;
+    if (!find("width").checkValidity() || this.#isAnimation) return;
     this.#timer = setTimeout(() => this.#attempt(() => this.#prepare()), REST);
+  }
+
+  get #isAnimation() {
+    return this.#settings.format === "animation";
   }
 
   #stop() {
@@ -155,9 +165,13 @@ export class ExportDialog {
     const outside = outsideOf(this.store.state.document);
     text("background-note", EXPORT.backgrounds[outside.startsWith("#") ? "colour" : outside]);
     text("save", `Download ${EXPORT.names[format]}`);
-    find("problem").hidden = valid;
+    this.animation.draw(this.#isAnimation);
+    const hasFrames = !this.#isAnimation || find("frames").checkValidity();
+    find("problem").hidden = valid && hasFrames;
+    if (!hasFrames) text("problem", `Enter 2 to ${this.animation.most} frames.`);
     if (!valid) text("problem", `Enter a width of 1 to ${widest} px.`);
-    text("result", valid ? "Preparing the file" : "");
+    const frames = `${this.animation.count} frames, ${this.#width} × ${heightOf(this.#width, this.#size)} px`;
+    text("result", !valid || !hasFrames ? "" : this.#isAnimation ? frames : "Preparing the file");
     text("said", "");
   }
 
@@ -177,17 +191,35 @@ export class ExportDialog {
     return this.#prepared.blob;
   }
 
+  /** The animation, unless it is cancelled. */
+  async #animate() {
+    this.#stop();
+    const cancel = new AbortController();
+    this.#cancel = cancel;
+    find("problem").hidden = true;
+    text("result", "");
+    return this.animation.fetch(this.#output, cancel.signal);
+  }
+
+  get #name() {
+    const { name } = this.store.state.picture;
+    return this.#isAnimation ? animationName(name, this.animation.file) : pictureName(name, this.#settings.format);
+  }
+
   async #download() {
-    const name = pictureName(this.store.state.picture.name, this.#settings.format);
-    save(await this.#prepare(), name);
+    const name = this.#name;
+    save(await (this.#isAnimation ? this.#animate() : this.#prepare()), name);
     this.dialog.close();
     this.toast(`${name} downloaded`);
   }
 
   async #copy() {
     await this.sync.settled();
-    const copied = await copy(curlLine(this.sync, this.store.state, this.#output), find("copied"));
-    text("said", copied ? "Command copied" : "Press Ctrl+C to copy the command");
+    const line = this.#isAnimation ? batchLine(this.sync, this.#name, this.animation.media, this.animation.body(this.#output)) : curlLine(this.sync, this.store.state, this.#output);
+    const copied = await copy(line, find("copied"));
+    const mask = this.#isAnimation ? null : await saveRegion(this.store.state);
+    const more = this.#isAnimation ? ANIMATION.session(this.limits.idle) : mask ? REGION.needs(mask) : "";
+    text("said", `${copied ? "Command copied" : "Press Ctrl+C to copy the command"}${more && `. ${more}`}`);
   }
 
   /** Shows a problem in the dialog: the page behind it cannot be reached. */

@@ -2,6 +2,7 @@
 // picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom.
 
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
+import { isRegionTool } from "./region.js";
 import { withRoom } from "./numbers.js";
 import { canTwist } from "./twist.js";
 import { marked, places as placesWords, residualWords } from "./words.js";
@@ -80,7 +81,7 @@ export class Handles {
   draw() {
     const { state } = this.store;
     const { handles } = state.document;
-    set(this.svg, { class: state.compare || state.peek || state.playing !== null ? "away" : state.before ? "moving" : "" });
+    set(this.svg, { class: state.compare || state.peek || state.playing !== null ? "away" : isRegionTool(state.tool) ? "aside" : state.before ? "moving" : "" });
     const counts = new Map(handles.map(({ id, p }) => [id, p.length]));
     for (const [id, nodes] of this.#drawn) {
       if (counts.get(id) === nodes.count) continue;

@@ -135,9 +135,11 @@ function documentFrom(warp) {
   demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect" or a colour "#rrggbbaa"');
   const filter = given.output?.filter ?? "bilinear";
   demand(FILTERS.includes(filter), "/output/filter", '"nearest", "bilinear" or "bicubic"');
+  const holes = given.output?.holes ?? "keep";
+  demand(holes === "keep" || holes === "transparent", "/output/holes", '"keep" or "transparent"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
-  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas };
+  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas, holes };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

@@ -1,6 +1,8 @@
 // The keyboard. Keys with Ctrl and characters work everywhere except in text fields and lists; characters can be switched off. Arrows,
 // Enter, Space and Delete work with the focus in the stage or nowhere.
 
+import { isRegionTool } from "./region.js";
+
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const NUDGE = [1, 10];
 const CROSS = [10, 1];
@@ -109,7 +111,7 @@ export class Keys {
     if (named && !arm && !draft.length) return this.actions.choose(named, event.shiftKey);
     if (!cross) return draft.length ? this.actions.finish() : this.#moveCross(0, 0);
     // Twice at the same position: the path is complete.
-    if (tool === "path" && draft.length && !arm && !this.#crossMoved) return this.actions.finish();
+    if ((tool === "path" || tool === "lasso") && draft.length && !arm && !this.#crossMoved) return this.actions.finish();
     this.#crossMoved = false;
     const keep = tool !== "point" && draft.length + 1 < (tool === "line" ? 2 : Infinity);
     this.actions.place(cross);
@@ -143,15 +145,19 @@ export class Keys {
 
   #single(key, repeat) {
     const { does, actions, view } = this;
-    const selected = this.store.state.selection.length > 0;
+    const { selection, tool, removes } = this.store.state;
+    const selected = selection.length > 0;
     const acts = {
       1: () => does.tool("point"),
       2: () => does.tool("line"),
       3: () => does.tool("path"),
+      4: () => does.tool("lasso"),
+      5: () => does.tool("brush"),
+      x: () => isRegionTool(tool) && does.removes(!removes),
       m: () => does.arm(),
       r: () => selected && actions.putBack(),
-      "[": () => actions.rotate(-TURN),
-      "]": () => actions.rotate(TURN),
+      "[": () => (tool === "brush" ? actions.resizeBrush(-1) : actions.rotate(-TURN)),
+      "]": () => (tool === "brush" ? actions.resizeBrush(1) : actions.rotate(TURN)),
       e: () => does.export(),
       p: () => does.play(),
       g: () => does.mesh(),

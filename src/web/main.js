@@ -13,15 +13,17 @@ import { Keys } from "./keys.js";
 import { Opener } from "./open.js";
 import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
+import { isRegionTool, regionOf } from "./region.js";
+import { RegionTool } from "./regiontool.js";
 import { Pointer } from "./pointer.js";
-import { warpedPicture, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, readLink, save } from "./share.js";
+import { warpedPicture, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, readLink, save, saveRegion } from "./share.js";
 import { Store, steps } from "./state.js";
 import { shownStrength } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
-import { PINS_ONLY, limitWords } from "./words.js";
+import { PINS_ONLY, REGION, limitWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
@@ -36,7 +38,8 @@ const actions = new Actions(store, sync, view, handles, say, (back) => opener.st
 const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state), toast);
 const exporting = new ExportDialog(store, sync, limits, toast);
 const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked);
-const pointer = new Pointer(stage, store, view, handles, actions, loupe);
+const region = new RegionTool(store, view, actions);
+const pointer = new Pointer(stage, store, view, handles, actions, loupe, region);
 
 /** Announces a text to screen readers; a newer text replaces it. */
 function say(words) {
@@ -70,9 +73,13 @@ const does = {
   export: () => exporting.show(),
   help: () => find("help").showModal(),
   key: () => showKey(),
-  tool: (tool) => (tool !== "point" && takesPinsOnly(store.state.document) ? toast(PINS_ONLY) : store.do("tool", { tool })),
+  tool: (tool) => ((tool === "line" || tool === "path") && takesPinsOnly(store.state.document) ? toast(PINS_ONLY) : store.do("tool", { tool })),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
-  compare: () => store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } }),
+  removes: (removes) => store.do("show", { what: { removes } }),
+  compare: () => {
+    if (isRegionTool(store.state.tool)) does.tool("point");
+    store.do("show", { what: { compare: !store.state.compare, arm: "", draft: [] } });
+  },
   play: () => player.toggle(),
   arm: () => store.do("arm", { arm: store.state.arm ? "" : "move" }),
   fit: async () => {
@@ -109,8 +116,9 @@ const keeper = new Keeper(store, () => opener.current, observe);
 
 // Passes the state to the view.
 store.subscribe((state, previous) => {
-  const { meshShown: lines, compare, compareAt: at, peek } = state;
-  if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || peek !== previous.peek) view.show({ lines, compare, at, peek });
+  const { meshShown: lines, compare, compareAt: at, tool } = state;
+  const peek = state.peek || isRegionTool(tool);
+  if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || state.peek !== previous.peek || tool !== previous.tool) view.show({ lines, compare, at, peek });
   view.setOutside(outsideOf(state.document));
   view.setFilter(filterOf(state.document));
   view.setCanvas(canvasOf(state.document));
@@ -132,6 +140,7 @@ function observe() {
     handles: state.document.handles.length,
     selected: state.selection.length,
     tool: state.tool,
+    region: regionOf(state.document).parts.length,
     draft: state.draft.length,
     arm: state.arm,
     strength: shownStrength(state),
@@ -153,7 +162,7 @@ sync.subscribe(observe);
 view.subscribe(observe);
 
 // After a click, a tool or a button returns the focus to the stage, so that the arrow keys work. Keyboard focus stays.
-for (const bar of document.querySelectorAll("body > header, #work > .tools, #work > .zoom, #selection, #draft, #panel .buttons")) {
+for (const bar of document.querySelectorAll("body > header, #work > .tools, #work > .zoom, #selection, #draft, #region-bar, #panel .buttons")) {
   const giveBack = () => bar.contains(document.activeElement) && store.state.phase === "open" && stage.focus({ preventScroll: true });
   bar.addEventListener("click", ({ detail }) => {
     if (detail === 0) return;
@@ -218,7 +227,8 @@ const copying = (words, what) =>
   taking(async () => {
     await sync.settled();
     const copied = await copy(words(sync, store.state), find("copied"));
-    toast(copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`);
+    const mask = words === curlLine ? await saveRegion(store.state) : null;
+    toast(`${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`);
   });
 find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
 find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));

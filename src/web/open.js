@@ -5,6 +5,7 @@ import { alphaOf, restOf, sameRest } from "./edits.js";
 import { documentOf, isHandles, readHandles, scaled } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
+import { maskPart, regionOf } from "./region.js";
 import { SAMPLES } from "./samples.js";
 import { readLink } from "./share.js";
 import { emptyDocument } from "./state.js";
@@ -64,7 +65,8 @@ export class Opener {
   }
 
   #useHandles({ name, document, warp }) {
-    const fitted = warp ? scaled(warp, this.store.state.picture) : document;
+    const { region, feather } = this.store.state.document;
+    const fitted = { ...(warp ? scaled(warp, this.store.state.picture) : document), region, feather };
     this.actions.edit(fitted, { select: [] });
     this.toast(`${count(fitted.handles.length, "handle")} from ${name}`);
   }
@@ -145,7 +147,9 @@ export class Opener {
       await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
     }
     const left = this.current;
-    this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, borrowed);
+    // A session of another user keeps its region. Otherwise the session without one is known, and one with a mask is given it again.
+    const region = borrowed || !object.layers?.region ? regionOf(borrowed ? document : {}) : null;
+    this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, region, borrowed);
     this.store.do("opened", { picture: { ...picture, width, height }, document, past, future, ...history(this.store.state, left) });
     this.view.resized(); // only now the stage is visible and has a size
     this.#leaveLink(link);
@@ -177,6 +181,7 @@ export class Opener {
       signal.throwIfAborted();
       const document = documentOf(warp ?? warpOfSession(object));
       if (!document) throw new api.Problem({ code: "bad_link" }, 0);
+      if (object.layers?.region) document.region = [await maskPart(await api.readRegion(session, signal))];
       await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true, link: hash }, signal);
     });
   }

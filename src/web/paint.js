@@ -3,6 +3,7 @@
 // first. Alpha is premultiplied.
 
 import { STRIDE, edgeTriangles } from "./outside.js";
+import { RegionPainter } from "./regionpaint.js";
 
 const VERTEX = `
 attribute vec3 place; attribute vec2 texture;
@@ -16,6 +17,13 @@ void main() { gl_FragColor = texture2D(source, at); }`;
 const FINE = 6;
 const MOST_VERTICES = 300_000;
 
+/** `transparent`, or a colour `#rrggbbaa`, with premultiplied alpha. */
+function premultiplied(outside) {
+  if (!outside.startsWith("#")) return [0, 0, 0, 0];
+  const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
+  return [r * a, g * a, b * a, a];
+}
+
 export class Painter {
   #gl;
   #texture = null;
@@ -24,6 +32,9 @@ export class Painter {
   #buffers = null;
   #shape = "";
   #count = 0;
+  #whole; // the program without a region
+  #part; // RegionPainter
+  #mask = null;
   #wide;
   #mipmaps;
 
@@ -41,6 +52,7 @@ export class Painter {
     canvas.addEventListener("webglcontextrestored", () => {
       this.#build();
       if (this.#source) this.setSource(this.#source, ...this.#size);
+      if (this.#mask) this.#part.setMask(this.#mask);
     });
   }
 
@@ -52,14 +64,21 @@ export class Painter {
       gl.compileShader(made);
       return made;
     };
-    const program = gl.createProgram();
-    gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
-    gl.attachShader(program, shader(gl.FRAGMENT_SHADER, FRAGMENT));
-    gl.bindAttribLocation(program, 0, "place");
-    gl.bindAttribLocation(program, 1, "texture");
-    gl.linkProgram(program);
-    gl.useProgram(program);
-    this.view = gl.getUniformLocation(program, "view");
+    /** Compiles a fragment shader; its samplers read the texture units in this order. */
+    const compile = (fragment, samplers) => {
+      const program = gl.createProgram();
+      gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
+      gl.attachShader(program, shader(gl.FRAGMENT_SHADER, fragment));
+      gl.bindAttribLocation(program, 0, "place");
+      gl.bindAttribLocation(program, 1, "texture");
+      gl.linkProgram(program);
+      const uniform = (name) => gl.getUniformLocation(program, name);
+      gl.useProgram(program);
+      samplers.forEach((name, unit) => gl.uniform1i(uniform(name), unit));
+      return { use: () => gl.useProgram(program), set: (name, ...numbers) => gl[`uniform${numbers.length}f`](uniform(name), ...numbers) };
+    };
+    this.#whole = compile(FRAGMENT, ["source"]);
+    this.#part = new RegionPainter(gl, compile);
     this.#buffers = { places: gl.createBuffer(), rest: gl.createBuffer(), cells: gl.createBuffer(), edge: gl.createBuffer() };
     gl.enableVertexAttribArray(0);
     gl.enableVertexAttribArray(1);
@@ -89,8 +108,17 @@ export class Painter {
     this.#shape = "";
   }
 
-  /** Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`: as in the document, `box`: of the canvas. */
-  paint(mesh, { zoom, x, y }, crisp, outside, box) {
+  /** Sets the mask of the region that moves: a canvas; null: the whole picture. */
+  setMask(canvas) {
+    this.#mask = canvas;
+    if (canvas && this.#gl) this.#part.setMask(canvas);
+  }
+
+  /**
+   * Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`, `holes`: as in the document, `box`: of
+   * the canvas.
+   */
+  paint(mesh, { zoom, x, y }, { crisp, outside, holes, box }) {
     const gl = this.#gl;
     if (!this.#texture || gl.isContextLost()) return;
     const { width, height } = gl.canvas;
@@ -106,9 +134,18 @@ export class Painter {
     const [left, bottom] = [Math.round(boxX), Math.round(height - boxY - zoom * box[3])];
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.round(boxX + zoom * box[2]) - left, Math.round(height - boxY) - bottom);
-    gl.uniform4f(this.view, (2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height);
+    const view = [(2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height];
+    const cells = () => this.#paintCells(mesh, n);
+    if (this.#mask) return this.#part.paint(view, { outside, beyond: premultiplied(outside), holes }, cells, () => this.#paintBox(box, 2 / zoom));
+    this.#whole.use();
+    this.#whole.set("view", ...view);
     if (outside === "edge" || outside === "reflect") this.#paintEdge(mesh);
-    else if (outside !== "transparent") this.#paintColour(outside);
+    else this.#paintColour(outside);
+    cells();
+  }
+
+  #paintCells(mesh, n) {
+    const gl = this.#gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
     gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
     gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
@@ -119,9 +156,21 @@ export class Painter {
 
   #paintColour(outside) {
     const gl = this.#gl;
-    const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
-    gl.clearColor(r * a, g * a, b * a, a);
+    gl.clearColor(...premultiplied(outside));
     gl.clear(gl.COLOR_BUFFER_BIT);
+  }
+
+  /** Draws a box and `more` px around it at rest, also outside of the picture. */
+  #paintBox([x, y, wide, high], more) {
+    const gl = this.#gl;
+    const [width, height] = this.#size;
+    const [left, top, right, bottom] = [x - more, y - more, x + wide + more, y + high + more];
+    const corners = [[left, top], [right, top], [left, bottom], [right, bottom]].flatMap(([a, b]) => [a, b, 0, a / width, b / height]);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.edge);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(corners), gl.DYNAMIC_DRAW);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * STRIDE, 0);
+    gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 4 * STRIDE, 12);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
   /** Draws the extended edge, also in place of a mirrored one, which only the server draws; depth is the distance from the border. */

@@ -1,8 +1,9 @@
 // The controls around the picture: they show the state and change it.
 
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
-import { alphaOf, filterOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly } from "./edits.js";
+import { alphaOf, filterOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly, toolName } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
+import { isRegionTool, regionOf } from "./region.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
 import { CANVAS, FILTER, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
@@ -200,7 +201,7 @@ export class Panel {
       }
     }
     const { size, mesh } = this.view;
-    const cut = size && mesh && canvas !== "fit" ? cutOff(mesh, boxOf(canvas, size, mesh)) : null;
+    const cut = size && mesh && canvas !== "fit" && !regionOf(document).parts.length ? cutOff(mesh, boxOf(canvas, size, mesh)) : null;
     const words = cut ? cutWords(cut) : "";
     text("canvas-note", words || CANVAS[find("canvas").value]);
     find("canvas-all").hidden = !words;
@@ -222,8 +223,8 @@ export class Panel {
     const pin = selection.length === 1 && !takesPinsOnly(state.document) && canTwist(handles.find((h) => String(h.id) === selection[0]));
     for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
-    find("draft-finish").disabled = draft.length < 2;
-    text("draft-text", `${state.tool === "line" ? "Line" : "Path"}: ${count(draft.length, "point")}`);
+    find("draft-finish").disabled = draft.length < (state.tool === "lasso" ? 3 : 2);
+    text("draft-text", `${toolName(state.tool)}: ${count(draft.length, "point")}`);
     this.#drawHint(state);
   }
 
@@ -300,9 +301,11 @@ export class Panel {
 const statusWords = ({ warnings }) => warnings.map((w) => WARNINGS[w]).filter(Boolean).join(" ");
 
 /** The hint for the current state: a key of HINTS, or null. */
-function hintFor({ phase, document: { handles }, tool, arm, draft, compare, problem, selection, past, before, playing }) {
+function hintFor({ phase, document, tool, arm, draft, compare, problem, selection, past, before, playing }) {
   if (phase !== "open" || draft.length || compare || problem || playing !== null) return null;
+  const { handles } = document;
   if (arm) return "move";
+  if (isRegionTool(tool)) return regionOf(document).parts.length ? null : tool;
   if (tool !== "point") return selection.length ? null : tool;
   if (!handles.length) return "first";
   if (handles.length === 1 && handles[0].p.length === 1 && !before) return "one";

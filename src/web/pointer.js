@@ -3,6 +3,7 @@
 
 import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
 import { keyOf } from "./handles.js";
+import { isRegionTool } from "./region.js";
 
 /** Maximum movement of a click, CSS px. */
 const STILL = { mouse: 3, pen: 5, touch: 8 };
@@ -22,8 +23,8 @@ export class Pointer {
   #pinch = null;
   #lastClick = { time: 0, at: [0, 0] };
 
-  constructor(stage, store, view, handles, actions, loupe) {
-    Object.assign(this, { stage, store, view, handles, actions, loupe });
+  constructor(stage, store, view, handles, actions, loupe, region) {
+    Object.assign(this, { stage, store, view, handles, actions, loupe, region });
     stage.addEventListener("pointerdown", (event) => this.#down(event));
     stage.addEventListener("pointermove", (event) => this.#move(event));
     stage.addEventListener("pointerup", (event) => this.#up(event));
@@ -79,6 +80,7 @@ export class Pointer {
     if (event.button === 1 || this.spaceHeld) return this.#panning();
     if (state.compare) return this.#comparing();
     if (state.arm || state.draft.length) return this.#placing(kind);
+    if (isRegionTool(state.tool)) return this.#outlining(kind, state.tool === "brush");
     const hit = this.handles.hit(at, kind);
     if (hit?.pin) return this.#twisting(hit.pin);
     if (hit?.knob) return this.#turning();
@@ -245,9 +247,9 @@ export class Pointer {
     const click = (at) => {
       const { tool, draft, arm } = this.store.state;
       const place = this.view.toPicture(at);
-      if (!arm && tool === "path" && draft.length && isDouble(at)) return this.actions.finish();
+      if (!arm && (tool === "path" || tool === "lasso") && draft.length && isDouble(at)) return this.actions.finish();
       this.#lastClick = { time: performance.now(), at };
-      if (!draft.length && !arm && !this.actions.inPicture(place)) return this.store.do("select", { keys: [] });
+      if (!draft.length && !arm && tool !== "lasso" && !this.actions.inPicture(place)) return this.store.do("select", { keys: [] });
       this.actions.place(place);
       if (kind === "mouse") this.#hover(at);
     };
@@ -259,6 +261,33 @@ export class Pointer {
       end: (at) => (drags ? this.actions.place(this.view.toPicture(at)) : click(at)),
       cancel: () => drags && this.store.do("draft", { places: [] }),
       click,
+    };
+  }
+
+  /** The brush draws from the press on; the lasso draws if it is dragged, and a click is the first of its corners. */
+  #outlining(kind, brush) {
+    const places = [];
+    const put = (at) => {
+      places.push(this.view.toPicture(at));
+      this.region.draw(places);
+      if (brush) this.region.hover(at);
+    };
+    const end = () => {
+      this.region.draw([]);
+      this.actions.outline(places);
+      if (kind !== "mouse") this.region.hover(null);
+    };
+    const focus = () => this.stage.focus({ preventScroll: true });
+    return {
+      ...(brush ? { still: 1, click: end } : { click: this.#placing(kind).click }),
+      press: (at) => {
+        focus();
+        if (brush) put(at);
+      },
+      begin: () => brush || put(this.#gesture.begun),
+      move: put,
+      end,
+      cancel: () => this.region.draw([]),
     };
   }
 
@@ -320,6 +349,7 @@ export class Pointer {
 
   /** The preview of the next vertex while a line is drawn. */
   #hover(at) {
+    this.region.hover(at);
     const drawing = at && this.store.state.draft.length > 0;
     const next = drawing ? at : null;
     if (next === this.handles.pointer) return;

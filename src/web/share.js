@@ -3,10 +3,14 @@
 import { hasKey } from "./access.js";
 import * as api from "./api.js";
 import { warpOf, wire } from "./edits.js";
+import { maskFile, regionOf } from "./region.js";
 
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
 export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
+export const animationName = (name, file) => (file === "zip" ? `${stem(name)}-frames.zip` : pictureName(name, file));
 export const handlesName = (name) => `${stem(name)}-handles.json`;
+
+const regionName = (name) => `${stem(name)}-region.png`;
 
 export const landmarksName = (name) => `${stem(name)}-landmarks.csv`;
 
@@ -43,26 +47,43 @@ export function handlesText(document) {
   return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;
 }
 
+/** Saves the mask of the region, which the curl command reads from a file; returns its name, or null if the command needs none. */
+export async function saveRegion({ picture, document }) {
+  const region = regionOf(document);
+  if (!region.parts.length || picture.linked) return null;
+  const name = regionName(picture.name);
+  save(await maskFile(region, [picture.width, picture.height]), name);
+  return name;
+}
+
 /** Quotes a word for a POSIX shell. */
 const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`);
 
 /** A file name in a form field of curl: quoted if it has special characters; `-` alone would be standard input. */
 const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
 
+const addressOf = (path) => new URL(path, document.baseURI).href;
+const keyHeader = () => (hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "");
+const jsonBody = (value) => `-H 'Content-Type: application/json' -d ${quoted(JSON.stringify(value))}`;
+
+/** A curl command for a batch of the session. */
+export const batchLine = (sync, name, media, body) =>
+  `curl -sS ${addressOf(`sessions/${sync.session.id}/batch`)} -o ${quoted(name)}${keyHeader()} -H 'Accept: ${media}' ${jsonBody(body)}`;
+
 /** A curl command with the same result as "Download PNG", or as the export with `output`. It reads the key from a variable; the copied text never contains it. */
 export function curlLine(sync, { picture, document: bent }, output = {}) {
-  const address = (path) => new URL(path, document.baseURI).href;
   const out = quoted(pictureName(picture.name, output.format));
   const object = warpOf(bent);
   const chosen = Object.keys(output).length ? { output: { ...object.output, ...output } } : {};
   const warp = quoted(JSON.stringify({ ...object, ...chosen }));
-  const key = hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "";
+  const key = keyHeader();
   if (picture.linked) {
-    const body = quoted(JSON.stringify({ q: wire(bent, "q"), ...(chosen.output && { output }) }));
-    return `curl -sS ${address(`sessions/${sync.session.id}/warp`)} -o ${out}${key} -H 'Content-Type: application/json' -d ${body}`;
+    const body = jsonBody({ q: wire(bent, "q"), ...(chosen.output && { output }) });
+    return `curl -sS ${addressOf(`sessions/${sync.session.id}/warp`)} -o ${out}${key} ${body}`;
   }
-  const form = (file) => `curl -sS ${address("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}`;
-  if (picture.sample) return `curl -sS ${address(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
+  const mask = regionOf(bent).parts.length ? ` -F ${quoted(`region=@${formFile(regionName(picture.name))}`)}` : "";
+  const form = (file) => `curl -sS ${addressOf("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}${mask}`;
+  if (picture.sample) return `curl -sS ${addressOf(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
   return form(formFile(picture.name));
 }
 

@@ -1,6 +1,7 @@
-// The store: document (handles, method, alpha, grid, outside, filter, canvas), selection and history. Reducers are pure functions of state and action.
+// The store: document (handles, method, alpha, grid, outside, filter, canvas, region), selection and history. Reducers are pure functions of state and action.
 // Views subscribe.
 
+import { isRegionTool } from "./region.js";
 import { settled } from "./strength.js";
 
 /** Maximum number of undo steps. */
@@ -8,7 +9,7 @@ const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same" });
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same", region: [], feather: 0, holes: "keep" });
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open
@@ -38,6 +39,9 @@ const initialState = () => ({
   compare: false,
   compareAt: 50,
   peek: false,
+  removes: false, // whether lasso and brush take away from the region
+  brush: null, // size of the brush, px; null: by the size of the picture
+  regionShown: false,
   playing: null, // "preparing", or the strength that is shown while the animation plays (animate.js)
   animation: { easing: "ease-in-out", back: true, frames: 24, file: "apng" },
 });
@@ -60,6 +64,9 @@ function withDocument(state, document) {
   return { ...state, document, selection, revision: state.revision + 1, problem: null, apart: [], fit: isKept ? state.fit : null };
 }
 
+/** A selection of handles ends the work on the region, which hides them. */
+const selecting = (state, selection) => ({ ...state, selection, ...(selection.length && isRegionTool(state.tool) && { tool: "point", regionShown: false }) });
+
 const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [], later: [] });
 
 const reducers = {
@@ -78,7 +85,7 @@ const reducers = {
     earlier,
     later,
     revision: state.revision + 1,
-    tool: state.tool,
+    tool: isRegionTool(state.tool) ? "point" : state.tool,
     meshShown: state.meshShown,
     animation: state.animation,
   }),
@@ -91,7 +98,7 @@ const reducers = {
     const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
     const history = joins ? { future: [], later: [] } : remembered(state, state.document);
     const next = withDocument({ ...state, ...history, tag, tagged: now }, settled(document, state.document));
-    return select ? { ...next, selection: select } : next;
+    return select ? selecting(next, select) : next;
   },
 
   fit: (state, { fit }) => ({ ...state, fit }),
@@ -118,16 +125,20 @@ const reducers = {
 
   select: (state, { keys }) => {
     const selection = keys.filter((key) => exists(state.document, key));
-    return { ...state, selection, arm: selection.length ? state.arm : "", more: selection.length ? state.more : false };
+    return { ...selecting(state, selection), arm: selection.length ? state.arm : "", more: selection.length ? state.more : false };
   },
   toggle: (state, { key }) => {
     // A handle and one of its vertices are never selected together.
     const others = state.selection.filter((k) => idOf(k) !== idOf(key) || (k.includes(".") && key.includes(".")));
     const selection = state.selection.includes(key) ? state.selection.filter((k) => k !== key) : [...others, key];
-    return { ...state, selection, arm: "" };
+    return { ...selecting(state, selection), arm: "" };
   },
 
-  tool: (state, { tool }) => ({ ...state, tool, draft: [] }),
+  /** The tools for the region show the picture at rest, without handles. */
+  tool: (state, { tool }) => {
+    const region = isRegionTool(tool) ? { selection: [], arm: "", more: false, compare: false } : {};
+    return { ...state, tool, draft: [], ...region, ...(tool !== state.tool && { regionShown: isRegionTool(tool) }) };
+  },
   draft: (state, { places }) => ({ ...state, draft: places }),
   arm: (state, { arm }) => ({ ...state, arm: state.selection.length ? arm : "", draft: [] }),
   more: (state, { more }) => ({ ...state, more }),

@@ -6,17 +6,24 @@ import { boxFrom } from "./canvas.js";
 import { movedApart, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
+import { maskFile, regionOf, sameRegion } from "./region.js";
 
 /** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
+/** The region of a session without a mask. */
+const WHOLE = { parts: [], feather: 0 };
+
 /** What is shown before the first response. */
 const NOTHING = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
 
 export class Sync {
-  /** The session: { id, grid, rest (JSON that it was created with), setup (the server's form), borrowed (from a link of another user) }. */
+  /**
+   * The session: { id, grid, rest (JSON that it was created with), region (as in the document; null: unknown), setup (the server's form),
+   * borrowed (from a link of another user) }.
+   */
   session = null;
   /** The picture as a file: { blob, name }. */
   file = null;
@@ -71,7 +78,7 @@ export class Sync {
   }
 
   /** Sets the session and its picture, before the document is set in the store. */
-  begin(object, rest, file, borrowed = false) {
+  begin(object, rest, file, region, borrowed = false) {
     this.#cancel?.abort();
     this.file = file;
     this.mesh = Mesh.identity(object.image.width, object.image.height);
@@ -79,7 +86,7 @@ export class Sync {
     this.shown = { ...NOTHING };
     this.#settled = this.#sent = this.#meshRevision = this.#refused = -1;
     this.#stalled = false;
-    this.#adopt(object, rest, borrowed);
+    this.#adopt(object, rest, region, borrowed);
   }
 
   /** Ends the work on the picture, before it is closed in the store. The session stays on the server, so that undo is quick. */
@@ -91,8 +98,8 @@ export class Sync {
     this.#tell();
   }
 
-  #adopt(object, rest, borrowed = false) {
-    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), setup: setupOf(object), borrowed };
+  #adopt(object, rest, region, borrowed = false) {
+    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
     if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
@@ -161,6 +168,11 @@ export class Sync {
       await this.#putRest(rest);
       return true;
     }
+    const region = regionOf(document);
+    if (!this.session.region || !sameRegion(region, this.session.region)) {
+      await this.#putRegion(region, rest);
+      return true;
+    }
     const moving = before || this.#burst;
     if (moving && performance.now() - this.#changed < REST) {
       if (this.#sent !== revision) this.live.send(wire(document, "q"), revision);
@@ -177,7 +189,17 @@ export class Sync {
     if (session.borrowed) return this.#reopen(rest);
     session.rest = null; // unknown until the response arrives
     const object = await api.putHandles(session.id, rest);
-    if (this.session === session) this.#adopt(object, rest);
+    if (this.session === session) this.#adopt(object, rest, session.region);
+  }
+
+  async #putRegion(region, rest) {
+    const { session } = this;
+    if (session.borrowed) return this.#reopen(rest);
+    session.region = null; // unknown until the response arrives
+    const { width, height } = this.store.state.picture;
+    const has = region.parts.length > 0;
+    const object = await (has ? api.putRegion(session.id, await maskFile(region, [width, height])) : api.deleteRegion(session.id));
+    if (this.session === session) Object.assign(session, { region, setup: setupOf(object) });
   }
 
   /** Opens a new session with the same picture: the old one has expired, or belongs to another user. */
@@ -186,7 +208,7 @@ export class Sync {
     const { session } = this;
     const object = await api.openSession(this.file.blob, this.file.name, rest, {});
     if (this.session !== session) return; // another picture was opened meanwhile
-    this.#adopt(object, rest);
+    this.#adopt(object, rest, WHOLE);
     this.#meshRevision = -1;
   }
 
@@ -331,8 +353,8 @@ export class Sync {
 }
 
 /** The members of a session object that determine a picture, except q. */
-function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, coincident_policy: coincident, units, grid, folds, output }) {
-  return JSON.stringify([p, weights, method, alpha, mass, smoothing, coincident, units, grid, folds, output]);
+function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, coincident_policy: coincident, units, grid, folds, output, layers }) {
+  return JSON.stringify([p, weights, method, alpha, mass, smoothing, coincident, units, grid, folds, output, layers?.region]);
 }
 
 /** The grid of a session object, in the form of a mesh. */

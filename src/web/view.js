@@ -25,6 +25,8 @@ export class View {
   drawn = () => {};
 
   #outside = "transparent";
+  #holes = "keep";
+  #region = false; // whether only a region moves
   #filter = "bilinear";
   #canvas = "same";
   #played = null; // mesh of the frame of an animation, shown in place of the picture
@@ -62,7 +64,7 @@ export class View {
 
   /** The box that is shown: of the server's picture, or of the canvas around the mesh. */
   get box() {
-    if (this.source === "mesh" || this.source === "source") return boxOf(this.#canvas, this.size, this.mesh);
+    if (this.source === "mesh" || this.source === "source") return boxOf(this.#canvas, this.size, this.mesh, this.#region);
     return this.#drawn ?? boxOfPicture(this.size);
   }
 
@@ -202,6 +204,14 @@ export class View {
     this.invalidate();
   }
 
+  /** Sets the mask of the region that moves in a mesh (a canvas; null: the whole picture), and what its holes show. */
+  setRegion(mask, holes) {
+    this.#region = mask !== null;
+    this.#holes = holes;
+    if (this.webgl !== "none") this.painter.setMask(mask);
+    this.invalidate();
+  }
+
   /** Shows a mesh in place of the picture, within its box; null shows the picture again. */
   play(mesh) {
     this.#played = mesh;
@@ -313,15 +323,15 @@ export class View {
   #place() {
     const [width, height] = this.size ?? [0, 0];
     const { compare, at, peek } = this.#show;
-    for (const id of ["board", "picture", "original"]) {
+    for (const id of ["board", "picture", "original", "region"]) {
       const { style } = this.stage.querySelector(`#${id}`);
-      const [x, y, across, down] = this.size && id !== "original" ? (id === "board" ? this.box : this.#pictureBox) : [0, 0, width, height];
+      const [x, y, across, down] = this.size && id !== "original" && id !== "region" ? (id === "board" ? this.box : this.#pictureBox) : [0, 0, width, height];
       const [wide, high] = id === "board" ? [across * this.zoom, down * this.zoom] : [across, down];
       style.width = `${wide}px`;
       style.height = `${high}px`;
       style.transform = `translate(${this.pan[0] + this.zoom * x}px, ${this.pan[1] + this.zoom * y}px)${id === "board" ? "" : ` scale(${this.zoom})`}`;
       style.imageRendering = this.zoom >= CRISP ? "pixelated" : "auto";
-      if (id !== "board") style.visibility = "visible";
+      if (id === "picture" || id === "original") style.visibility = "visible";
     }
     const original = this.stage.querySelector("#original");
     original.style.visibility = this.size && (compare || peek) ? "visible" : "hidden";
@@ -345,7 +355,7 @@ export class View {
     const mesh = this.#played ?? this.mesh;
     const following = this.#played !== null || this.source === "mesh" || this.source === "frame";
     const crisp = this.zoom >= CRISP || this.#filter === "nearest";
-    if (this.#played || this.source === "mesh") this.painter.paint(mesh, place, crisp, this.#outside, this.box);
+    if (this.#played || this.source === "mesh") this.painter.paint(mesh, place, { crisp, outside: this.#outside, holes: this.#holes, box: this.box });
     else if (this.source === "frame") this.#drawFrame(place);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();

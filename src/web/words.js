@@ -136,6 +136,18 @@ export const FILTER = {
   bicubic: "Sharper than bilinear, slower.",
 };
 
+/** Texts about the region. */
+export const REGION = {
+  none: "The whole picture moves. Draw around what may move with Lasso, or paint over it with Brush: everything else then stays as it is.",
+  some: "Only the region moves, as it is at rest. Everything else stays as it is.",
+  needs: (name) => `The command needs the file ${name}`,
+};
+
+export const HOLES = {
+  keep: "Where the region has moved away, the picture stays visible.",
+  transparent: "Where the region has moved away, the result is transparent.",
+};
+
 export const PLAY = { noWebgl: "Playing needs WebGL, which this browser does not have." };
 
 export function focusWords(alpha) {
@@ -152,11 +164,13 @@ export function foldWords(n) {
 
 /** Texts of the export dialog. */
 export const EXPORT = {
-  names: { png: "PNG", jpeg: "JPEG", webp: "WebP" },
+  cancelled: "Cancelled",
+  names: { png: "PNG", jpeg: "JPEG", webp: "WebP", animation: "animation" },
   formats: {
     png: "Lossless, with transparency.",
     jpeg: "Small files for photographs; not lossless, without transparency.",
     webp: "Lossless, with transparency; often smaller than PNG.",
+    animation: "The way from rest to the pose, as one file.",
   },
   compressions: {
     fast: "Quick to prepare.",
@@ -169,6 +183,15 @@ export const EXPORT = {
     reflect: "JPEG has no transparency: transparent pixels become white.",
     colour: "JPEG has no transparency: transparent pixels get the colour chosen for the outside.",
   },
+};
+
+/** Texts of the export as an animation. */
+export const ANIMATION = {
+  notes: {
+    apng: (back) => `${back ? "The frames of the way back are added. " : ""}Browsers show an animated PNG like a picture.`,
+    zip: (back) => `${back ? "The frames of the way back are added. " : ""}Each frame is a PNG.`,
+  },
+  session: (seconds) => `It works until ${seconds < 60 ? count(seconds, "second") : count(Math.round(seconds / 60), "minute")} after the last request`,
 };
 
 export const WARNINGS = {
@@ -194,6 +217,8 @@ export const HINTS = {
   one: { mouse: "One handle moves everything. Click to pin the parts that should stay", touch: "One handle moves everything. Tap to pin the parts that should stay" },
   line: { mouse: "Drag a line, or click its two ends", touch: "Drag a line, or tap its two ends" },
   path: { mouse: "Click the points of the path; double-click the last one", touch: "Tap the points of the path, then Finish" },
+  lasso: { mouse: "Draw around what may move, or click its corners", touch: "Draw around what may move, or tap its corners" },
+  brush: { mouse: "Paint over what may move", touch: "Paint over what may move" },
   move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
 

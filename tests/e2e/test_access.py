@@ -83,6 +83,22 @@ def exporting(visit):
     assert visit.page.locator("#export-problem").is_visible()
 
 
+def animating(visit):
+    visit.sample("rocket")
+    visit.page.click("#export-open")
+    visit.page.click("label:has(#export-animation)")
+    visit.page.fill("#export-frames", "1")
+    assert visit.page.locator("#export-problem").is_visible()
+
+
+def outlining(visit):
+    visit.sample("rocket")
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((100, 60), (200, 60), (200, 200), (100, 200))
+    visit.page.click("label:has(#tool-brush)")
+    visit.body("[data-region='1']").ready()
+
+
 def waiting(visit):
     file = b'{"p": [[1, 2]]}'
     visit.page.set_input_files("#file", {"name": "one.json", "mimeType": "application/json", "buffer": file})
@@ -96,7 +112,7 @@ def help(visit):
     visit.page.click("#help-open")
 
 
-STATES = [empty, ready, selected, folding, refused, comparing, drawing, exporting, waiting, help]
+STATES = [empty, ready, selected, folding, refused, comparing, drawing, outlining, exporting, animating, waiting, help]
 
 
 @pytest.mark.parametrize("state, theme", crossed(STATES, THEMES))
@@ -107,7 +123,7 @@ def test_axe_finds_nothing_serious(visits, state, theme):
     assert not faults(visit)
 
 
-@pytest.mark.parametrize("state, theme", crossed([empty, ready, exporting, waiting], THEMES))
+@pytest.mark.parametrize("state, theme", crossed([empty, ready, outlining, exporting, animating, waiting], THEMES))
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
     state(visit)
@@ -142,7 +158,7 @@ SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=fil
   .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
 
 
-@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, exporting, waiting])
+@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting])
 def test_targets_are_large_enough_for_a_mouse(visit, state):
     state(visit)
     assert visit.page.evaluate(SMALL, 24) == []
@@ -159,10 +175,12 @@ def test_targets_are_large_enough_for_a_finger(visits):
     # Handles are taken from 22 px around (test_touch.py); everything else is a target of its own.
     small = [line for line in visit.page.evaluate(SMALL, 44) if not line.startswith("handle-")]
     assert small == []
+    visit.page.tap("label:has(#tool-brush)")
+    assert visit.page.evaluate(SMALL, 44) == []
 
 
 @pytest.mark.parametrize("width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})])
-@pytest.mark.parametrize("state", [empty, ready, exporting, waiting])
+@pytest.mark.parametrize("state", [empty, ready, outlining, exporting, animating, waiting])
 def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     visit = visits(viewport={"width": width, "height": 700}, **more)
     state(visit)

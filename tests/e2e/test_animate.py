@@ -1,8 +1,14 @@
 """Playing between rest and pose, in the browser alone, and the export as an animation."""
 
+import io
+import re
+import zipfile
+
 import pytest
+from PIL import Image, ImageSequence
 
 from support import BLUE, GREEN, RED, Fingers, near
+from test_output import run
 
 MOVING = {"reduced_motion": "no-preference"}
 GOAL = (140, 130)
@@ -142,3 +148,134 @@ def test_without_webgl_it_says_why_not(visits, picture):
     visit.click(*RED)
     visit.ready()
     assert visit.page.locator("#play").is_disabled() and "WebGL" in visit.text("play-note")
+
+
+# Export
+
+
+def choose(visit, **settings):
+    """Opens the dialog and chooses an animation."""
+    visit.page.click("#export-open")
+    visit.page.click("label:has(#export-animation)")
+    for name, value in settings.items():
+        if name == "frames":
+            visit.page.fill("#export-frames", str(value))
+        elif name == "back":
+            visit.page.locator("#export-back").set_checked(value)
+        else:
+            visit.page.select_option(f"#export-{name}", value)
+
+
+def pixels(png):
+    return Image.open(io.BytesIO(png)).convert("RGBA").tobytes()
+
+
+def at_strength(visit, t):
+    q = visit.warp()["q"]
+    answer = visit.server.ask("POST", f"/sessions/{visit['session']}/warp", {"q": q, "strength": t})
+    assert answer.status == 200, answer.body
+    return pixels(answer.body)
+
+
+@pytest.mark.parametrize("back, shares", [(False, [0, 7 / 27, 20 / 27, 1]), (True, [0, 7 / 27, 20 / 27, 1, 20 / 27, 7 / 27])])
+@pytest.mark.parametrize("file", ["apng", "zip"])
+def test_the_export_has_every_frame(visits, picture, back, shares, file, tmp_path):
+    visit = bend(visits(), picture)
+    choose(visit, file=file, frames=4, easing="ease-in-out", back=back)
+    assert visit.text("export-result") == f"{len(shares)} frames, 400 × 300 px"
+    name, exported = visit.saved("export-save")
+    assert not visit.page.locator("#export").is_visible()
+    if file == "apng":
+        assert name == "discs-warped.apng"
+        animation = Image.open(io.BytesIO(exported))
+        assert animation.n_frames == len(shares)
+        frames = [frame.convert("RGBA").tobytes() for frame in ImageSequence.Iterator(animation)]
+    else:
+        assert name == "discs-frames.zip"
+        archive = zipfile.ZipFile(io.BytesIO(exported))
+        frames = [pixels(archive.read(entry)) for entry in sorted(archive.namelist()) if entry.endswith(".png")]
+    # The first one is the picture, one is the pose, and the others lie between them.
+    assert frames[0] == Image.open(picture).convert("RGBA").tobytes()
+    assert frames[3] == pixels(visit.saved("download")[1])
+    assert frames == [at_strength(visit, t) for t in shares]
+    # The command gives the same bytes; the choices are remembered.
+    visit.page.click("#export-open")
+    assert visit.text("export-result") == f"{len(shares)} frames, 400 × 300 px"
+    visit.page.click("#export-curl")
+    visit.page.wait_for_selector("#export-said:text-matches('after the last request')")
+    run(visit.page.evaluate("navigator.clipboard.readText()"), tmp_path)
+    assert (tmp_path / name).read_bytes() == exported
+
+
+def test_twists_turn_in_the_frames(visits, picture):
+    """A twisted pin turns by a share of its angle, as the strength does it."""
+    visit = bend(visits(), picture)
+    visit.page.fill("#twist-2", "90")
+    visit.page.keyboard.press("Enter")
+    visit.ready()
+    choose(visit, file="apng", frames=3, easing="linear", back=False)
+    frames = ImageSequence.all_frames(Image.open(io.BytesIO(visit.saved("export-save")[1])))
+    visit.page.locator("#strength").fill("0.5")
+    visit.ready()
+    assert len(frames) == 3 and frames[1].convert("RGBA").tobytes() == pixels(visit.saved("download")[1])
+
+
+def slow(visit, frames=2000):
+    """An animation that takes longer than the test."""
+    choose(visit, file="apng", frames=frames, easing="linear", back=False)
+    visit.page.click("#export-save")
+    visit.page.wait_for_selector("#export-progress-text:text-matches('^([2-9]|[0-9]{2,}) of ')")
+    assert visit.page.locator("#export-progress").get_attribute("max") == str(frames)
+    assert re.fullmatch(rf"\d+ of {frames} frames, [\d.]+ [KM]iB", visit.text("export-progress-text"))
+
+
+def made(visit):
+    """The number of frames that the server has made."""
+    return int(re.search(rb"^\w*batch_frames\w* (\d+)", visit.server.ask("GET", "/metrics").body, re.MULTILINE)[1])
+
+
+def cancels_by_button(visit):
+    visit.page.click("#export-cancel")
+
+
+def cancels_by_closing(visit):
+    visit.keys("Escape")
+    visit.page.click("#export-open")
+
+
+@pytest.mark.parametrize("cancels", [cancels_by_button, cancels_by_closing])
+def test_cancelling_stops_it(visits, picture, cancels):
+    visit = bend(visits(), picture)
+    saved = []
+    visit.page.on("download", lambda download: saved.append(download))
+    before = made(visit)
+    slow(visit)
+    cancels(visit)
+    visit.page.wait_for_selector("#export-progress-row", state="hidden")
+    assert not visit.page.locator("#export-save").is_disabled() and not visit.page.locator("#export-problem").is_visible()
+    # The server stops too.
+    last = None
+    while last != (last := made(visit)):
+        visit.page.wait_for_timeout(500)
+    assert 2 <= last - before < 2000
+    choose_again(visit, 3)
+    with visit.page.expect_download():
+        visit.page.click("#export-save")
+    assert len(saved) == 1
+
+
+def choose_again(visit, frames):
+    visit.page.fill("#export-frames", str(frames))
+    assert visit.text("export-result").startswith(f"{frames} frames")
+
+
+def test_a_number_of_frames_that_the_server_would_reject_is_not_sent(visits, picture):
+    visit = bend(visits(), picture)
+    asked = []
+    choose(visit, back=False)
+    visit.page.on("request", lambda request: asked.append(request.url))
+    for number, most in (("1", 10000), ("", 10000), ("10001", 10000)):
+        visit.page.fill("#export-frames", number)
+        assert visit.text("export-problem") == f"Enter 2 to {most} frames."
+        visit.page.click("#export-save")
+    assert not asked and visit.page.locator("#export").is_visible()

@@ -34,6 +34,23 @@ def export(visit):
     visit.page.wait_for_selector("#export-result:text-matches('iB$')")
 
 
+def region(visit):
+    visit.sample("portrait")
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((180, 60), (150, 110), (170, 190), (200, 230), (260, 220), (300, 150), (300, 70), (240, 15))
+    visit.page.locator("#feather").fill("20")
+    visit.page.click("label:has(#tool-brush)")
+    visit.press((400, 60), (410, 300), steps=12)
+    visit.page.wait_for_selector("#brush-at")
+    visit.page.locator("#region-clear").scroll_into_view_if_needed()
+
+
+def animation(visit):
+    visit.sample("horse")
+    visit.page.click("#export-open")
+    visit.page.click("label:has(#export-animation)")
+
+
 def phone(visit):
     visit.sample("portrait")
 
@@ -50,6 +67,8 @@ PICTURES = {
     "portrait-mesh": (portrait_with_mesh, {"color_scheme": "light"}),
     "fold-warning": (fold_warning, {"color_scheme": "light"}),
     "export": (export, {"color_scheme": "dark"}),
+    "region": (region, {"color_scheme": "light"}),
+    "animation": (animation, {"color_scheme": "dark"}),
     "phone": (phone, {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 2, "has_touch": True, "is_mobile": True}),
     "dark": (dark, {"color_scheme": "dark"}),
 }

@@ -1,0 +1,124 @@
+// The export as an animation: its rows in the export dialog, the request, which is streamed, and its progress.
+
+import * as api from "./api.js";
+import { EASINGS, MOST_FRAMES, TIME } from "./animate.js";
+import { wire } from "./edits.js";
+import { posesOf } from "./strength.js";
+import { ANIMATION, bytes } from "./words.js";
+
+/** Media type, and what begins each frame in the file: the chunk with its place, or the header of its file. */
+const FILES = { apng: { media: "image/apng", mark: "fcTL" }, zip: { media: "application/zip", mark: "PK\x03\x04" } };
+/** The shortest display of a frame that browsers observe, ms. */
+const LEAST_DELAY = 20;
+
+const find = (id) => document.getElementById(`export-${id}`);
+
+/** The body of the request. `frames` is the number of those from rest to the pose; the way back has neither of these again. */
+function batchOf(document, { frames, easing, back, file }, output) {
+  const { at } = posesOf(document);
+  const delay = file === "apng" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};
+  const more = { ...delay, ...(Object.keys(output).length && { output }) };
+  const q = wire(at(1), "q");
+  const isTwisted = document.handles.some((handle) => handle.twist);
+  if (!back && !isTwisted) return { q, steps: frames, easing, ...more };
+  const there = Array.from({ length: frames }, (_, k) => EASINGS[easing](k / (frames - 1)));
+  const shares = back ? [...there, ...there.slice(1, -1).reverse()] : there;
+  // A twisted pin turns by a share of its angle; to the server it is a segment, whose ends would move along straight lines.
+  return { frames: shares.map((t) => (isTwisted ? { q: wire(at(t), "q") } : { strength: t, q })), ...more };
+}
+
+/** Counts a mark in the parts of a stream. */
+function counter(mark) {
+  const codes = Array.from(mark, (character) => character.charCodeAt(0));
+  let [count, matched] = [0, 0];
+  return (part) => {
+    for (const byte of part) {
+      matched = byte === codes[matched] ? matched + 1 : byte === codes[0] ? 1 : 0;
+      if (matched === codes.length) [count, matched] = [count + 1, 0];
+    }
+    return count;
+  };
+}
+
+export class AnimationExport {
+  /** `changed`: called after a change of a row; `cancel`: stops the download. */
+  constructor(store, sync, changed, cancel) {
+    Object.assign(this, { store, sync });
+    const set = (change) => {
+      store.do("animation", { change });
+      changed();
+    };
+    find("file").addEventListener("change", ({ target }) => set({ file: target.value }));
+    find("easing").addEventListener("change", ({ target }) => set({ easing: target.value }));
+    find("back").addEventListener("change", ({ target }) => set({ back: target.checked }));
+    find("frames").addEventListener("input", ({ target }) => (target.checkValidity() ? set({ frames: target.valueAsNumber }) : changed()));
+    find("cancel").addEventListener("click", cancel);
+  }
+
+  get #settings() {
+    return this.store.state.animation;
+  }
+
+  get file() {
+    return this.#settings.file;
+  }
+
+  /** The number of frames of the file. */
+  get count() {
+    const { frames, back } = this.#settings;
+    return back ? Math.max(2, 2 * frames - 2) : frames;
+  }
+
+  get most() {
+    return this.#settings.back ? MOST_FRAMES / 2 + 1 : MOST_FRAMES;
+  }
+
+  draw(isChosen) {
+    const { frames, easing, back, file } = this.#settings;
+    find("animation-rows").hidden = !isChosen;
+    find("file").value = file;
+    find("easing").value = easing;
+    find("back").checked = back;
+    find("frames").max = this.most;
+    if (document.activeElement !== find("frames")) find("frames").value = frames;
+    find("frames").setAttribute("aria-invalid", !find("frames").checkValidity());
+    find("frames-note").textContent = ANIMATION.notes[file](back);
+  }
+
+  body(output) {
+    return batchOf(this.store.state.document, this.#settings, output);
+  }
+
+  get media() {
+    return FILES[this.file].media;
+  }
+
+  /** The file, streamed; the rows show its progress. */
+  async fetch(output, signal) {
+    const { media, mark } = FILES[this.file];
+    this.#progress(0, this.count, 0);
+    find("progress-row").hidden = false;
+    find("save").disabled = true;
+    try {
+      const response = await this.sync.ask((id) => api.batch(id, this.body(output), media, signal));
+      const total = Number(response.headers.get("Warp-Frames")) || this.count;
+      const begun = counter(mark);
+      const parts = [];
+      let size = 0;
+      for await (const part of api.stream(response)) {
+        parts.push(part);
+        size += part.length;
+        this.#progress(Math.min(total, Math.max(0, begun(part) - 1)), total, size);
+      }
+      return new Blob(parts, { type: media });
+    } finally {
+      find("progress-row").hidden = true;
+      find("save").disabled = false;
+    }
+  }
+
+  #progress(value, max, size) {
+    Object.assign(find("progress"), { max, value });
+    find("progress-text").textContent = `${value} of ${max} frames, ${bytes(size)}`;
+  }
+}
