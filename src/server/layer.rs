@@ -43,6 +43,28 @@ impl fmt::Display for LayerName {
     }
 }
 
+/// What a request names instead of the session's picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LayerRef {
+    /// `@coverage`: how much of each pixel the posed picture covers.
+    Coverage,
+    /// A stored layer.
+    Stored(LayerName),
+}
+
+impl LayerRef {
+    /// The names of the built-in layers.
+    pub const BUILT_IN: [&'static str; 1] = ["@coverage"];
+
+    /// The layer of a name; `None` of a text that is no name.
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "@coverage" => Some(Self::Coverage),
+            _ => LayerName::parse(text).map(Self::Stored),
+        }
+    }
+}
+
 /// How the pixels of a layer are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum LayerKind {
@@ -65,6 +87,12 @@ mod tests {
         for bad in ["", "@coverage", "a b", "a/b", "é", "a\n", &"x".repeat(65)] {
             assert_eq!(LayerName::parse(bad), None, "{bad:?}");
         }
+        assert!(
+            LayerRef::BUILT_IN
+                .iter()
+                .all(|name| matches!(LayerRef::parse(name), Some(built_in) if built_in != LayerRef::Stored(LayerName::region())))
+        );
+        assert_eq!((LayerRef::parse("region"), LayerRef::parse("@region")), (Some(LayerRef::Stored(LayerName::region())), None));
         assert!(LayerName::region().is_region() && !LayerName::parse("Region").unwrap().is_region());
     }
 }

@@ -37,6 +37,7 @@ fn sample(name: &str) -> Value {
             })
         }
         "seq" => json!(3),
+        "layer" => json!("@coverage"),
         "strength" => json!(0.5),
         "extent" => json!([16, 12]),
         "points" => json!([[1, 1], [5, 6.5]]),

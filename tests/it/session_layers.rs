@@ -3,9 +3,11 @@
 use std::time::Duration;
 
 use image::{DynamicImage, GrayImage, RgbImage};
+use mlswarp_server::limits::memory::Purpose;
 use reqwest::{Response, StatusCode};
 use serde_json::{Value, json};
 
+use crate::support::counters::Counted as _;
 use crate::support::redis::Redis;
 use crate::support::server::{form, header, problem};
 use crate::support::{Server, photo};
@@ -184,10 +186,149 @@ async fn two_replicas_have_the_same_layers() {
     let layer = grey(16, 12, 5);
     assert_eq!(put(&a, &id, "x", layer.clone()).await.status(), 201);
     assert_eq!(stored(&b, &id, "x").await.as_deref(), Some(&layer[..]));
+    assert_eq!(drawn(&a, &id, "x", &json!({})).await, drawn(&b, &id, "x", &json!({})).await);
     assert_eq!(put(&b, &id, "x", grey(16, 12, 6)).await.status(), 200);
+    assert_eq!(drawn(&a, &id, "x", &json!({})).await, drawn(&b, &id, "x", &json!({})).await);
     assert_eq!(stored(&a, &id, "x").await, Some(grey(16, 12, 6)));
     assert_eq!(b.client.delete(b.url(&format!("/sessions/{id}/layers/x"))).send().await.unwrap().status(), 204);
     assert_eq!((stored(&a, &id, "x").await, layers(&a, &id).await), (None, Value::Null));
+}
+
+fn pose() -> Value {
+    json!([[6, 3], [12, 9], [3, 8], [12, 2]])
+}
+
+async fn drawn(server: &Server, id: &str, layer: &str, output: &Value) -> (String, Vec<u8>) {
+    let response = server.drag(id, &json!({"q": pose(), "layer": layer, "output": output})).await;
+    let status = response.status();
+    let etag = response.headers().get("etag").map(|etag| etag.to_str().unwrap().to_owned());
+    let bytes = response.bytes().await.unwrap().to_vec();
+    assert_eq!(status, 200, "{}", String::from_utf8_lossy(&bytes));
+    (etag.unwrap(), bytes)
+}
+
+/// A layer is drawn as if it were the picture of a session with the same handles.
+#[tokio::test]
+async fn a_layer_is_drawn_as_the_picture_would_be() {
+    let server = Server::start(&[]).await;
+    let (picture, other) = (photo(16, 12), grey(16, 12, 40));
+    let id = server.session(&picture, &rest()).await;
+    assert_eq!(put(&server, &id, "same", picture.clone()).await.status(), 201);
+    assert_eq!(put(&server, &id, "other", other.clone()).await.status(), 201);
+    let outputs = [
+        json!({}),
+        json!({"format": "jpeg"}),
+        json!({"width": 9}),
+        json!({"canvas": "fit", "outside": "edge"}),
+        json!({"filter": "nearest"}),
+    ];
+    for output in &outputs {
+        for (layer, file) in [("same", &picture), ("other", &other)] {
+            let mut warp = rest();
+            (warp["q"], warp["output"]) = (pose(), output.clone());
+            let once = server.upload("/warp", file, &warp).await;
+            let etag = header(&once, "etag").to_owned();
+            assert_eq!(drawn(&server, &id, layer, output).await, (etag, once.bytes().await.unwrap().to_vec()), "{layer} {output}");
+        }
+    }
+    let decoded = server.app.counters().images_decoded;
+    drawn(&server, &id, "other", &outputs[0]).await;
+    assert_eq!(server.app.counters().images_decoded, decoded, "it is cached");
+    // Without anything cached, from the store.
+    let warm = drawn(&server, &id, "other", &outputs[0]).await;
+    server.app.clear_caches();
+    assert_eq!(drawn(&server, &id, "other", &outputs[0]).await, warm);
+    // Another file under the same name is another picture.
+    assert_eq!(put(&server, &id, "other", grey(16, 12, 41)).await.status(), 200);
+    let replaced = drawn(&server, &id, "other", &outputs[0]).await;
+    assert!(replaced.0 != warm.0 && replaced.1 != warm.1);
+}
+
+#[tokio::test]
+async fn labels_are_not_mixed_and_coverage_is_of_the_pose() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    let mut labels = GrayImage::new(16, 12);
+    labels.enumerate_pixels_mut().for_each(|(x, y, label)| label.0 = [[3, 90, 200, 255][((x / 3 + y / 4) % 4) as usize]]);
+    let mut file = std::io::Cursor::new(Vec::new());
+    labels.write_to(&mut file, image::ImageFormat::Png).unwrap();
+    let path = server.url(&format!("/sessions/{id}/layers/parts?kind=labels"));
+    assert_eq!(server.client.put(path).body(file.into_inner()).send().await.unwrap().status(), 201);
+    for output in [json!({}), json!({"width": 40, "filter": "bicubic"}), json!({"format": "tiff", "canvas": "fit"})] {
+        let (_, bytes) = drawn(&server, &id, "parts", &output).await;
+        let image = image::load_from_memory(&bytes).unwrap();
+        assert_eq!(image.color(), image::ColorType::L8);
+        let found: std::collections::BTreeSet<u8> = image.to_luma8().pixels().map(|label| label.0[0]).collect();
+        assert!(found.is_subset(&[0, 3, 90, 200, 255].into()) && found.len() >= 4, "{output}: {found:?}");
+    }
+    server.app.clear_caches();
+    let jpeg = json!({"q": pose(), "layer": "parts", "output": {"format": "jpeg"}});
+    assert_eq!(problem(server.drag(&id, &jpeg).await, 422, "bad_value").await["pointer"], "/output/format");
+    // At rest everything is covered.
+    let still = server.drag(&id, &json!({"q": rest()["p"], "layer": "@coverage"})).await;
+    let still = image::load_from_memory(&still.bytes().await.unwrap()).unwrap();
+    assert_eq!(still.color(), image::ColorType::L8);
+    assert!(still.to_luma8().pixels().all(|pixel| pixel.0 == [255]));
+    let away = server.drag(&id, &json!({"q": [[14, 4], [22, 8], [13, 9], [23, 2]], "layer": "@coverage"})).await;
+    let away = image::load_from_memory(&away.bytes().await.unwrap()).unwrap().to_luma8();
+    assert!(away.pixels().any(|pixel| pixel.0 == [0]) && away.pixels().any(|pixel| pixel.0 == [255]));
+}
+
+#[tokio::test]
+async fn a_layer_that_is_not_there_is_not_drawn() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(16, 12), &rest()).await;
+    for (layer, status, code) in [
+        (json!("depth"), 404, "no_such_layer"),
+        (json!("@depth"), 422, "bad_value"),
+        (json!("a b"), 422, "bad_value"),
+        (json!(3), 422, "bad_value"),
+    ] {
+        let refused = problem(server.drag(&id, &json!({"q": pose(), "layer": layer})).await, status, code).await;
+        assert_eq!(refused["pointer"], "/layer", "{refused}");
+    }
+    let picture = server.drag(&id, &json!({"q": pose()})).await.bytes().await.unwrap();
+    assert_eq!(server.drag(&id, &json!({"q": pose(), "layer": null})).await.bytes().await.unwrap(), picture);
+}
+
+/// What was decoded for a layer is freed with the last session that has it.
+#[tokio::test]
+async fn memory_of_layers_is_counted_and_given_back() {
+    let server = Server::start(&[]).await;
+    let taken = || server.app.budget().taken_for(Purpose::Image);
+    let id = server.session(&photo(160, 120), &rest()).await;
+    let before = taken();
+    assert_eq!(put(&server, &id, "x", grey(160, 120, 1)).await.status(), 201);
+    let with_layer = taken();
+    assert!(with_layer > before);
+    assert_eq!(put(&server, &id, "x", grey(160, 120, 2)).await.status(), 200);
+    assert_eq!(taken(), with_layer, "the replaced one is not kept");
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{id}/layers/x"))).send().await.unwrap().status(), 204);
+    assert_eq!(taken(), before);
+    assert_eq!(put(&server, &id, "x", grey(160, 120, 1)).await.status(), 201);
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap().status(), 204);
+    assert_eq!(taken(), 0);
+}
+
+/// Clients that leave at some moment: the layer is whole or not there, and nothing stays reserved.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_leaves_leaves_no_half_of_a_layer() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(900, 700), &rest()).await;
+    let layer = grey(900, 700, 3);
+    for delay in [1, 3, 6, 10, 15, 25, 40, 70] {
+        let _ = tokio::time::timeout(Duration::from_millis(delay), put(&server, &id, "x", layer.clone())).await;
+        if layers(&server, &id).await["x"].is_object() {
+            assert_eq!(stored(&server, &id, "x").await.as_deref(), Some(&layer[..]));
+        }
+    }
+    let began = std::time::Instant::now();
+    while server.app.budget().taken_for(Purpose::Upload) > 0 {
+        assert!(began.elapsed() < Duration::from_secs(60), "its memory is given back");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert!(matches!(put(&server, &id, "x", layer.clone()).await.status().as_u16(), 200 | 201));
+    assert_eq!(stored(&server, &id, "x").await, Some(layer));
 }
 
 /// Requests for different layers at the same time: each is stored.

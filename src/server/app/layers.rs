@@ -8,14 +8,14 @@ use mlswarp::codec::{self, StepCounter};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Setup, WarpError};
 
-use super::App;
-use super::warp::{ATTEMPTS, MIN_WEIGHT, revision_key};
+use super::drawable::find_layer;
+use super::warp::{ATTEMPTS, revision_key};
+use super::{App, MIN_WEIGHT};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
 use crate::pool::{Cancel, QueueKey, WorkClass};
-use crate::problem::words::{list, quote};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record, Session, StoreError, StoredLayer};
@@ -114,12 +114,8 @@ impl App {
             Ok::<_, Problem>(Digest::of(&header))
         };
         let digest = self.0.pool.run(&ticket, open).await??;
-        match kind {
-            LayerKind::Image | LayerKind::Labels => {
-                let image = self.image(record.id.owner(), &ticket, digest, file).await?.value;
-                check_extent(image.extent(), expected)?;
-            }
-        }
+        let drawable = self.drawable(record.id.owner(), &ticket, kind, digest, file).await?;
+        check_extent(drawable.subject().extent(), expected)?;
         Ok(digest)
     }
 
@@ -151,16 +147,6 @@ impl App {
         }
         Ok(Some(session))
     }
-}
-
-/// The stored layer of that name.
-pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, StoredLayer), Problem> {
-    let found = LayerName::parse(name).and_then(|name| record.layers.get_key_value(&name).map(|(name, layer)| (name.clone(), *layer)));
-    found.ok_or_else(|| {
-        let names: Vec<&str> = record.layers.keys().map(LayerName::as_str).collect();
-        let stored = if names.is_empty() { "it has no layers".to_owned() } else { format!("its layers: {}", list(&names)) };
-        Problem::new(Code::NoSuchLayer, format!("the session has no stored layer {}; {stored}", quote(name)))
-    })
 }
 
 fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {

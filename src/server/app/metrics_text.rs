@@ -69,7 +69,12 @@ impl App {
         if let Some(bytes) = kib_field(&status, "VmRSS:") {
             registry.register_with_unit("memory_resident", "Resident memory of the process", Unit::Bytes, ConstGauge::new(bytes));
         }
-        let caches = [("images", self.0.images.usage()), ("plans", self.0.plans.usage()), ("setups", self.0.setups.usage())];
+        let caches = [
+            ("images", self.0.images.usage()),
+            ("labels", self.0.labels.usage()),
+            ("plans", self.0.plans.usage()),
+            ("setups", self.0.setups.usage()),
+        ];
         let each = |value: fn(&CacheStats) -> u64| caches.each_ref().map(|(name, usage)| ([("cache", *name)], value(usage)));
         registry.register_with_unit("cache_size", "Size of the cached values", Unit::Bytes, gauges(each(|usage| usage.bytes)));
         registry.register("cache_values", "Values that are cached", gauges(each(|usage| usage.values)));

@@ -5,6 +5,7 @@ pub mod batch;
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;
+mod drawable;
 mod fit;
 mod json_text;
 pub mod landmarks;
@@ -22,7 +23,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use mlswarp::warp::{Image, Plan, Setup};
+use mlswarp::warp::{Image, LabelImage, Plan, Setup};
 use thiserror::Error;
 
 use crate::app::sequence::Sequencer;
@@ -42,12 +43,16 @@ use crate::store::{NotOpened, Store};
 use client_sessions::ClientSessions;
 use lifecycle::Lifecycle;
 
+/// The cache of label images has the memory of the cache of images divided by this.
+const LABEL_DIVISOR: u64 = 8;
 /// The cache of setups has the memory of the cache of plans divided by this.
 const SETUP_DIVISOR: u64 = 8;
 /// Memory for a small image, bytes; a server with less free memory is not ready.
 const MIN_FREE: u64 = 1 << 20;
 /// The unread responses of one client may use the memory divided by this.
 const UNREAD_DIVISOR: u64 = 4;
+/// The smallest weight of a cached value, bytes.
+const MIN_WEIGHT: u64 = 1024;
 /// Seconds after which a rejected request may be repeated.
 const RETRY: u32 = 1;
 
@@ -65,6 +70,7 @@ pub(crate) struct AppState {
     pub(crate) client_sessions: ClientSessions,
     pub(crate) pool: Pool,
     pub(crate) images: Cache<Image>,
+    pub(crate) labels: Cache<LabelImage>,
     pub(crate) plans: Cache<Plan>,
     pub(crate) setups: Cache<Arc<Setup>>,
     /// Caches nothing; simultaneous requests for one session's file share one read of the store.
@@ -125,6 +131,7 @@ impl App {
             client_sessions: ClientSessions::new(config.store.bounds(), of_client),
             pool: Pool::new(shape)?,
             images: Cache::new(work.image_cache_bytes),
+            labels: Cache::new(work.image_cache_bytes / LABEL_DIVISOR),
             plans: Cache::new(work.plan_cache_bytes),
             setups: Cache::new(work.plan_cache_bytes / SETUP_DIVISOR),
             files: Cache::new(0),
@@ -202,13 +209,14 @@ impl App {
 
     /// Whether there is an idle cache entry.
     fn has_idle_entry(&self) -> bool {
-        self.0.images.is_any_idle() || self.0.plans.is_any_idle() || self.0.setups.is_any_idle()
+        self.0.images.is_any_idle() || self.0.labels.is_any_idle() || self.0.plans.is_any_idle() || self.0.setups.is_any_idle()
     }
 
     /// Evicts an idle entry of the largest cache that has one. False if there is none.
     fn evict_idle(&self) -> bool {
-        let AppState { images, plans, setups, .. } = &*self.0;
-        let mut caches: [(u64, &dyn Fn() -> bool); 3] = [
+        let AppState { images, labels, plans, setups, .. } = &*self.0;
+        let mut caches: [(u64, &dyn Fn() -> bool); 4] = [
+            (labels.usage().bytes, &|| labels.evict_idle()),
             (images.usage().bytes, &|| images.evict_idle()),
             (plans.usage().bytes, &|| plans.evict_idle()),
             (setups.usage().bytes, &|| setups.evict_idle()),
@@ -227,9 +235,10 @@ impl App {
         self.0.tracer.as_ref()
     }
 
-    /// Evicts all images, plans and setups. Sessions stay.
+    /// Evicts all images, label images, plans and setups. Sessions stay.
     pub fn clear_caches(&self) {
         self.0.images.clear();
+        self.0.labels.clear();
         self.0.plans.clear();
         self.0.setups.clear();
     }
@@ -275,6 +284,11 @@ impl App {
             }
         });
     }
+}
+
+/// The task that built a cached value was aborted: the runtime is stopping.
+fn build_aborted() -> Problem {
+    PoolError::Panicked.into()
 }
 
 impl From<PoolError> for Problem {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::warp::{Digest, Setup};
 
-use super::App;
-use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, build_aborted, revision_key, setup_weight};
+use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, revision_key, setup_weight};
+use super::{App, build_aborted};
 use crate::cache::{CacheEntry, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
@@ -151,6 +151,7 @@ impl App {
         let is_unused = !self.0.store.names(owner, digest);
         if is_unused {
             self.0.images.remove(Key::new(owner, digest));
+            self.0.labels.remove(Key::new(owner, digest));
         }
         is_unused
     }
@@ -180,7 +181,6 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::app::warp::image_key;
     use crate::config::Config;
     use crate::problem::Code;
     use crate::store::{Answer, Figures, NamedFile, Store};
@@ -257,8 +257,10 @@ mod tests {
         let open = || app.create_session(client, Upload::new(file.clone(), r#"{"p": [[5, 5]]}"#));
         let (session, setup, _) = open().await.unwrap();
         // Somebody draws from them, and everything else is taken.
-        let _used =
-            (app.0.images.peek(image_key(&session.record)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap());
+        let _used = (
+            app.0.images.peek(Key::new(client.owner, session.record.image)).unwrap(),
+            app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap(),
+        );
         let budget = app.budget();
         let mut rest = vec![budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap()];
         // The first session's setup gives way.
@@ -285,7 +287,7 @@ mod tests {
         };
         let (session, ..) = open(3).await.unwrap();
         // The picture stays decoded.
-        let _used = app.0.images.peek(image_key(&session.record)).unwrap();
+        let _used = app.0.images.peek(Key::new(client.owner, session.record.image)).unwrap();
         let budget = app.budget();
         let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
         // 600 points have a system of 1.4 MB, 100 one of 40 kB.

@@ -8,15 +8,17 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Image, OutputSpec, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
+use super::drawable::{Drawable, Source};
 use super::json_text::json_unless;
 use super::sequence::SequencePosition;
-use super::warp::{ATTEMPTS, Source};
-use crate::cache::{CacheEntry, Key};
+use super::warp::ATTEMPTS;
+use crate::cache::Key;
 use crate::client::Client;
+use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::Purpose;
 use crate::observe::scope::{in_stage, stage};
@@ -96,14 +98,14 @@ impl App {
     /// Errors: Unknown session, superseded, wrong `q`, or too little capacity.
     pub async fn warp_session(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let request = self.sequence(id, drag.seq).await?;
-        let plan = self.admit_newest(client, Arc::clone(&request.record));
-        let (record, image, plan) = self.unless_superseded(&request, plan).await?;
+        let plan = self.admit_newest(client, Arc::clone(&request.record), drag.layer.as_ref());
+        let (record, drawable, plan) = self.unless_superseded(&request, plan).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
         let q = record.rest.posed_at(drag.strength, drag.q);
-        self.draw(ticket, DrawJob { image, planned, q, folds, output, preview: None, alpha: false, quota }).await
+        self.draw(ticket, DrawJob { drawable, planned, q, folds, output, preview: None, alpha: false, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
@@ -115,16 +117,17 @@ impl App {
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// The image and plan of a session. If the session was replaced while this waited, its old file is gone: then those of the current
+    /// The image and plan of a session, or a layer and its plan. If the session was replaced while this waited, its old file is gone: then those of the current
     /// session.
     pub(crate) async fn admit_newest(
         &self,
         client: Client,
         mut record: Arc<Record>,
-    ) -> Result<(Arc<Record>, Arc<CacheEntry<Image>>, AdmittedPlan), Problem> {
+        layer: Option<&LayerRef>,
+    ) -> Result<(Arc<Record>, Drawable, AdmittedPlan), Problem> {
         for _ in 0..ATTEMPTS {
-            match self.admit_drawing(client, &record).await {
-                Ok((image, plan)) => return Ok((record, image, plan)),
+            match self.admit_drawing(client, &record, layer).await {
+                Ok((drawable, plan)) => return Ok((record, drawable, plan)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
                     let newest = in_stage("store", self.0.store.peek(record.id)).await?.record;
                     if newest.revision == record.revision {
@@ -138,17 +141,22 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    async fn admit_drawing(&self, client: Client, record: &Arc<Record>) -> Result<(Arc<CacheEntry<Image>>, AdmittedPlan), Problem> {
+    async fn admit_drawing(
+        &self,
+        client: Client,
+        record: &Arc<Record>,
+        layer: Option<&LayerRef>,
+    ) -> Result<(Drawable, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
-        let source = self.session_source(client, record).await?;
-        let ticket = self.admit_step(client, record, &setup, matches!(source, Source::Image(_))).await?;
+        let source = self.source(client, record, layer).await?;
+        let ticket = self.admit_step(client, record, &setup, matches!(source, Source::Decoded(_))).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let image = self.session_image(&ticket, record, source).await?;
+        let drawable = self.decoded(record.id.owner(), &ticket, source).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
         let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
-        Ok((image, AdmittedPlan { ticket, planned }))
+        Ok((drawable, AdmittedPlan { ticket, planned }))
     }
 
     /// The plan of a session for a mesh.

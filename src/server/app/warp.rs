@@ -6,19 +6,20 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use bytes::Bytes;
-use mlswarp::codec::{self, CodecError, Format};
+use mlswarp::codec::Format;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, OutputSpec, Setup, WarpError};
+use mlswarp::warp::{Digest, Image, OutputSpec, Setup};
 
-use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
+use super::drawable::Drawable;
 use super::landmarks::HeldLandmarks;
+use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
 use crate::limits::memory::{Purpose, Reservation};
-use crate::observe::scope::{in_stage, stage};
+use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record};
@@ -27,8 +28,6 @@ use crate::wire::{WarpObject, WarpPatch, method_text};
 
 /// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
-/// The smallest weight of a cached value, bytes.
-pub(super) const MIN_WEIGHT: u64 = 1024;
 
 /// What a client has uploaded.
 #[derive(Debug)]
@@ -87,21 +86,6 @@ impl PreparedWarp {
     }
 }
 
-/// The source of a session: the decoded image, or the file where the cache has evicted the image.
-pub(crate) enum Source {
-    Image(Arc<CacheEntry<Image>>),
-    File(Arc<CacheEntry<Bytes>>),
-}
-
-/// A cached file as bytes.
-struct File(Arc<CacheEntry<Bytes>>);
-
-impl AsRef<[u8]> for File {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
 impl App {
     /// Chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
     /// pool.
@@ -125,7 +109,7 @@ impl App {
         let q = prepared.object.posed()?.to_vec();
         let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
         let job = DrawJob {
-            image: Arc::clone(&prepared.image),
+            drawable: Drawable::Image(Arc::clone(&prepared.image)),
             planned,
             q,
             folds,
@@ -205,63 +189,6 @@ impl App {
         Ok((PreparedWarp { file, digest, object, format, image, setup, held }, planned))
     }
 
-    /// The decoded image of a file, from the cache or decoded now.
-    pub(super) async fn image(
-        &self,
-        owner: Owner,
-        ticket: &Ticket,
-        digest: Digest,
-        file: impl AsRef<[u8]> + Send + 'static,
-    ) -> Result<Fetched<Image>, Problem> {
-        let (app, ticket, limits) = (self.clone(), ticket.clone(), self.0.config.limits().image);
-        let decode = async move {
-            let pool = app.0.pool.clone();
-            let decode = move |cancel: &Cancel| {
-                let is_cancelled = || cancel.is_cancelled();
-                let steps = codec::StepCounter::new(&is_cancelled);
-                let opened = codec::open(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
-                let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
-                let image = Image::decode_as(digest, &opened)?;
-                reservation.shrink_to(image.bytes());
-                Ok(CacheEntry::new(image, reservation))
-            };
-            match pool.run(&ticket, decode).await {
-                // Decoders may panic on a malicious file: then the file is at fault.
-                Err(PoolError::Panicked) => {
-                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "the decoder failed".to_owned() }).into())
-                }
-                Err(error) => Err(error.into()),
-                Ok(decoded) => decoded,
-            }
-        };
-        self.0.images.get(Key::new(owner, digest), decode, build_aborted).await
-    }
-
-    /// The source of a session. The store is read here, without a ticket, so that a slow store blocks no worker.
-    pub(crate) async fn session_source(&self, client: Client, record: &Arc<Record>) -> Result<Source, Problem> {
-        if let Some(image) = self.0.images.peek(image_key(record)) {
-            return Ok(Source::Image(image));
-        }
-        let (app, fetched) = (self.clone(), Arc::clone(record));
-        let fetch = async move {
-            let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, fetched.id)).await?;
-            let bytes = in_stage("store", app.0.store.file_bytes(fetched.id, fetched.image)).await?;
-            let mut reservation = app.reserve(Purpose::Image, bytes.max(MIN_WEIGHT))?;
-            let file = in_stage("store", app.0.store.file(fetched.id, fetched.image)).await?;
-            reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
-            Ok(CacheEntry::new(file, reservation))
-        };
-        Ok(Source::File(self.0.files.get(revision_key(record), fetch, build_aborted).await?.value))
-    }
-
-    /// The decoded image of a session's source.
-    pub(crate) async fn session_image(&self, ticket: &Ticket, record: &Record, source: Source) -> Result<Arc<CacheEntry<Image>>, Problem> {
-        match source {
-            Source::Image(image) => Ok(image),
-            Source::File(file) => Ok(self.image(record.id.owner(), ticket, record.image, File(file)).await?.value),
-        }
-    }
-
     /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
     pub(crate) async fn plan(&self, owner: Owner, ticket: &Ticket, setup: &Arc<Setup>, mut timing: Timing) -> Result<Planned, Problem> {
         let began = Instant::now();
@@ -289,11 +216,6 @@ fn in_part_warp(mut problem: Problem) -> Problem {
     problem
 }
 
-/// The task that built a cached value was aborted: the runtime is stopping.
-pub(crate) fn build_aborted() -> Problem {
-    PoolError::Panicked.into()
-}
-
 /// A resolved warp object, and the memory of its setup until that is cached or no longer needed.
 #[derive(Debug)]
 pub(crate) struct Resolved {
@@ -302,14 +224,9 @@ pub(crate) struct Resolved {
     pub(crate) held: Option<Reservation>,
 }
 
-/// The cache key of what belongs to one revision of a session: its setup, and the read of its file. Records never change.
+/// The cache key of what belongs to one revision of a session: its setup. Records never change.
 pub(crate) fn revision_key(record: &Record) -> Key {
     Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
-}
-
-/// The cache key of a session's image.
-pub(crate) fn image_key(record: &Record) -> Key {
-    Key::new(record.id.owner(), record.image)
 }
 
 /// The number of columns of a session's plan, which limits the size of its drags.

@@ -79,8 +79,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 8] = [
-    ("layer", "q"),
+const UNSUPPORTED: [(&str, &str); 7] = [
     ("layers", "frames"),
     ("region", "q"),
     ("holes", "q"),

@@ -28,6 +28,8 @@ mod write;
 #[cfg(test)]
 pub(crate) mod tests;
 
+use crate::layer::LayerRef;
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 pub use annotations::{Annotation, Annotations, MappedAnnotations};
 pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FramePosition, in_frame};
@@ -134,12 +136,14 @@ impl WarpObject {
     }
 }
 
-/// One step of a drag: `{"q", "strength"?, "seq"?, "output"?}`.
+/// One step of a drag: `{"q", "strength"?, "seq"?, "layer"?, "output"?}`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DragObject {
     pub(crate) q: Vec<Handle>,
     pub(crate) strength: f64,
     pub(crate) seq: Option<u64>,
+    /// What is drawn instead of the picture.
+    pub(crate) layer: Option<LayerRef>,
     /// Replaces fields of the session's output.
     pub(crate) output: OutputPatch,
 }
@@ -148,24 +152,38 @@ impl DragObject {
     /// Reads the object.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(&root, root.fields(&["q", "strength", "seq", "output"])?)
+        Self::read(&root, root.fields(&["q", "strength", "seq", "layer", "output"])?)
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
     pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
-        Self::read(&root, [q, strength, seq, None])
+        Self::read(&root, [q, strength, seq, None, None])
     }
 
-    fn read(root: &Node<'_, '_>, [q, strength_, seq, output]: [Option<Node<'_, '_>>; 4]) -> Result<Self, Problem> {
+    fn read(root: &Node<'_, '_>, [q, strength_, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {
         Ok(Self {
             q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
             strength: optional(strength_, strength)?.unwrap_or(1.0),
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
+            layer: optional(layer_, layer)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
         })
     }
+}
+
+/// Reads the name of a layer.
+fn layer(node: &Node<'_, '_>) -> Result<LayerRef, Problem> {
+    const EXPECTED: &str = "the name of a layer";
+    if node.kind() != json::Kind::String {
+        return Err(node.wrong_kind(EXPECTED));
+    }
+    let text = node.string(EXPECTED)?;
+    LayerRef::parse(&text).ok_or_else(|| {
+        let built_in = LayerRef::BUILT_IN.map(|name| format!("`{name}`")).join(", ");
+        node.unexpected(&format!("the name of a stored layer, or one of the built-in layers {built_in}"), format_args!("{}", quote(&text)))
+    })
 }
 
 /// `POST /points` (a whole warp object and `extent`) and `POST /sessions/{id}/points` (`q` alone).

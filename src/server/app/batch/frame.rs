@@ -6,12 +6,13 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, Image, OutputSpec, Plan, Setup};
+use mlswarp::warp::{CanvasSpec, Folds, OutputSpec, Plan, Setup};
 
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, check, pose_of};
 use crate::app::App;
 use crate::app::draw::{DrawJob, DrawnFile, Planned};
+use crate::app::drawable::Drawable;
 use crate::app::json_text::json_unless;
 use crate::cache::CacheEntry;
 use crate::client::Client;
@@ -31,7 +32,7 @@ pub(crate) struct BatchJob {
     pub(crate) client: Client,
     pub(crate) quota: ClientQuota,
     pub(crate) record: Arc<Record>,
-    pub(crate) image: Arc<CacheEntry<Image>>,
+    pub(crate) drawable: Drawable,
     pub(crate) setup: Arc<Setup>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) poses: BatchPoses,
@@ -66,8 +67,8 @@ impl BatchJob {
 
     fn draw_job(&self, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
-        let (image, quota) = (Arc::clone(&self.image), self.quota.clone());
-        DrawJob { image, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
+        let (drawable, quota) = (self.drawable.clone(), self.quota.clone());
+        DrawJob { drawable, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
     }
 
     /// Adds the number of a frame to the pointer of a problem, if the frame has a pose of its own.
@@ -103,7 +104,7 @@ impl BatchJob {
         }
         if let Some(canvas) = canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
             self.output.canvas = CanvasSpec::Box(canvas);
-            self.output.check(self.image.extent(), &self.app.config().limits())?;
+            self.output.check(self.drawable.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
             self.alpha |= needs_alpha && !has_one_canvas;
         }
@@ -117,7 +118,7 @@ impl BatchJob {
             Outside::Colour([.., alpha]) => alpha == u8::MAX,
             Outside::Edge | Outside::Reflect => true,
         };
-        !is_opaque && !self.image.has_alpha() && self.output.format != Format::Jpeg
+        !is_opaque && self.drawable.may_gain_alpha() && self.output.format != Format::Jpeg
     }
 
     /// Draws a frame and maps its annotations.

@@ -308,9 +308,9 @@ fn numbers_of_the_wrong_kind_are_bad_values() {
 fn drag_reads_its_fields() {
     let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
-    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], strength: 1.0, seq: Some((1 << 53) + 1), output });
+    assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], strength: 1.0, seq: Some((1 << 53) + 1), layer: None, output });
     let drag = DragObject::parse(b"{\"q\": []}").unwrap();
-    assert_eq!(drag, DragObject { q: vec![], strength: 1.0, seq: None, output: OutputPatch::default() });
+    assert_eq!(drag, DragObject { q: vec![], strength: 1.0, seq: None, layer: None, output: OutputPatch::default() });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
         assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
     }

@@ -1,0 +1,188 @@
+//! What is drawn: the picture of a session, one of its layers, or what a plan covers. Files are fetched from the store and decoded where
+//! they are not cached.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mlswarp::codec::{self, CodecError, StepCounter};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Digest, Image, LabelImage, Subject, WarpError};
+
+use super::{App, MIN_WEIGHT, build_aborted};
+use crate::cache::{CacheEntry, Fetched, Key};
+use crate::client::{Client, Owner};
+use crate::layer::{LayerKind, LayerName, LayerRef};
+use crate::limits::memory::Purpose;
+use crate::observe::scope::in_stage;
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::problem::words::{list, quote};
+use crate::problem::{Code, Problem};
+use crate::store::{Record, StoredLayer};
+
+/// What a request draws.
+#[derive(Clone, Debug)]
+pub(crate) enum Drawable {
+    /// A picture, or a layer of that kind.
+    Image(Arc<CacheEntry<Image>>),
+    /// A layer of labels.
+    Labels(Arc<CacheEntry<LabelImage>>),
+    /// How much of each pixel the posed picture of this size covers.
+    Coverage(Extent),
+}
+
+impl Drawable {
+    /// What the engine draws.
+    pub(crate) fn subject(&self) -> Subject<'_> {
+        match self {
+            Self::Image(image) => Subject::Image(image),
+            Self::Labels(labels) => Subject::Labels(labels),
+            Self::Coverage(extent) => Subject::Coverage(*extent),
+        }
+    }
+
+    /// Whether alpha is added where the posed picture does not cover the canvas.
+    pub(crate) fn may_gain_alpha(&self) -> bool {
+        matches!(self, Self::Image(image) if !image.has_alpha())
+    }
+}
+
+/// What a request draws, or its file where the cache has evicted it.
+pub(crate) enum Source {
+    Decoded(Drawable),
+    File { kind: LayerKind, digest: Digest, file: Arc<CacheEntry<Bytes>> },
+}
+
+/// A cached file as bytes.
+struct CachedFile(Arc<CacheEntry<Bytes>>);
+
+impl AsRef<[u8]> for CachedFile {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl App {
+    /// The source of a session's picture, or of a layer. The store is read here, without a ticket, so that a slow store blocks no worker.
+    /// Errors: There is no such layer; too little capacity.
+    pub(crate) async fn source(&self, client: Client, record: &Arc<Record>, layer: Option<&LayerRef>) -> Result<Source, Problem> {
+        let (kind, digest) = match layer {
+            None => (LayerKind::Image, record.image),
+            Some(LayerRef::Coverage) => return Ok(Source::Decoded(Drawable::Coverage(record.extent))),
+            Some(LayerRef::Stored(name)) => {
+                let (_, layer) = find_layer(record, name.as_str()).map_err(|problem| problem.pointer("/layer"))?;
+                (layer.kind, layer.digest)
+            }
+        };
+        let key = Key::new(record.id.owner(), digest);
+        let cached = match kind {
+            LayerKind::Image => self.0.images.peek(key).map(Drawable::Image),
+            LayerKind::Labels => self.0.labels.peek(key).map(Drawable::Labels),
+        };
+        if let Some(drawable) = cached {
+            return Ok(Source::Decoded(drawable));
+        }
+        Ok(Source::File { kind, digest, file: self.session_file(client, record, digest).await? })
+    }
+
+    /// A file of a session.
+    async fn session_file(&self, client: Client, record: &Record, digest: Digest) -> Result<Arc<CacheEntry<Bytes>>, Problem> {
+        let (app, id) = (self.clone(), record.id);
+        let fetch = async move {
+            let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
+            let bytes = in_stage("store", app.0.store.file_bytes(id, digest)).await?;
+            let mut reservation = app.reserve(Purpose::Image, bytes.max(MIN_WEIGHT))?;
+            let file = in_stage("store", app.0.store.file(id, digest)).await?;
+            reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
+            Ok(CacheEntry::new(file, reservation))
+        };
+        let key = Key::new(id.owner(), Digest::of(&[&id.to_bytes()[..], &digest.0].concat()));
+        Ok(self.0.files.get(key, fetch, build_aborted).await?.value)
+    }
+
+    /// Decodes a source if that has not been done.
+    pub(crate) async fn decoded(&self, owner: Owner, ticket: &Ticket, source: Source) -> Result<Drawable, Problem> {
+        match source {
+            Source::Decoded(drawable) => Ok(drawable),
+            Source::File { kind, digest, file } => self.drawable(owner, ticket, kind, digest, CachedFile(file)).await,
+        }
+    }
+
+    /// The decoded file of a picture or layer, from the cache or decoded now.
+    pub(super) async fn drawable(
+        &self,
+        owner: Owner,
+        ticket: &Ticket,
+        kind: LayerKind,
+        digest: Digest,
+        file: impl AsRef<[u8]> + Send + 'static,
+    ) -> Result<Drawable, Problem> {
+        match kind {
+            LayerKind::Image => Ok(Drawable::Image(self.image(owner, ticket, digest, file).await?.value)),
+            LayerKind::Labels => {
+                let limits = self.0.config.limits().image;
+                let decode = move |app: &Self, cancel: &Cancel| {
+                    let is_cancelled = || cancel.is_cancelled();
+                    let steps = StepCounter::new(&is_cancelled);
+                    let opened = codec::open_labels(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
+                    let mut reservation = app.reserve(Purpose::Image, LabelImage::peak_bytes(&opened))?;
+                    let labels = LabelImage::decode_as(digest, &opened)?;
+                    reservation.shrink_to(labels.bytes());
+                    Ok(CacheEntry::new(labels, reservation))
+                };
+                let build = self.decoding(ticket, decode);
+                Ok(Drawable::Labels(self.0.labels.get(Key::new(owner, digest), build, build_aborted).await?.value))
+            }
+        }
+    }
+
+    /// The decoded image of a file, from the cache or decoded now.
+    pub(super) async fn image(
+        &self,
+        owner: Owner,
+        ticket: &Ticket,
+        digest: Digest,
+        file: impl AsRef<[u8]> + Send + 'static,
+    ) -> Result<Fetched<Image>, Problem> {
+        let limits = self.0.config.limits().image;
+        let decode = move |app: &Self, cancel: &Cancel| {
+            let is_cancelled = || cancel.is_cancelled();
+            let steps = StepCounter::new(&is_cancelled);
+            let opened = codec::open(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
+            let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
+            let image = Image::decode_as(digest, &opened)?;
+            reservation.shrink_to(image.bytes());
+            Ok(CacheEntry::new(image, reservation))
+        };
+        self.0.images.get(Key::new(owner, digest), self.decoding(ticket, decode), build_aborted).await
+    }
+
+    /// Runs a decoder on the pool.
+    fn decoding<T, F>(&self, ticket: &Ticket, decode: F) -> impl Future<Output = Result<T, Problem>> + Send + use<T, F>
+    where
+        T: Send + 'static,
+        F: FnOnce(&Self, &Cancel) -> Result<T, Problem> + Send + 'static,
+    {
+        let (app, ticket) = (self.clone(), ticket.clone());
+        async move {
+            let pool = app.0.pool.clone();
+            match pool.run(&ticket, move |cancel: &Cancel| decode(&app, cancel)).await {
+                // Decoders may panic on a malicious file: then the file is at fault.
+                Err(PoolError::Panicked) => {
+                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "the decoder failed".to_owned() }).into())
+                }
+                Err(error) => Err(error.into()),
+                Ok(decoded) => decoded,
+            }
+        }
+    }
+}
+
+/// The stored layer of that name.
+pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, StoredLayer), Problem> {
+    let found = LayerName::parse(name).and_then(|name| record.layers.get_key_value(&name).map(|(name, layer)| (name.clone(), *layer)));
+    found.ok_or_else(|| {
+        let names: Vec<&str> = record.layers.keys().map(LayerName::as_str).collect();
+        let stored = if names.is_empty() { "it has no layers".to_owned() } else { format!("its layers: {}", list(&names)) };
+        Problem::new(Code::NoSuchLayer, format!("the session has no stored layer {}; {stored}", quote(name)))
+    })
+}
