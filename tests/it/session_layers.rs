@@ -322,13 +322,14 @@ async fn a_client_that_leaves_leaves_no_half_of_a_layer() {
             assert_eq!(stored(&server, &id, "x").await.as_deref(), Some(&layer[..]));
         }
     }
+    assert!(matches!(put(&server, &id, "x", layer.clone()).await.status().as_u16(), 200 | 201));
+    assert_eq!(stored(&server, &id, "x").await, Some(layer));
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap().status(), 204);
     let began = std::time::Instant::now();
     while server.app.budget().taken_for(Purpose::Upload) > 0 {
         assert!(began.elapsed() < Duration::from_secs(60), "its memory is given back");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    assert!(matches!(put(&server, &id, "x", layer.clone()).await.status().as_u16(), 200 | 201));
-    assert_eq!(stored(&server, &id, "x").await, Some(layer));
 }
 
 /// Requests for different layers at the same time: each is stored.

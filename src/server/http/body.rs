@@ -179,6 +179,22 @@ pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, wh
 
 /// Reads a body of any type, of at most `limit` bytes.
 pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+    Ok(buffered(caller, request, purpose, what, limit).await?.finish())
+}
+
+/// Reads a file for a session to keep.
+pub(crate) async fn file(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
+    let limit = caller.app.config().max_body_bytes;
+    Ok(buffered(caller, request, Purpose::Upload, "body_bytes", limit).await?.finish_exact())
+}
+
+async fn buffered<'a>(
+    caller: &'a Caller,
+    request: Request,
+    purpose: Purpose,
+    what: &'static str,
+    limit: u64,
+) -> Result<BodyBuffer<'a>, Problem> {
     if let Some(length) = content_length(request.headers()).filter(|length| *length > limit) {
         return Err(too_large(what, limit, length));
     }
@@ -189,5 +205,5 @@ pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, wha
             buffer.push(&data, what, limit)?;
         }
     }
-    Ok(buffer.finish())
+    Ok(buffer)
 }

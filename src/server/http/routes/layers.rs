@@ -11,7 +11,6 @@ use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::layer::{LayerKind, LayerName};
-use crate::limits::memory::Purpose;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::EnumName as _;
@@ -27,7 +26,7 @@ pub(crate) async fn put(caller: Caller, Path((id, name)): Path<(String, String)>
     if name.is_region() && kind != LayerKind::Image {
         return Err(bad_query_value("kind", kind.as_str(), "`image` for the layer `region`, which is a mask"));
     }
-    let file = body::raw(&caller, request, Purpose::Upload, "body_bytes", app.config().max_body_bytes).await?;
+    let file = body::file(&caller, request).await?;
     let put = app.put_layer(*client, id, &name, kind, file).await?;
     let object = reserved_object(&caller, &put.session, &put.setup)?;
     Ok((if put.is_new { StatusCode::CREATED } else { StatusCode::OK }, object).into_response())
