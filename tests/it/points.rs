@@ -154,7 +154,7 @@ async fn every_kind_is_returned_under_its_name_in_the_order_of_the_request() {
   {{"type":"Feature","id":9007199254740993,"bbox":[0,0,1,1],"geometry":{point_at_rest},"properties":{{"z":1.50,"a":null}}}},
   {{"type": "Feature", "geometry": null, "properties": {{}}}},
   {{"type": "Feature", "geometry": {{"type": "GeometryCollection", "geometries": [
-    {{"type": "MultiPoint", "coordinates": [[1, 1], [2, 2]]}},
+    {{"type": "MultiPoint", "bbox": [1, 1, 2, 2], "coordinates": [[1, 1], [2, 2]]}},
     {{"type": "Polygon", "coordinates": [[[0, 0], [4, 0], [0, 4], [0, 0]]]}}]}}, "properties": {{}}}}
 ] }}, "polygons": [[[0, 0], [4, 0], [0, 4]]], "points": [[7, 8]]}}"#
     );
@@ -205,6 +205,21 @@ async fn outlines_are_refined_and_what_has_no_source_is_null() {
     assert!(far["points"][1].is_null() && far["polygons"][0].is_null() && far["boxes"][0].is_null(), "{far}");
 }
 
+/// The inverse is that of f, whatever grid the picture is drawn with.
+#[tokio::test]
+async fn the_grid_does_not_limit_what_has_an_inverse() {
+    let server = Server::start(&[]).await;
+    let warp = json!({"p": [[40, 60], [120, 60], [80, 20]], "q": [[46, 56], [117, 69], [90, 35]], "extent": [160, 120]});
+    let rest = json!([[80, 30], [2, 1], [158, 60], [60, 119], [90, 5]]);
+    let there = mapped(&server, &with(&warp, json!({"points": rest}))).await;
+    for grid in [json!({"columns": 2, "rows": 2}), json!({"cell": 100}), json!("pixel"), json!("auto")] {
+        let back = mapped(&server, &with(&warp, json!({"points": there["points"], "inverse": true, "grid": grid}))).await;
+        for (back, rest) in places(&back["points"]).into_iter().zip(places(&rest)) {
+            assert!(back.is_some_and(|back| back.distance(rest.unwrap()) < 1e-6), "{grid}: {back:?} {rest:?}");
+        }
+    }
+}
+
 #[tokio::test]
 async fn a_session_maps_as_the_request_without_one_and_units_are_its_own() {
     let server = Server::start(&[]).await;
@@ -237,6 +252,10 @@ async fn annotations_that_cannot_be_mapped_are_named() {
     told(json!({"boxes": [[0, 0, 1, 1], [0, 0, 2e6, 1]]}), 422, "bad_value", "/boxes/1", "1000000").await;
     told(json!({"boxes": [[50, 50, 20, 20]]}), 422, "bad_value", "/boxes/0", "[left, top, right, bottom]").await;
     told(feature(json!({"type": "Point", "coordinates": [3e6, 0]})), 422, "bad_value", "/geojson/features/1/geometry", "1000000").await;
+    let out_of_range = r#"{"p": [], "extent": [9, 9], "geojson": {"type": "FeatureCollection", "features": [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": [1, 1e999]}}]}}"#;
+    let response = server.post("/points").header("content-type", "application/json").body(out_of_range).send().await.unwrap();
+    assert_eq!(problem(response, 422, "not_finite").await["pointer"], "/geojson/features/0/geometry");
     told(feature(json!({"type": "Point", "coordinates": [1, 2, 3]})), 422, "bad_value", "/geojson/features/1/geometry", "3 numbers").await;
     told(feature(json!({"type": "Circle", "coordinates": [1, 2]})), 422, "bad_value", "/geojson/features/1/geometry", "Circle").await;
     told(json!({"geojson": {"type": "Feature", "geometry": null}}), 422, "bad_value", "/geojson/type", "FeatureCollection").await;

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use image::codecs::bmp::BmpDecoder;
+use image::error::UnsupportedErrorKind;
 use image::{ColorType, ImageDecoder as _, ImageError};
 
 use super::alloc::{room, sample_count, zeros};
@@ -22,7 +23,10 @@ pub(super) struct BmpFile<'a> {
 
 fn refused(error: ImageError) -> CodecError {
     match error {
-        ImageError::Unsupported(kind) => CodecError::unsupported(format!("a BMP of another kind: {kind}")),
+        ImageError::Unsupported(error) => match error.kind() {
+            UnsupportedErrorKind::GenericFeature(feature) => CodecError::unsupported(format!("a BMP of another kind: {feature}")),
+            _ => CodecError::unsupported(format!("a BMP of another kind: {error}")),
+        },
         error => CodecError::bad(SourceFormat::Bmp.name(), error),
     }
 }

@@ -51,6 +51,7 @@ impl<'a> GifFile<'a> {
         let (width, height) = (short(screen[6], screen[7]), short(screen[8], screen[9]));
         let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let (mut frames, mut transparency, mut covered) = (0_u64, false, false);
+        let mut next_is_transparent = false;
         let mut at = 13 + table(screen[10]);
         loop {
             match *bytes.get(at).ok_or_else(cut_off)? {
@@ -58,12 +59,13 @@ impl<'a> GifFile<'a> {
                     let label = *bytes.get(at + 1).ok_or_else(cut_off)?;
                     // The graphic control of the next frame.
                     if label == 0xF9 {
-                        transparency |= bytes.get(at + 3).is_some_and(|flags| flags & 1 == 1);
+                        next_is_transparent = bytes.get(at + 3).is_some_and(|flags| flags & 1 == 1);
                     }
                     at = skip(bytes, at + 2, work)?;
                 }
                 0x2C => {
                     frames += 1;
+                    transparency = std::mem::take(&mut next_is_transparent);
                     let [_, x0, x1, y0, y1, w0, w1, h0, h1, flags] = *bytes[at..].first_chunk::<10>().ok_or_else(cut_off)?;
                     let (x, y, w, h) = (short(x0, x1), short(y0, y1), short(w0, w1), short(h0, h1));
                     if w == 0 || h == 0 || x + w > width || y + h > height {

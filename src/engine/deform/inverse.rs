@@ -1,7 +1,7 @@
 //! The inverse of f, px to px: the rest position that is drawn at a posed one. The posed mesh finds the cells that may be drawn there, the
-//! last one first, and a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one f per step: its
-//! matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with differences of f and
-//! shorter steps takes over. Cost: about five f per position.
+//! last one first, and a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one
+//! f per step: its matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with
+//! differences of f and shorter steps takes over. Cost: about five f per position.
 
 use super::deformation::Deformation;
 use super::kernel::LANES;
@@ -75,7 +75,8 @@ impl Matrix {
 }
 
 impl<'a> Inverse<'a> {
-    /// `mesh`: of the same pose; cells that it draws over others come later in its rows.
+    /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells have 4 to 8 px: positions are not found
+    /// where larger ones differ from f by more than [`MARGIN`], or where more than [`MOST_CELLS`] smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
         Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh) }
@@ -291,5 +292,24 @@ mod tests {
         }
         let outside = [Point::new(-200.0, 10.0), Point::new(1e6, 1e6), Point::new(150.0, -90.0)];
         assert_eq!(inverse.map(&outside), [None; 3]);
+    }
+
+    /// Whatever the folds, a position where f puts something of the picture has an inverse.
+    #[test]
+    fn no_position_of_the_picture_is_lost_in_folds() {
+        let rest: Vec<Point> = (0..100).map(|k| Point::new(f64::from(k * 37 % 101) * 2.97, f64::from(k * 53 % 103) * 1.94)).collect();
+        for (seed, reach) in [(9, 240.0), (12, 120.0), (12, 240.0), (26, 120.0), (28, 60.0)] {
+            for alpha in [1.0, 2.0] {
+                let (field, pose) = set(Method::Rigid, alpha, 4 + seed % 6, seed, reach);
+                let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
+                for cell in [4.0, 5.0, 8.0] {
+                    let grid = Grid::with_cell(300.0, 200.0, cell);
+                    let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
+                    let found = Inverse::new(&field, &pose, &mesh).map(&posed);
+                    let lost = found.iter().filter(|found| found.is_none()).count();
+                    assert_eq!(lost, 0, "seed {seed}, reach {reach}, alpha {alpha}, cells of {cell} px");
+                }
+            }
+        }
     }
 }

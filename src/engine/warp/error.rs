@@ -19,7 +19,7 @@ pub enum WarpError {
     #[error("{0}")]
     Posed(DeformError),
     /// A position to be mapped is invalid.
-    #[error("point {index} has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px", Compact(*value))]
+    #[error("a position has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px", Compact(*value))]
     BadPlace {
         /// Index of the position.
         index: usize,

@@ -95,14 +95,34 @@ impl Setup {
             error => WarpError::Rest(error),
         })?;
         let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
-        let tolerance = rest.grid.tolerance();
+        Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, mixed, warnings), limits))
+    }
+
+    /// `field` on a resolved grid.
+    fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, bool, Vec<Warning>), limits: &Limits) -> Self {
+        let (units, mixed, warnings) = rest;
+        let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
         let table_bytes = (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
         let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
         let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
-        Ok(Self { field: Arc::new(field), grid, units: rest.units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes })
+        Self { field, grid, units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes }
+    }
+
+    /// The same deformation on the grid in which its inverse is sought: that of `grid: auto`, unless cells of this one are of such a size.
+    ///
+    /// # Errors
+    /// The grid exceeds a limit.
+    pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
+        let (width, height) = self.grid.cell();
+        if [width, height].iter().all(|side| (AUTO_CELL.0..=AUTO_CELL.1).contains(side)) {
+            return Ok(self.clone());
+        }
+        let grid = resolve_grid(GridSpec::Auto, self.grid.width(), self.grid.height(), limits)?;
+        let rest = (self.units, self.mixed, self.warnings.clone());
+        Ok(Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits))
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, the method and its effective parameters,

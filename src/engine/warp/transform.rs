@@ -71,7 +71,8 @@ impl Setup {
         Transform::new(Map::Forward(self.field().deformation(pose)), self.unit())
     }
 
-    /// The inverse of f. `mesh`: of the same pose; it decides where several rest positions have the same posed one.
+    /// The inverse of f. `mesh`: of the same pose and of [`Setup::to_invert`]; it decides where several rest positions have the same posed
+    /// one.
     #[must_use]
     pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
         Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self.unit())
@@ -267,7 +268,7 @@ mod tests {
     use super::*;
     use crate::deform::Handle;
     use crate::pixmap::Extent;
-    use crate::warp::{Folds, Limits, Posed, RestSpec};
+    use crate::warp::{Folds, GridSpec, Limits, Posed, RestSpec};
 
     const NEVER: IsCancelled<'static> = &|| false;
 
@@ -327,6 +328,25 @@ mod tests {
         }
         let outside = [Point::new(100.0, 100.0), Point::new(-5000.0, 0.0)];
         assert_eq!(back.map_outlines(&[Outline { places: &outside, edges: Edges::Open }], Some(0.1), NEVER).unwrap(), [None]);
+    }
+
+    #[test]
+    fn the_inverse_is_found_whatever_size_the_cells_have() {
+        let rest = |grid| RestSpec { p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(), grid, ..RestSpec::default() };
+        let (extent, limits) = (Extent::new(300, 200).unwrap(), Limits::default());
+        let places: Vec<Point> = (0..200).map(|k| Point::new(f64::from(k * 37 % 101) * 2.97, f64::from(k * 53 % 103) * 1.94)).collect();
+        for grid in [GridSpec::Counts { columns: 2, rows: 2 }, GridSpec::Cell(50.0), GridSpec::Pixel, GridSpec::Cell(6.0)] {
+            let client = Setup::new(&rest(grid), extent, &limits).unwrap();
+            let setup = client.to_invert(&limits).unwrap();
+            assert_eq!(setup.plan_key() == client.plan_key(), grid == GridSpec::Cell(6.0));
+            let pose = setup.pose(&set(1.0).1).unwrap();
+            let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
+            let there: Vec<Point> = client.transform(&pose).map(&places, NEVER).unwrap().into_iter().flatten().collect();
+            let back = setup.inverse(&pose, posed.mesh()).map(&there, NEVER).unwrap();
+            for (place, back) in places.iter().zip(back) {
+                assert!(back.is_some_and(|back| back.distance(*place) < 1e-6), "{grid:?}: {place:?} {back:?}");
+            }
+        }
     }
 
     #[test]

@@ -65,7 +65,10 @@ impl App {
     }
 
     async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: MapJob) -> Result<MappedPoints, Problem> {
-        let MapJob { owner, setup, object: PointsObject { q, annotations, .. }, is_long } = job;
+        let MapJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long } = job;
+        if annotations.is_inverse {
+            setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
+        }
         // The posed grid shows where to look for the inverse.
         let planned = if annotations.is_inverse { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
         let app = self.clone();

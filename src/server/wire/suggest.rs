@@ -88,8 +88,8 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
         }
         (true, false) if is_any(&POSED) => "did you mean `q`?",
         (true, false) if name == "p" || is_any(&[&REST[..], &BOTH].concat()) => OF_SESSION,
-        // `output` is not replaced there: it belongs to a request.
-        (true, false) if name != "output" && WARP.contains(&name) => {
+        // These belong to a request and are not replaced there.
+        (true, false) if !["output", "strength"].contains(&name) && WARP.contains(&name) => {
             return Some(format!("the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"));
         }
         _ => {
@@ -183,6 +183,7 @@ mod tests {
             ("output.nothing", &WARP, None),
             ("p.x", &WARP, None),
             ("method", &drag, Some("the session has `method`; replace it with PUT /sessions/{id}/handles")),
+            ("strength", &["q", "candidates"], None),
             ("landmarks", &POINTS_OF_SESSION, Some("did you mean `points`?")),
             ("pins", &POINTS_OF_SESSION, Some("did you mean `points`?")),
             ("landmarks", &WARP_WITH_POINTS, Some(both)),

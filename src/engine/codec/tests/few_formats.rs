@@ -48,6 +48,15 @@ fn a_gif_has_the_colours_of_its_palette() {
     assert_eq!(eight(&clear).chunks(4).map(|pixel| pixel[3]).collect::<Vec<_>>(), [255, 0, 255, 255, 255, 0]);
 }
 
+/// A graphic control marks a colour of the frame that follows it.
+#[test]
+fn a_mark_after_the_frame_makes_no_pixel_transparent() {
+    let mut file = gif(&[(3, 2)], None);
+    let end = file.len() - 1;
+    file.splice(end..end, [0x21, 0xF9, 4, 1, 0, 0, 1, 0]);
+    assert_eq!(decoded(&file).channels(), Channels::Rgb);
+}
+
 #[test]
 fn a_gif_of_several_frames_is_refused_by_their_number() {
     let error = decode(&gif(&[(3, 2); 3], None), &Limits::default()).unwrap_err();

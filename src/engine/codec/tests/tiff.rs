@@ -195,6 +195,21 @@ fn every_kind_of_pixel_is_expanded() {
     assert_eq!(samples(Tiff::new(2, 1, &[8; 2], 1, &[50, 100, 9, 0]).with(338, &[2])), [50, 50, 50, 100, 9, 9, 9, 0]);
 }
 
+/// Infrared beside RGB: alpha is the additional sample that says so.
+#[test]
+fn alpha_may_follow_other_samples() {
+    let tiff = Tiff::new(2, 1, &[8; 5], 2, &[100, 50, 0, 7, 100, 9, 8, 6, 5, 255]);
+    let picture = |kinds: &[u32]| {
+        decoded(
+            &Tiff { entries: tiff.entries.clone(), parts: tiff.parts.clone(), ..Tiff::new(2, 1, &[8], 1, &[]) }.with(338, kinds).bytes(),
+        )
+    };
+    assert_eq!(eight(&picture(&[0, 2])), [100, 50, 0, 100, 9, 8, 6, 255]);
+    assert_eq!(eight(&picture(&[0, 1])), [255, 128, 0, 100, 9, 8, 6, 255]);
+    assert_eq!(eight(&picture(&[2, 0])), [100, 50, 0, 7, 9, 8, 6, 5]);
+    assert_eq!(eight(&picture(&[0, 0])), [100, 50, 0, 9, 8, 6]);
+}
+
 #[test]
 fn the_orientation_is_applied() {
     for (number, width, letters) in UPRIGHT {
@@ -210,6 +225,11 @@ fn one_page_is_read_and_several_are_refused() {
     let several = CodecError::TooLarge { what: "image_frames", limit: 1, actual: 3 };
     assert_eq!(decode(&pages(&[0, 2]), &Limits::default()).unwrap_err(), several);
     assert!(decode(&pages(&[1, 1]), &Limits::default()).is_ok(), "a preview is no page");
+    // The preview comes first.
+    let preview = Tiff::new(3, 2, &[8], 1, b"ghijkl").with(254, &[1]);
+    assert!(decode(&preview.bytes(), &Limits::default()).is_ok(), "there is nothing else");
+    let error = decode(&Tiff { more: vec![0], ..preview }.bytes(), &Limits::default()).unwrap_err();
+    assert!(error.to_string().contains("0 x 0"), "the second directory has no size: {error}");
     // Directories that are the same bytes, and the last one leads back to itself.
     let mut circle = pages(&[1]);
     let last = circle.len() - 4;
@@ -221,20 +241,28 @@ fn one_page_is_read_and_several_are_refused() {
 #[test]
 fn other_kinds_are_named() {
     let rgb = || Tiff::new(2, 1, &[8; 3], 2, &[0; 6]);
+    let mut without_meaning = rgb();
+    without_meaning.entries.retain(|entry| entry.0 != 262);
     for (tiff, word) in [
         (Tiff::new(2, 1, &[8; 4], 5, &[0; 8]), "CMYK"),
         (Tiff::new(2, 1, &[8; 3], 6, &[0; 6]), "YCbCr"),
-        (Tiff::new(2, 1, &[8; 3], 8, &[0; 6]), "photometric interpretation 8"),
-        (Tiff::new(2, 1, &[32; 3], 2, &[0; 24]), "32 bits"),
+        (Tiff::new(2, 1, &[8; 3], 8, &[0; 6]), "Lab"),
+        (Tiff::new(2, 1, &[8], 32_803, &[0; 2]), "photometric interpretation 32803"),
+        (Tiff::new(2, 1, &[32; 3], 2, &[0; 24]), "bits per sample are 32"),
+        (Tiff::new(2, 1, &[32], 1, &[0; 8]).with(339, &[3]), "floating-point"),
         (Tiff::new(2, 1, &[8, 8, 16], 2, &[0; 8]), "differ in their depth"),
         (Tiff::new(2, 1, &[16], 1, &[0; 4]).with(339, &[3]), "floating-point"),
         (rgb().with(284, &[2]), "separate planes"),
-        (rgb().with(259, &[7]), "compression 7"),
+        (rgb().with(259, &[7]), "JPEG"),
+        (rgb().with(259, &[4]), "CCITT"),
+        (rgb().with(259, &[50_000]), "compression 50000"),
         (rgb().with(317, &[3]), "predictor 3"),
         (rgb().with(266, &[2]), "reverse order"),
-        (Tiff::new(2, 1, &[8; 2], 2, &[0; 4]), "2 samples a pixel"),
+        (Tiff::new(2, 1, &[8; 2], 2, &[0; 4]), "samples per pixel is 2"),
         (Tiff::new(2, 1, &[8], 3, &[0; 2]), "too few colours"),
         (Tiff::new(0, 1, &[8], 1, &[0; 2]), "0 x 1 pixels"),
+        (without_meaning, "no photometric interpretation"),
+        (rgb().with(254, &[1]).with(330, &[8]), "preview"),
         (rgb().with(278, &[0]), "strips or tiles of 2 x 0"),
     ] {
         let said = refused(&tiff);

@@ -30,6 +30,15 @@ impl Compression {
         })
     }
 
+    /// The name of a number that is none of these.
+    pub(super) fn name_of(number: u32) -> String {
+        match number {
+            2..=4 => "CCITT (fax) compression".to_owned(),
+            6 | 7 => "JPEG compression".to_owned(),
+            _ => format!("compression {number}"),
+        }
+    }
+
     /// Upper bound of what a byte of data expands to.
     pub(super) const fn expansion(self) -> u64 {
         match self {

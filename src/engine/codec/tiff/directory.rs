@@ -6,6 +6,18 @@ use crate::codec::{CodecError, Format, StepCounter};
 /// Directories of a file; more are a loop, or nothing that a picture needs.
 const MOST_DIRECTORIES: u32 = 4096;
 
+/// What a directory is: bit 0 marks a copy in less detail, bit 2 a mask.
+const NEW_SUBFILE_TYPE: u16 = 254;
+const SUB_DIRECTORIES: u16 = 330;
+
+/// A well-formed file of a kind that is not read.
+pub(super) fn unsupported(what: impl std::fmt::Display) -> CodecError {
+    CodecError::unsupported(format!(
+        "a TIFF {what}. Of TIFF, the following is read: one page of grey, palette, or RGB; unsigned samples of 1, 2, 4, 8 or 16 bits, \
+         interleaved; not compressed, or LZW, deflate, PackBits"
+    ))
+}
+
 pub(super) fn bad(detail: impl ToString) -> CodecError {
     CodecError::bad(Format::Tiff.name(), detail)
 }
@@ -55,21 +67,31 @@ impl<'a> File<'a> {
         usize::try_from(self.long(*bytes)).map_err(bad)
     }
 
-    /// The first directory, if the file has one page. Copies of a page in less detail and masks are no pages.
+    /// The directory of the only page. Copies of a page in less detail and masks are no pages, unless the file has nothing else.
     pub(super) fn only_page(self, work: &StepCounter<'_>) -> Result<Directory<'a>, CodecError> {
         let first = self.directory(self.long_at(4)?)?;
-        let (mut pages, mut next, mut bytes) = (1, first.next, first.entries.len());
+        let (mut page, mut pages, mut directory, mut bytes) = (None, 0, first, first.entries.len());
         for _ in 0..MOST_DIRECTORIES {
-            if next == 0 {
-                return if pages == 1 { Ok(first) } else { Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: pages }) };
+            if directory.number(NEW_SUBFILE_TYPE, 0, work)? & 0b101 == 0 {
+                page = Some(directory);
+                pages += 1;
             }
-            let directory = self.directory(next)?;
+            if directory.next == 0 {
+                return match (page, pages) {
+                    (Some(page), 1) => Ok(page),
+                    (Some(_), _) => Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: pages }),
+                    // Raw files of cameras: the first directory is a preview, the picture is below it.
+                    (None, _) if first.values(SUB_DIRECTORIES, work)?.is_some() => {
+                        Err(unsupported("that holds a preview, with the picture in a subdirectory, like the raw files of cameras"))
+                    }
+                    (None, _) => Ok(first),
+                };
+            }
+            directory = self.directory(directory.next)?;
             bytes += directory.entries.len();
             if bytes > self.bytes.len() {
                 return Err(bad("directories that overlap"));
             }
-            pages += u64::from(directory.number(254, 0, work)? & 0b101 == 0);
-            next = directory.next;
         }
         Err(bad(format!("more than {MOST_DIRECTORIES} directories")))
     }
@@ -93,7 +115,8 @@ impl<'a> Directory<'a> {
         let size = match self.file.short([entry[2], entry[3]]) {
             1 | 7 => 1,
             3 => 2,
-            4 => 4,
+            // Offsets of directories are longs.
+            4 | 13 => 4,
             _ => return Ok(None),
         };
         let [.., c0, c1, c2, c3, o0, o1, o2, o3] = *entry;
@@ -119,7 +142,7 @@ impl<'a> Directory<'a> {
         let first = values.get(0).unwrap_or(default);
         work.step(values.len() as u64)?;
         if (1..values.len()).any(|index| values.get(index) != Some(first)) {
-            return Err(CodecError::unsupported(format!("a TIFF whose samples differ in their {what}")));
+            return Err(unsupported(format_args!("whose samples differ in their {what}")));
         }
         Ok(first)
     }

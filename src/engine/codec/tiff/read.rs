@@ -6,7 +6,7 @@
 use std::io::Read;
 
 use super::data::Compression;
-use super::directory::{Directory, File, Values, bad, cut_off};
+use super::directory::{Directory, File, Values, bad, cut_off, unsupported};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::orientation::Orientation;
 use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
@@ -26,11 +26,11 @@ enum Colour {
     Palette,
 }
 
+/// The sample that is alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Alpha {
-    None,
-    Straight,
-    Premultiplied,
+struct Alpha {
+    index: usize,
+    is_premultiplied: bool,
 }
 
 /// A TIFF whose directory has been read.
@@ -43,7 +43,7 @@ pub(in crate::codec) struct TiffFile<'a> {
     /// Samples of a pixel.
     stored: usize,
     colour: Colour,
-    alpha: Alpha,
+    alpha: Option<Alpha>,
     palette: Option<Values<'a>>,
     compression: Compression,
     differences: bool,
@@ -56,10 +56,6 @@ pub(in crate::codec) struct TiffFile<'a> {
     pub(in crate::codec) labels: bool,
 }
 
-fn unsupported(what: impl std::fmt::Display) -> CodecError {
-    CodecError::unsupported(format!("a TIFF {what}"))
-}
-
 impl<'a> TiffFile<'a> {
     pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let file = File::new(bytes);
@@ -67,24 +63,25 @@ impl<'a> TiffFile<'a> {
         let number = |tag, default| page.number(tag, default, work);
         let (width, height) = (number(256, 0)?, number(257, 0)?);
         let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
-        let colour = match number(262, u32::MAX)? {
+        let colour = match page.values(262, work)?.and_then(|values| values.get(0)).ok_or_else(|| bad("no photometric interpretation"))? {
             kind @ (0 | 1) => Colour::Grey { white_is_zero: kind == 0 },
             2 => Colour::Rgb,
             3 => Colour::Palette,
-            5 => return Err(unsupported("of CMYK")),
-            6 => return Err(unsupported("of YCbCr")),
+            5 => return Err(unsupported("of CMYK colours")),
+            6 => return Err(unsupported("of YCbCr colours")),
+            8..=10 => return Err(unsupported("of Lab colours")),
             kind => return Err(unsupported(format_args!("of photometric interpretation {kind}"))),
         };
+        if !matches!(page.uniform(339, 1, "format", work)?, 1 | 4) {
+            return Err(unsupported("of signed or floating-point samples"));
+        }
         let (stored, bits) = (number(277, 1)?, page.uniform(258, 1, "depth", work)?);
         let colours = if colour == Colour::Rgb { 3 } else { 1 };
         if !(colours..=MOST_SAMPLES).contains(&stored) {
-            return Err(unsupported(format_args!("of {stored} samples a pixel")));
+            return Err(unsupported(format_args!("whose number of samples per pixel is {stored}")));
         }
         if !matches!((bits, stored, colour), (8, ..) | (16, _, Colour::Grey { .. } | Colour::Rgb) | (1 | 2 | 4, 1, _)) {
-            return Err(unsupported(format_args!("of {bits} bits a sample and {stored} samples a pixel")));
-        }
-        if !matches!(page.uniform(339, 1, "format", work)?, 1 | 4) {
-            return Err(unsupported("of signed or floating-point samples"));
+            return Err(unsupported(format_args!("whose bits per sample are {bits} and samples per pixel {stored}")));
         }
         if stored > 1 && number(284, 1)? != 1 {
             return Err(unsupported("whose channels are in separate planes"));
@@ -94,18 +91,21 @@ impl<'a> TiffFile<'a> {
         }
         let compression = number(259, 1)?;
         let compression =
-            Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with compression {compression}")))?;
+            Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with {}", Compression::name_of(compression))))?;
         let differences = match number(317, 1)? {
             1 => false,
             2 if bits >= 8 => true,
             kind => return Err(unsupported(format_args!("with predictor {kind} of {bits} bits"))),
         };
-        let alpha = match page.values(338, work)?.and_then(|values| values.get(0)) {
-            Some(1) if stored > colours => Alpha::Premultiplied,
-            Some(2) if stored > colours => Alpha::Straight,
-            // Without the tag a fourth sample is what it is for everyone.
-            None if stored == colours + 1 => Alpha::Straight,
-            _ => Alpha::None,
+        let extra = (colours as usize)..(stored as usize);
+        let alpha = match page.values(338, work)? {
+            Some(kinds) => extra.clone().zip(0..).find_map(|(index, nth)| match kinds.get(nth)? {
+                1 => Some(Alpha { index, is_premultiplied: true }),
+                2 => Some(Alpha { index, is_premultiplied: false }),
+                _ => None,
+            }),
+            // Without the tag, other readers take the only additional sample for alpha, too.
+            None => (extra.len() == 1).then_some(Alpha { index: extra.start, is_premultiplied: false }),
         };
         if colour == Colour::Palette && stored > 1 {
             return Err(unsupported("of a palette with alpha"));
@@ -159,7 +159,7 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
-        if self.alpha == Alpha::None { Channels::Rgb } else { Channels::Rgba }
+        if self.alpha.is_none() { Channels::Rgb } else { Channels::Rgba }
     }
 
     pub(in crate::codec) const fn depth(&self) -> Depth {
@@ -275,11 +275,11 @@ impl<'a> TiffFile<'a> {
                 }
             }
         }
-        let ([.., alpha], true) = (&mut *into, self.alpha != Alpha::None) else { return };
-        *alpha = from[if self.colour == Colour::Rgb { 3 } else { 1 }];
-        if self.alpha == Alpha::Premultiplied && !self.labels {
-            let alpha = *alpha;
-            into[..3].iter_mut().for_each(|sample| *sample = sample.divided(alpha));
+        if let ([colours @ .., alpha], Some(Alpha { index, is_premultiplied })) = (into, self.alpha) {
+            *alpha = from[index];
+            if is_premultiplied && !self.labels {
+                colours.iter_mut().for_each(|sample| *sample = sample.divided(*alpha));
+            }
         }
     }
 

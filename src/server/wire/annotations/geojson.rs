@@ -92,7 +92,7 @@ impl FeatureCollection {
             if let Some((range, mut geometry)) = feature.geometry.take() {
                 let text = if *kept {
                     bounds.add(&mut geometry);
-                    geometry.bbox = None;
+                    drop_bounds(&mut geometry);
                     serde_json::to_string(&geometry).unwrap_or_else(|_| "null".to_owned())
                 } else {
                     "null".to_owned()
@@ -151,7 +151,13 @@ fn read_geometry(node: &Node<'_, '_>) -> Result<Geometry, Problem> {
         return Err(node.problem(Code::BadValue, format!("a geometry of more than {MOST_OBJECTS} objects; use several features")));
     }
     let bad = |what: &dyn std::fmt::Display| node.problem(Code::BadValue, format!("not a GeoJSON geometry: {what}"));
-    let mut geometry: Geometry = serde_json::from_str(node.text).map_err(|error| bad(&error))?;
+    let mut geometry: Geometry = serde_json::from_str(node.text).map_err(|error| {
+        // The parser has no other sign of it.
+        if error.to_string().starts_with("number out of range") {
+            return node.problem(Code::NotFinite, "a number of the geometry exceeds the range of a 64-bit float");
+        }
+        bad(&error)
+    })?;
     match parts(&mut geometry).iter().flat_map(|part| part.positions()).find(|position| position.len() != 2) {
         Some(position) => Err(bad(&format_args!("expected positions [x, y]; found one of {} numbers", position.len()))),
         None => Ok(geometry),
@@ -176,6 +182,14 @@ fn add_parts<'a>(value: &'a mut GeometryValue, parts: &mut Vec<Part<'a>>) {
         GeometryValue::GeometryCollection { geometries } => {
             geometries.iter_mut().for_each(|geometry| add_parts(&mut geometry.value, parts));
         }
+    }
+}
+
+/// Removes the bounding boxes of a geometry and of those in it, which are those of the positions before.
+fn drop_bounds(geometry: &mut Geometry) {
+    geometry.bbox = None;
+    if let GeometryValue::GeometryCollection { geometries } = &mut geometry.value {
+        geometries.iter_mut().for_each(drop_bounds);
     }
 }
 
