@@ -1,6 +1,8 @@
 """The guide at /docs and the reference that follows it. Every example of the guide runs: the shell and Python files in a folder of their own, the
 JavaScript by the page's Run buttons. Neither page sends requests to other hosts."""
 
+import html
+import io
 import json
 import re
 import subprocess
@@ -8,8 +10,11 @@ import sys
 import time
 from pathlib import Path
 
+import httpx
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 
 from support import KEPT, Server, crossed
 
@@ -73,6 +78,32 @@ def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
     heads = {file.name: file.read_bytes()[:2] for file in tmp_path.glob("*.[pj][np]g") if file.name != "cat.jpg"}
     assert set(heads) >= {"warped.png", "lines.png", "rigid.jpg", "small.jpg", "drag-130.png"}, heads
     assert all(head == (b"\x89P" if name.endswith("png") else b"\xff\xd8") for name, head in heads.items()), heads
+
+
+@pytest.mark.parametrize("recipe, result, most", [("cv2", "remapped.png", 2), ("scipy", "mapped.png", 2)])
+def test_the_recipes_for_maps_give_the_picture_of_a_warp(server, recipe, result, most, tmp_path):
+    """The warp enlarges, because these functions do not average over what a pixel shows."""
+    page = (EXAMPLES.parent / "index.html").read_text()
+    [text] = re.findall(rf'<pre id="recipe-{recipe}"[^>]*>(.*?)</pre>', page, re.S)
+    # Decoders of JPEG differ from each other.
+    picture = ROOT / "tests/images/chelsea.png"
+    [warp] = re.findall(r"^warp = (.*)$", text, re.M)
+    code = html.unescape(text).replace("cat.jpg", str(picture)).replace('"extent"', '"width": 902, "extent"')
+    code = f"server = '{server.address}'\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    warp = {**json.loads(html.unescape(warp)), "output": {"width": 902}}
+    answer = httpx.post(f"{server.address}/warp", files={"image": picture.read_bytes(), "warp": (None, json.dumps(warp))})
+    ours = np.asarray(Image.open(io.BytesIO(answer.raise_for_status().content)).convert("RGBA")).astype(int)
+    theirs = np.asarray(Image.open(tmp_path / result).convert("RGB")).astype(int)
+    assert ours.shape[:2] == theirs.shape[:2] == (600, 902)
+    is_drawn, ours = ours[..., 3] == 255, ours[..., :3]
+    assert 0.9 < is_drawn.mean() < 1 and (theirs[~is_drawn] == 0).all()
+    around = np.stack([np.roll(ours, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)])
+    is_smooth = is_drawn & ((around.max(0) - around.min(0)).max(-1) <= 16)
+    near = (np.abs(ours - theirs).max(-1) <= most)[is_smooth]
+    print(f"{recipe}: {near.mean():.5f} of {near.size} smooth pixels within {most}/255")
+    assert is_smooth.mean() > 0.4 and near.mean() >= 0.999, near.mean()
 
 
 def test_every_run_button_shows_a_result(docs, server):
