@@ -163,6 +163,7 @@ impl App {
             let report = posed.into_report(Some(target.canvas.unwrap_or(Canvas::of(source))), &is_cancelled)?;
             timing.deform = began.elapsed();
             stage("deform", began);
+            app.metrics().prepared(&timing);
             let first = app.map_band(&map, 0, &quota)?;
             let (etag, canvas, format, length) = (map.etag(), target.canvas, map.format(), map.file_bytes());
             let rest = MapBands { app, map: Arc::new(map), next: 1, key, quota, _held: held };
