@@ -135,7 +135,7 @@ async fn maps_over_the_limits_are_refused_before_anything_is_allocated() {
         (r#""extent": [160, 120], "canvas": {"x": 0, "y": 0, "width": 2000000, "height": 1}"#, "canvas_side", "/canvas"),
     ] {
         let found = problem(server.post("/map").json(&object(more)).send().await.unwrap(), 413, "too_large").await;
-        assert_eq!((&found["what"], &found["pointer"]), (&json!(what), &json!(pointer)), "{more}");
+        assert_eq!((&found["limit_name"], &found["pointer"]), (&json!(what), &json!(pointer)), "{more}");
         assert!(found["limit"].is_number() && found["actual"].is_number(), "{found}");
     }
     let far = r#"{"p": [[1, 1]], "q": [[900000, 1]], "extent": [9, 9], "canvas": "fit", "width": 3}"#;
