@@ -71,8 +71,9 @@ impl BatchJob {
         DrawJob { drawable, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
     }
 
-    /// Adds the number of a frame to the pointer of a problem, if the frame has a pose of its own.
-    fn located(&self, frame: u32, problem: Problem) -> Problem {
+    /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
+    fn located(&self, frame: u32, mut problem: Problem) -> Problem {
+        problem.detail.insert_str(0, &format!("frame {frame}: "));
         let is_pose = problem.pointer.as_deref().is_some_and(|pointer| pointer.starts_with("/q"));
         if is_pose && matches!(self.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
     }
