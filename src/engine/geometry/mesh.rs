@@ -134,9 +134,16 @@ impl Mesh {
     pub fn bounds(&self) -> [f64; 4] {
         let base = (0..self.grid.rows()).flat_map(|row| (0..self.grid.columns()).map(move |column| self.posed(column, row)));
         let refined = self.refinement.cells().iter().flat_map(|cell| self.refinement.posed(&self.grid, cell));
-        base.chain(refined).fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[l, t, r, b], p| {
-            [l.min(p.x), t.min(p.y), r.max(p.x), b.max(p.y)]
-        })
+        bounds(base.chain(refined))
+    }
+
+    /// Left, top, right and bottom edge of the smallest box that contains a posed cell, px.
+    #[must_use]
+    pub fn cell_bounds(&self, column: u32, row: u32) -> [f64; 4] {
+        let (i, j) = (column, row);
+        let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
+        let refined = self.refinement.find(i, j).into_iter().flat_map(|cell| self.refinement.posed(&self.grid, cell));
+        bounds(corners.into_iter().chain(refined))
     }
 
     /// The number of vertices, those of refined cells included.
@@ -169,12 +176,20 @@ impl Mesh {
         Some(false)
     }
 
-    fn is_folded(&self, i: u32, j: u32) -> bool {
+    /// Whether a cell is one of [`Mesh::folded_cells`].
+    #[must_use]
+    pub fn is_folded(&self, i: u32, j: u32) -> bool {
         let (a, b) = (self.posed(i, j), self.posed(i + 1, j));
         let (d, c) = (self.posed(i, j + 1), self.posed(i + 1, j + 1));
         let (top, right, bottom, left) = (b - a, c - b, c - d, d - a);
         !(top.cross(left) > 0.0 && top.cross(right) > 0.0 && bottom.cross(right) > 0.0 && bottom.cross(left) > 0.0)
     }
+}
+
+fn bounds(points: impl Iterator<Item = Point>) -> [f64; 4] {
+    points.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[l, t, r, b], p| {
+        [l.min(p.x), t.min(p.y), r.max(p.x), b.max(p.y)]
+    })
 }
 
 /// Whether the convex hull of four points and the rectangle with these edges (left, top, right, bottom) share more than a border: no line

@@ -6,6 +6,8 @@
 
 mod cell_tree;
 mod compact;
+mod distortion;
+mod fold_regions;
 mod grid;
 mod mesh;
 mod refinement;
@@ -13,6 +15,8 @@ mod vec;
 
 pub use cell_tree::CellTree;
 pub use compact::Compact;
+pub use distortion::{Distortion, Spread};
+pub use fold_regions::FoldRegions;
 pub use grid::Grid;
 pub use mesh::Mesh;
 pub use refinement::{RefinedCell, Refinement};

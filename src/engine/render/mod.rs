@@ -12,6 +12,8 @@ use crate::pixmap::{Channels, Depth, Extent};
 #[forbid(unsafe_code)]
 mod bicubic;
 #[forbid(unsafe_code)]
+mod blend;
+#[forbid(unsafe_code)]
 mod border;
 #[forbid(unsafe_code)]
 mod canvas;
@@ -54,6 +56,7 @@ mod steps;
 #[forbid(unsafe_code)]
 mod tests;
 
+pub use blend::{WHOLE, blend};
 pub use canvas::{Canvas, window_count};
 pub use coverage::Coverage;
 pub use inverse_map::InverseMap;

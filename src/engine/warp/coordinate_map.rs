@@ -78,7 +78,7 @@ impl MapSpec {
     /// Over the limits of pictures; nothing to show on the canvas `fit`.
     pub fn target(&self, posed: &Posed, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
         self.check(source, limits)?;
-        self.output().target(source, posed.mesh(), limits)
+        self.output().target(source, posed, limits)
     }
 
     /// Checks the size of the map as far as it is known before anything is posed.

@@ -7,7 +7,7 @@ use super::digest::Collector;
 use super::drawer::Drawer;
 use super::posed::Posed;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
-use super::{Digest, Limits, OutputSpec, Subject, Target, WarpError};
+use super::{Digest, Holes, Limits, OutputSpec, Subject, Target, WarpError};
 use crate::codec::{Compression, Encoding, Format, Writer};
 use crate::render::{Canvas, Filter, Outside};
 
@@ -28,7 +28,7 @@ impl Warp {
     /// Those of [`OutputSpec::target`] and [`Subject::check`].
     pub fn new(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
         subject.check(output)?;
-        Ok(Self::onto(output.target(subject.extent(), posed.mesh(), limits)?, subject, posed, output))
+        Ok(Self::onto(output.target(subject.extent(), posed, limits)?, subject, posed, output))
     }
 
     /// Prepares the drawing of a target of `output`.
@@ -81,7 +81,7 @@ impl Warp {
     /// Upper bound of the memory for writing, the file included, bytes.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
-        self.writer.work_bytes()
+        self.writer.work_bytes() + self.drawer.work_bytes()
     }
 
     /// Renders and encodes strip by strip and passes the bytes to `sink` in order: the head with the first strip, the tail with the last.
@@ -142,6 +142,11 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         .integer(extent.width().into())
         .integer(extent.height().into());
     let digest = if alpha { digest.bytes(b"alpha") } else { digest };
+    let digest = match (posed.region(), output.holes) {
+        (None, _) => digest,
+        (Some(region), Holes::Keep) => digest.integer(0).bytes(&region.digest().0),
+        (Some(region), Holes::Transparent) => digest.integer(1).bytes(&region.digest().0),
+    };
     let digest = match canvas {
         None => digest,
         Some(Canvas { x, y, extent }) => {

@@ -57,6 +57,12 @@ impl Image {
         })
     }
 
+    /// A picture that no file has. `name`: of its digest.
+    #[cfg(test)]
+    pub(super) fn of_pixmap(name: &str, pixmap: crate::pixmap::Pixmap, grey: bool) -> Self {
+        Self { digest: Digest::of(name.as_bytes()), source: Arc::new(Source::new(pixmap)), icc: None, profile_dropped: false, grey }
+    }
+
     /// The warning for every output drawn from this picture.
     #[must_use]
     pub fn warning(&self) -> Option<Warning> {

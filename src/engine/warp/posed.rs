@@ -2,7 +2,7 @@
 
 use super::digest::Collector;
 use super::setup::FINE_BYTES;
-use super::{Digest, Folds, Plan, Setup, Subject, Target, Warning, WarpError};
+use super::{Digest, Folds, Plan, Region, Setup, Subject, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::{Mesh, Point, Vec2};
 use crate::render::Canvas;
@@ -36,6 +36,7 @@ pub struct Posed {
     digest: Digest,
     unit: (f64, f64),
     exceeded: Vec<(u32, u32)>,
+    region: Option<Region>,
 }
 
 impl Posed {
@@ -78,7 +79,26 @@ impl Posed {
         }
         let residual = residual(setup.field(), pose, &mesh);
         let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
-        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new() })
+        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new(), region: None })
+    }
+
+    /// The same pose, of which only the content of a region moves. Its mask has the size of the picture.
+    #[must_use]
+    pub fn within(self, region: Region) -> Self {
+        Self { region: Some(region), ..self }
+    }
+
+    /// The region that moves, if it is not the whole picture.
+    #[must_use]
+    pub const fn region(&self) -> Option<&Region> {
+        self.region.as_ref()
+    }
+
+    /// Left, top, right and bottom edge of the smallest box that contains everything that is drawn, px; with a region, cells that have some
+    /// of it count as a whole.
+    #[must_use]
+    pub fn bounds(&self) -> [f64; 4] {
+        self.region.as_ref().map_or_else(|| self.mesh.bounds(), |region| region.bounds(&self.mesh))
     }
 
     /// Memory of the cells that are halved, bytes.
@@ -110,7 +130,12 @@ impl Posed {
     /// # Errors
     /// Cancelled.
     pub fn into_report(mut self, canvas: Option<Canvas>, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+        let shows_source = |canvas: Canvas| {
+            let ([left, top, right, bottom], grid) = (canvas.edges(), self.mesh.grid());
+            self.region.is_some() && left < grid.width() && right > 0.0 && top < grid.height() && bottom > 0.0
+        };
         let is_visible = match canvas {
+            Some(canvas) if shows_source(canvas) => true,
             Some(canvas) => self.mesh.intersects(canvas.edges(), cancelled).ok_or(WarpError::Cancelled)?,
             None => false,
         };

@@ -182,6 +182,16 @@ impl RestSpec {
     }
 }
 
+/// What a region shows where its content moved away and nothing covers it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Holes {
+    /// The source.
+    #[default]
+    Keep,
+    /// Nothing.
+    Transparent,
+}
+
 /// The parameters of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct OutputSpec {
@@ -199,6 +209,8 @@ pub struct OutputSpec {
     pub filter: Filter,
     /// What fills pixels that the posed picture does not cover.
     pub outside: Outside,
+    /// What a region shows where its content moved away.
+    pub holes: Holes,
 }
 
 /// JPEG quality if none is requested.
@@ -215,6 +227,7 @@ impl Default for OutputSpec {
             width: None,
             filter: Filter::default(),
             outside: Outside::default(),
+            holes: Holes::default(),
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use super::digest::Collector;
 use super::drawer::Drawer;
-use super::{Digest, Image, LabelImage, OutputSpec, Posed, Target, Warning, WarpError};
+use super::drawer::region::RegionDrawer;
+use super::{Digest, Image, LabelImage, OutputSpec, Posed, Region, Target, Warning, WarpError};
 use crate::codec::Format;
 use crate::pixmap::Extent;
 use crate::render::{Coverage, RenderOptions};
@@ -13,10 +14,12 @@ pub enum Subject<'a> {
     /// A picture.
     Image(&'a Image),
     /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. The filter and what is
-    /// outside are ignored.
+    /// outside are ignored, except that the mask of a region is filtered.
     Labels(&'a LabelImage),
     /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and opaque.
     Coverage(Extent),
+    /// What a region moves away from and nothing covers, 0 to 255; grey and opaque.
+    Holes(&'a Region),
 }
 
 impl Subject<'_> {
@@ -27,6 +30,7 @@ impl Subject<'_> {
             Self::Image(image) => image.extent(),
             Self::Labels(labels) => labels.extent(),
             Self::Coverage(extent) => extent,
+            Self::Holes(region) => region.extent(),
         }
     }
 
@@ -35,7 +39,7 @@ impl Subject<'_> {
     pub fn warning(self) -> Option<Warning> {
         match self {
             Self::Image(image) => image.warning(),
-            Self::Labels(_) | Self::Coverage(_) => None,
+            Self::Labels(_) | Self::Coverage(_) | Self::Holes(_) => None,
         }
     }
 
@@ -54,8 +58,9 @@ impl Subject<'_> {
     #[must_use]
     pub fn prepared_bytes(self, posed: &Posed) -> u64 {
         match self {
-            Self::Image(_) | Self::Labels(_) => 0,
-            Self::Coverage(_) => Coverage::bytes(posed.mesh()),
+            Self::Image(_) | Self::Labels(_) | Self::Holes(_) => 0,
+            // With a region, that of the picture at rest as well.
+            Self::Coverage(_) => Coverage::bytes(posed.mesh()) * if posed.region().is_some() { 2 } else { 1 },
         }
     }
 
@@ -65,16 +70,19 @@ impl Subject<'_> {
             Self::Image(image) => image.digest(),
             Self::Labels(labels) => Collector::new("mlswarp labels 1").bytes(&labels.digest().0).finish(),
             Self::Coverage(_) => Collector::new("mlswarp coverage 1").finish(),
+            Self::Holes(region) => Collector::new("mlswarp holes 1").bytes(&region.digest().0).finish(),
         }
     }
 
     pub(super) fn drawer(self, target: Target, posed: &Posed, output: &OutputSpec) -> Drawer {
         let Target { canvas, extent, alpha } = target;
         let options = RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, alpha };
-        match self {
-            Self::Image(image) => Drawer::image(image, posed, options),
-            Self::Labels(labels) => Drawer::labels(labels, posed, options),
-            Self::Coverage(_) => Drawer::coverage(posed, options),
+        // Where nothing moves, everything is the same without a region.
+        match posed.region().filter(|_| !posed.mesh().is_identity()) {
+            Some(region) if !matches!(self, Self::Holes(_)) => {
+                Drawer::Region(Box::new(RegionDrawer::new(self, region, posed.mesh(), options, output.holes)))
+            }
+            _ => Drawer::new(self, posed.mesh(), options),
         }
     }
 }

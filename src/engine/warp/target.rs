@@ -1,8 +1,7 @@
 //! The target picture: which part of the posed plane it shows, and its size.
 
 use super::spec::at_most;
-use super::{Limits, OutputSpec, WarpError};
-use crate::geometry::Mesh;
+use super::{Limits, OutputSpec, Posed, WarpError};
 use crate::pixmap::Extent;
 use crate::render::{Canvas, window_count};
 
@@ -30,18 +29,18 @@ pub enum CanvasSpec {
 impl CanvasSpec {
     /// The box that is drawn; `None` if the posed picture of `fit` has no area or extends too far.
     #[must_use]
-    pub fn of(self, source: Extent, mesh: &Mesh) -> Option<Canvas> {
+    pub fn of(self, source: Extent, posed: &Posed) -> Option<Canvas> {
         match self {
             Self::Same => Some(Canvas::of(source)),
-            Self::Fit => fit(mesh).ok(),
+            Self::Fit => fit(posed).ok(),
             Self::Box(canvas) => Some(canvas),
         }
     }
 }
 
 /// Errors: A result without area, or one that extends beyond [`FARTHEST`].
-fn fit(mesh: &Mesh) -> Result<Canvas, WarpError> {
-    let [left, top, right, bottom] = mesh.bounds().map(|edge| (edge * STEPS).round() / STEPS);
+fn fit(posed: &Posed) -> Result<Canvas, WarpError> {
+    let [left, top, right, bottom] = posed.bounds().map(|edge| (edge * STEPS).round() / STEPS);
     let farthest = [left, top, right, bottom].into_iter().fold(0.0, |far: f64, edge| far.max(edge.abs()));
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
     if farthest > f64::from(FARTHEST) {
@@ -67,11 +66,13 @@ pub struct Target {
 }
 
 impl Target {
-    /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows.
+    /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows, and with a
+    /// region, picture and mask are drawn posed and at rest.
     #[must_use]
-    pub fn window_bytes(&self, mesh: &Mesh) -> u64 {
+    pub fn window_bytes(&self, posed: &Posed) -> u64 {
         let windows = self.canvas.map_or(1, |canvas| window_count(canvas, self.extent));
-        (windows - 1) * mesh.vertices() * WINDOW_BYTES_PER_VERTEX
+        let drawings = if posed.region().is_some() { 4 } else { 1 };
+        (windows * drawings - 1) * posed.mesh().vertices() * WINDOW_BYTES_PER_VERTEX
     }
 }
 
@@ -88,14 +89,14 @@ impl OutputSpec {
         }
     }
 
-    /// The target of a posed mesh.
+    /// The target of a pose.
     ///
     /// # Errors
     /// Over the limits; nothing to show.
-    pub fn target(&self, source: Extent, mesh: &Mesh, limits: &Limits) -> Result<Target, WarpError> {
+    pub fn target(&self, source: Extent, posed: &Posed, limits: &Limits) -> Result<Target, WarpError> {
         let canvas = match self.canvas {
             CanvasSpec::Same => Canvas::of(source),
-            CanvasSpec::Fit => fit(mesh)?,
+            CanvasSpec::Fit => fit(posed)?,
             CanvasSpec::Box(canvas) => canvas,
         };
         let extent = self.extent_of(canvas, source, limits)?;

@@ -92,11 +92,9 @@ impl DrawJob {
         output.check(extent, limits)?;
         let pose_as = if preview.is_some() { Posed::coarse } else { Posed::new };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
-        let target = output.target(extent, posed.mesh(), limits)?;
+        let target = output.target(extent, &posed, limits)?;
         let target = match *preview {
-            Some(width) if width < target.extent.width() => {
-                OutputSpec { width: Some(width), ..*output }.target(extent, posed.mesh(), limits)?
-            }
+            Some(width) if width < target.extent.width() => OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits)?,
             _ => target,
         };
         Ok((posed, Target { alpha: self.alpha, ..target }))
@@ -326,7 +324,7 @@ impl App {
         let (posed, target) = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
         drop(halved);
         let subject = job.drawable.subject();
-        let bytes = posed.halved_bytes() + target.window_bytes(posed.mesh()) + subject.prepared_bytes(&posed);
+        let bytes = posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
         self.reserve_more(&mut reservation, bytes)?;
         let warp = Warp::onto(target, subject, &posed, &job.output);
         let report = posed.into_report_on(subject, &target, is_cancelled)?;

@@ -158,7 +158,7 @@ impl App {
             let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
             drop(halved);
             let target = spec.target(&posed, source, &limits).map_err(|error| in_map(error.into()))?;
-            app.reserve_more(&mut held, posed.halved_bytes() + target.window_bytes(posed.mesh()))?;
+            app.reserve_more(&mut held, posed.halved_bytes() + target.window_bytes(&posed))?;
             let map = CoordinateMap::new(&spec, &posed, target)?;
             let report = posed.into_report(Some(target.canvas.unwrap_or(Canvas::of(source))), &is_cancelled)?;
             timing.deform = began.elapsed();

@@ -21,7 +21,7 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{CanvasSpec, Digest, Folds, GridSpec, Method, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -71,6 +71,7 @@ fn base() -> WarpObject {
             width: None,
             filter: Filter::Bilinear,
             outside: Outside::Transparent,
+            holes: Holes::Keep,
         },
         strength: 1.0,
         is_auto: false,
@@ -137,7 +138,7 @@ struct Output<'a>(&'a OutputSpec, Defaults);
 impl Serialize for Output<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(output, defaults)) = (base().output, self);
-        let OutputSpec { format, quality, compression, canvas, width, filter, outside } = *output;
+        let OutputSpec { format, quality, compression, canvas, width, filter, outside, holes } = *output;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "format", format, &base.format)?;
         if defaults == Defaults::Written || quality != base.quality {
@@ -150,6 +151,8 @@ impl Serialize for Output<'_> {
         defaults.field(&mut object, "filter", filter, &base.filter)?;
         defaults.field(&mut object, "outside", outside, &base.outside)?;
         defaults.field(&mut object, "canvas", canvas, &base.canvas)?;
+        // A later field.
+        Defaults::LeftOut.field(&mut object, "holes", holes, &base.holes)?;
         object.end()
     }
 }
@@ -319,6 +322,7 @@ mod tests {
             width: Some(5),
             filter: Filter::Nearest,
             outside: Outside::Edge,
+            holes: Holes::Transparent,
         };
         Record { rest, folds: Folds::Reject, output, ..rich() }
     }
@@ -383,7 +387,7 @@ mod tests {
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
-        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit"},"coincident":{"policy":"reject","within":1.5}}"#;
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit","holes":"transparent"},"coincident":{"policy":"reject","within":1.5}}"#;
         assert_eq!(made(&full), digest(&full, warp));
     }
 

@@ -4,7 +4,7 @@
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Easing, Folds, Method, Units};
+use mlswarp::warp::{Direction, Easing, Folds, Holes, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -107,6 +107,7 @@ enum_names!(
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
+enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");

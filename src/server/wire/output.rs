@@ -4,7 +4,7 @@ use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, OutputSpec};
+use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, Holes, OutputSpec};
 
 use super::enum_name::{enum_name, unknown_name};
 use super::fields;
@@ -29,6 +29,7 @@ pub(crate) struct OutputPatch {
     pub(crate) width: Option<u32>,
     pub(crate) filter: Option<Filter>,
     pub(crate) outside: Option<Outside>,
+    pub(crate) holes: Option<Holes>,
 }
 
 impl OutputPatch {
@@ -42,6 +43,7 @@ impl OutputPatch {
             width: self.width.or(base.width),
             filter: self.filter.unwrap_or(base.filter),
             outside: self.outside.unwrap_or(base.outside),
+            holes: self.holes.unwrap_or(base.holes),
         }
     }
 
@@ -49,7 +51,7 @@ impl OutputPatch {
         if node.kind() == Kind::String {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
-        let [format, quality_, compression, width_, filter, outside_, canvas_] = node.fields(&fields::OUTPUT)?;
+        let [format, quality_, compression, width_, filter, outside_, canvas_, holes] = node.fields(&fields::OUTPUT)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
@@ -58,6 +60,7 @@ impl OutputPatch {
             width: optional(width_, width)?,
             filter: optional(filter, enum_name)?,
             outside: optional(outside_, outside)?,
+            holes: optional(holes, enum_name)?,
         })
     }
 }

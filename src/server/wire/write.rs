@@ -98,7 +98,7 @@ impl Serialize for AsJson<Outside> {
 
 impl Serialize for AsJson<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let OutputSpec { format, quality, compression, canvas, width, filter, outside } = *self.0;
+        let OutputSpec { format, quality, compression, canvas, width, filter, outside, holes } = *self.0;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("format", &AsJson(format))?;
         object.serialize_entry("quality", &quality)?;
@@ -109,6 +109,7 @@ impl Serialize for AsJson<&OutputSpec> {
         object.serialize_entry("filter", &AsJson(filter))?;
         object.serialize_entry("outside", &AsJson(outside))?;
         object.serialize_entry("canvas", &AsJson(canvas))?;
+        object.serialize_entry("holes", &AsJson(holes))?;
         object.end()
     }
 }

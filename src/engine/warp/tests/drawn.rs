@@ -43,7 +43,7 @@ fn coordinates(extent: Extent) -> Arc<Source> {
 }
 
 /// The position of the source that every pixel of a drawn picture shows, if it is covered.
-fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
+pub(super) fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
     let options = RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, alpha: false };
     let mut renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
     // A mean over what a pixel shows is no position.

@@ -70,7 +70,7 @@ fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
                 let output = OutputSpec { canvas, width, format, ..OutputSpec::default() };
                 let out = drawn(Subject::Labels(&image), &posed, &output);
                 assert_eq!((out.shape.samples(), out.shape.depth, &out.palette), (1, Depth::Sixteen, &None));
-                let target = output.target(size, posed.mesh(), &Limits::default()).unwrap();
+                let target = output.target(size, &posed, &Limits::default()).unwrap();
                 let mut positions = vec![[0.0; 2]; target.extent.pixels() as usize];
                 InverseMap::new(posed.mesh(), target.extent, target.canvas).rows(0..target.extent.height(), &mut positions);
                 for (value, [x, y]) in out.values.as_chunks::<2>().0.iter().zip(positions) {
@@ -188,7 +188,7 @@ fn map_files_are_those_of_their_formats() {
     let (_, npy) = map(case, &spec);
     let bytes = file(&npy);
     let head = &bytes[..bytes.len() - 777 * 583 * 8];
-    assert!(npy.bands() > 3 && head.len() % 64 == 0 && head.starts_with(b"\x93NUMPY\x01\0") && head.ends_with(b"\n"));
+    assert!(npy.bands() > 3 && head.len().is_multiple_of(64) && head.starts_with(b"\x93NUMPY\x01\0") && head.ends_with(b"\n"));
     assert!(String::from_utf8_lossy(head).contains("{'descr': '<f4', 'fortran_order': False, 'shape': (583, 777, 2), }"));
     assert_eq!(usize::from(u16::from_le_bytes([head[8], head[9]])), head.len() - 10);
 

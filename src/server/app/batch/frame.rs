@@ -6,7 +6,7 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, OutputSpec, Plan, Setup};
+use mlswarp::warp::{CanvasSpec, Folds, Holes, OutputSpec, Plan, Setup};
 
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, check, pose_of};
@@ -112,14 +112,15 @@ impl BatchJob {
         Ok(())
     }
 
-    /// Whether pictures have alpha if the posed picture does not cover them, and none otherwise.
+    /// Whether pictures have alpha if the posed picture does not cover them, or has holes, and none otherwise.
     fn may_need_alpha(&self) -> bool {
         let is_opaque = match self.output.outside {
             Outside::Transparent => false,
             Outside::Colour([.., alpha]) => alpha == u8::MAX,
             Outside::Edge | Outside::Reflect => true,
         };
-        !is_opaque && self.drawable.may_gain_alpha() && self.output.format != Format::Jpeg
+        let has_holes = self.output.holes == Holes::Transparent;
+        (!is_opaque || has_holes) && self.drawable.may_gain_alpha() && self.output.format != Format::Jpeg
     }
 
     /// Draws a frame and maps its annotations.

@@ -4,7 +4,7 @@
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Easing, Method, Units};
+use mlswarp::warp::{Direction, Easing, Holes, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -197,6 +197,7 @@ fn enums_list_what_this_version_has() {
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
     words::<Direction>("/Direction");
+    words::<Holes>("/Holes");
     words::<Format>("/Output/properties/format");
     words::<Easing>("/Easing");
 }
@@ -305,6 +306,10 @@ fn schemas_and_parsers_agree_on_a_table() {
         "output: {\"canvas\": {\"x\": 0.5, \"y\": 0, \"width\": 1, \"height\": 1}}",
         "output: {\"canvas\": {\"x\": 0, \"y\": 1000001, \"width\": 1, \"height\": 1}}",
         "output: {\"canvas\": {\"x\": 0, \"y\": 0, \"width\": 0, \"height\": 1}}",
+        "output: {\"holes\": \"keep\"}",
+        "output: {\"holes\": \"transparent\"}",
+        "output: {\"holes\": \"fill\"}",
+        "output: {\"holes\": true}",
         "output: {\"x\": 1}",
         "steps: 0",
         "steps: 10000",

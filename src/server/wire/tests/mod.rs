@@ -7,7 +7,7 @@ use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Method, Units};
+use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Holes, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -43,7 +43,7 @@ fn warp_reads_the_example_of_the_contract() {
       "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "smoothing": 0.5, "units": "normalized",
       "coincident": {"policy": "reject", "within": 0.5},
       "grid": {"columns": 100, "rows": 50}, "folds": "reject", "metric": "euclidean",
-      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40", "canvas": "same"}
+      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40", "canvas": "same", "holes": "transparent"}
     }"##;
     let expected = WarpObject {
         rest: RestSpec {
@@ -67,6 +67,7 @@ fn warp_reads_the_example_of_the_contract() {
             width: Some(800),
             filter: Filter::Nearest,
             outside: Outside::Colour([1, 128, 255, 64]),
+            holes: Holes::Transparent,
         },
         strength: 1.0,
         is_auto: false,
@@ -343,10 +344,11 @@ fn output_patch_replaces_only_what_it_gives() {
         width: Some(7),
         filter: Filter::Nearest,
         outside: Outside::Edge,
+        holes: Holes::Transparent,
     };
     assert_eq!(OutputPatch::default().merge_onto(&base), base);
     let (format, quality, compression, width) = (Format::WebP, 70, Compression::Best, 8);
-    let (filter, outside, canvas) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]), CanvasSpec::Same);
+    let (filter, outside, canvas, holes) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]), CanvasSpec::Same, Holes::Keep);
     let all = OutputPatch {
         format: Some(format),
         quality: Some(quality),
@@ -355,8 +357,9 @@ fn output_patch_replaces_only_what_it_gives() {
         width: Some(width),
         filter: Some(filter),
         outside: Some(outside),
+        holes: Some(holes),
     };
-    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, canvas, width: Some(width), filter, outside });
+    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, canvas, width: Some(width), filter, outside, holes });
     assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.merge_onto(&base), OutputSpec { width: Some(8), ..base });
 }
 
@@ -550,7 +553,7 @@ fn session_object_is_written_in_wire_form() {
             "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "coincident": [{"handles": [0, 4]}], "units": "px",
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
-            "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same"},
+            "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same", "holes": "keep"},
             "layers": {"depth": {"kind": "labels"}},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
         })
@@ -646,8 +649,8 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         extent: Extent::new(w, h).unwrap(),
     });
     let canvas = prop_oneof![Just(CanvasSpec::Same), Just(CanvasSpec::Fit), boxes.prop_map(CanvasSpec::Box)];
-    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside, canvas);
-    let output = output.prop_map(|(format, quality, compression, width, filter, outside, canvas)| OutputSpec {
+    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside, canvas, all());
+    let output = output.prop_map(|(format, quality, compression, width, filter, outside, canvas, holes)| OutputSpec {
         format,
         quality,
         compression,
@@ -655,6 +658,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         width,
         filter,
         outside,
+        holes,
     });
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
     (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, strength: 1.0, is_auto: false })

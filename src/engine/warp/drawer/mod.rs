@@ -1,10 +1,14 @@
 //! Draws the rows of a subject: one kind for each subject. Every division into bands gives the same bytes.
 
+pub(super) mod region;
+
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::{Image, LabelImage, Posed};
+use self::region::{HolesDrawer, RegionDrawer};
+use super::{Image, LabelImage, Subject};
 use crate::codec::{Encoding, Labels, PngShape, Profile, Writer};
+use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 
@@ -22,20 +26,30 @@ pub(super) enum Drawer {
     Labels { inverse: InverseMap, labels: Arc<Labels> },
     /// Coverage.
     Coverage(Box<Coverage>),
+    /// Any of these, of which a region moves.
+    Region(Box<RegionDrawer>),
+    /// The holes that a region leaves.
+    Holes(Box<HolesDrawer>),
 }
 
 impl Drawer {
-    pub(super) fn image(image: &Image, posed: &Posed, options: RenderOptions) -> Self {
-        let renderer = Renderer::new(Arc::clone(&image.source), posed.mesh(), options);
+    /// The whole of a subject through a mesh.
+    pub(super) fn new(subject: Subject<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
+        match subject {
+            Subject::Image(image) => Self::image(image, mesh, options),
+            Subject::Labels(labels) => Self::labels(labels, mesh, options),
+            Subject::Coverage(_) => Self::Coverage(Box::new(Coverage::new(mesh, options.target, options.canvas))),
+            Subject::Holes(region) => Self::Holes(Box::new(HolesDrawer::new(region, mesh, options))),
+        }
+    }
+
+    fn image(image: &Image, mesh: &Mesh, options: RenderOptions) -> Self {
+        let renderer = Renderer::new(Arc::clone(&image.source), mesh, options);
         Self::Image { renderer, grey: image.grey && options.outside.is_grey(), icc: image.icc.clone() }
     }
 
-    pub(super) fn labels(image: &LabelImage, posed: &Posed, options: RenderOptions) -> Self {
-        Self::Labels { inverse: InverseMap::new(posed.mesh(), options.target, options.canvas), labels: Arc::clone(&image.labels) }
-    }
-
-    pub(super) fn coverage(posed: &Posed, options: RenderOptions) -> Self {
-        Self::Coverage(Box::new(Coverage::new(posed.mesh(), options.target, options.canvas)))
+    fn labels(image: &LabelImage, mesh: &Mesh, options: RenderOptions) -> Self {
+        Self::Labels { inverse: InverseMap::new(mesh, options.target, options.canvas), labels: Arc::clone(&image.labels) }
     }
 
     /// Size of the target.
@@ -44,6 +58,8 @@ impl Drawer {
             Self::Image { renderer, .. } => renderer.target(),
             Self::Labels { inverse, .. } => inverse.target(),
             Self::Coverage(coverage) => coverage.target(),
+            Self::Region(drawer) => drawer.target(),
+            Self::Holes(drawer) => drawer.target(),
         }
     }
 
@@ -57,11 +73,12 @@ impl Drawer {
                 let shape = PngShape { extent: self.target(), channels: renderer.channels(), grey: *grey, depth: renderer.depth() };
                 Writer::new(shape, encoding, icc.as_ref())
             }
+            Self::Region(drawer) => drawer.writer(encoding),
             Self::Labels { labels, .. } => {
                 let shape = PngShape { extent: self.target(), ..labels.shape };
                 Writer::of_labels(shape, encoding, labels.palette.as_ref()).expect("the format was checked")
             }
-            Self::Coverage(_) => {
+            Self::Coverage(_) | Self::Holes(_) => {
                 let shape = PngShape { extent: self.target(), channels: Channels::Rgb, grey: true, depth: Depth::Eight };
                 Writer::new(shape, encoding, None)
             }
@@ -72,7 +89,8 @@ impl Drawer {
     pub(super) fn adds_alpha(&self) -> bool {
         match self {
             Self::Image { renderer, .. } => renderer.adds_alpha(),
-            Self::Labels { .. } | Self::Coverage(_) => false,
+            Self::Region(drawer) => drawer.adds_alpha(),
+            Self::Labels { .. } | Self::Coverage(_) | Self::Holes(_) => false,
         }
     }
 
@@ -81,7 +99,8 @@ impl Drawer {
         match self {
             Self::Image { renderer, .. } => renderer.channels().count() * renderer.depth().bytes(),
             Self::Labels { labels, .. } => labels.shape.samples() * labels.shape.depth.bytes(),
-            Self::Coverage(_) => Channels::Rgb.count(),
+            Self::Coverage(_) | Self::Holes(_) => Channels::Rgb.count(),
+            Self::Region(drawer) => drawer.pixel_bytes(),
         }
     }
 
@@ -91,6 +110,16 @@ impl Drawer {
             Self::Image { renderer, .. } => renderer.computed_width(),
             Self::Labels { inverse, .. } => inverse.computed_width(),
             Self::Coverage(coverage) => coverage.computed_width(),
+            Self::Region(drawer) => drawer.computed_width(),
+            Self::Holes(drawer) => drawer.computed_width(),
+        }
+    }
+
+    /// Memory for drawing beside the samples that are drawn, bytes.
+    pub(super) fn work_bytes(&self) -> u64 {
+        match self {
+            Self::Image { .. } | Self::Labels { .. } | Self::Coverage(_) => 0,
+            Self::Region(_) | Self::Holes(_) => region::work_bytes(self.target()),
         }
     }
 
@@ -106,6 +135,8 @@ impl Drawer {
                     *pixel = [share; 3];
                 }
             }
+            Self::Region(drawer) => drawer.band(rows, out),
+            Self::Holes(drawer) => drawer.band(rows, out),
         }
     }
 }

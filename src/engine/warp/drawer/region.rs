@@ -1,0 +1,196 @@
+//! Draws a subject of which a region moves, and the holes that the region leaves. `warp/region.rs` has the rule.
+
+use std::ops::Range;
+
+use super::super::region::MaskDrawer;
+use super::super::{Holes, Region, Subject};
+use super::Drawer;
+use crate::codec::{Encoding, PngShape, Writer};
+use crate::geometry::Mesh;
+use crate::pixmap::{Channels, Extent};
+use crate::render::{Outside, RenderOptions, WHOLE, blend};
+
+/// Rows that are mixed at a time: what the renderer draws together.
+const STRIP: u32 = 32;
+const HALF: u16 = WHOLE / 2;
+
+/// Memory for mixing, bytes, of each thread.
+pub(super) fn work_bytes(target: Extent) -> u64 {
+    /// Two pictures and a mask of four 16-bit samples each, and four weights.
+    const PIXEL: u64 = 32;
+    u64::from(STRIP) * u64::from(target.width()) * PIXEL
+}
+
+/// Draws a subject of which a region moves.
+#[derive(Debug)]
+pub(in super::super) struct RegionDrawer {
+    background: Drawer,
+    moved: Drawer,
+    weights: Weights,
+    /// Of a picture.
+    channels: Channels,
+}
+
+impl RegionDrawer {
+    pub(in super::super) fn new(subject: Subject<'_>, region: &Region, mesh: &Mesh, options: RenderOptions, holes: Holes) -> Self {
+        let at_rest = Mesh::identity(*mesh.grid());
+        let background = Drawer::new(subject, &at_rest, options);
+        // What is outside of the moved part is not seen: the mask is 0 there.
+        let moved = Drawer::new(subject, mesh, RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), alpha: false, ..options });
+        let weights = Weights {
+            mask: region.drawer(mesh, options),
+            mask_at_rest: (holes == Holes::Transparent).then(|| region.drawer(&at_rest, options)),
+        };
+        let channels = match &background {
+            Drawer::Image { renderer, .. } if holes == Holes::Keep => renderer.channels(),
+            _ => Channels::Rgba,
+        };
+        Self { background, moved, weights, channels }
+    }
+
+    pub(super) fn target(&self) -> Extent {
+        self.background.target()
+    }
+
+    pub(super) fn adds_alpha(&self) -> bool {
+        match (&self.background, &self.moved) {
+            (Drawer::Image { .. }, Drawer::Image { renderer, .. }) => self.channels != renderer.channels(),
+            _ => false,
+        }
+    }
+
+    pub(super) fn writer(&self, encoding: Encoding) -> Writer {
+        match &self.background {
+            Drawer::Image { renderer, grey, icc } => {
+                let shape = PngShape { extent: self.target(), channels: self.channels, grey: *grey, depth: renderer.depth() };
+                Writer::new(shape, encoding, icc.as_ref())
+            }
+            other => other.writer(encoding),
+        }
+    }
+
+    pub(super) fn pixel_bytes(&self) -> usize {
+        match &self.background {
+            Drawer::Image { renderer, .. } => self.channels.count() * renderer.depth().bytes(),
+            other => other.pixel_bytes(),
+        }
+    }
+
+    pub(super) fn computed_width(&self) -> u32 {
+        let pictures = self.background.computed_width().saturating_add(self.moved.computed_width());
+        pictures.saturating_add(self.weights.mask.computed_width().saturating_mul(2))
+    }
+
+    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+        let row = out.len() / rows.len().max(1);
+        for (first, out) in rows.clone().step_by(STRIP as usize).zip(out.chunks_mut(STRIP as usize * row)) {
+            self.strip(first..rows.end.min(first + STRIP), out);
+        }
+    }
+
+    fn strip(&self, rows: Range<u32>, out: &mut [u8]) {
+        self.draw_background(rows.clone(), out);
+        let Some(weights) = self.weights.of(rows.clone()) else { return };
+        let mut samples = vec![0; weights.len() * self.moved.pixel_bytes()];
+        self.moved.band(rows, &mut samples);
+        match &self.moved {
+            Drawer::Image { renderer, .. } => blend(out, self.channels, &samples, renderer.channels(), renderer.depth(), &weights),
+            Drawer::Labels { .. } => {
+                let pixel = self.moved.pixel_bytes();
+                for ((out, moved), [m, k]) in out.chunks_exact_mut(pixel).zip(samples.chunks_exact(pixel)).zip(weights) {
+                    if m > HALF {
+                        out.copy_from_slice(moved);
+                    } else if WHOLE - m - k > HALF {
+                        out.fill(0);
+                    }
+                }
+            }
+            _ => {
+                let pixel = self.moved.pixel_bytes();
+                for ((out, moved), weights) in out.chunks_exact_mut(pixel).zip(samples.chunks_exact(pixel)).zip(weights) {
+                    out.fill(mixed(moved[0], out[0], weights));
+                }
+            }
+        }
+    }
+
+    fn draw_background(&self, rows: Range<u32>, out: &mut [u8]) {
+        let Drawer::Image { renderer, .. } = &self.background else { return self.background.band(rows, out) };
+        if renderer.channels() == self.channels {
+            return renderer.band(rows, out);
+        }
+        let (colours, alpha) = (3 * renderer.depth().bytes(), renderer.depth().bytes());
+        let mut samples = vec![0; out.len() / (colours + alpha) * colours];
+        renderer.band(rows, &mut samples);
+        for (out, pixel) in out.chunks_exact_mut(colours + alpha).zip(samples.chunks_exact(colours)) {
+            out[..colours].copy_from_slice(pixel);
+            out[colours..].fill(u8::MAX);
+        }
+    }
+}
+
+/// A mean of two samples, whose weights sum up to at most [`WHOLE`].
+fn mixed(a: u8, b: u8, [w, v]: [u16; 2]) -> u8 {
+    let sum = u32::from(a) * u32::from(w) + u32::from(b) * u32::from(v);
+    #[expect(clippy::cast_possible_truncation, reason = "a mean of 8-bit numbers")]
+    let mean = ((sum + u32::from(HALF)) / u32::from(WHOLE)) as u8;
+    mean
+}
+
+/// The weights of the moved part and of the background.
+#[derive(Debug)]
+struct Weights {
+    mask: MaskDrawer,
+    /// With transparent holes.
+    mask_at_rest: Option<MaskDrawer>,
+}
+
+impl Weights {
+    /// Of each pixel of target rows; `None` if all of them show the background alone.
+    fn of(&self, rows: Range<u32>) -> Option<Vec<[u16; 2]>> {
+        let moved = self.mask.weights(rows.clone());
+        let at_rest = self.mask_at_rest.as_ref().map(|mask| mask.weights(rows));
+        let is_background = |mask: &[u16]| mask.iter().all(|share| *share == 0);
+        if is_background(&moved) && at_rest.as_deref().is_none_or(is_background) {
+            return None;
+        }
+        Some(match at_rest {
+            None => moved.into_iter().map(|m| [m, WHOLE - m]).collect(),
+            Some(at_rest) => moved.into_iter().zip(at_rest).map(|(m, r)| [m, WHOLE - m.max(r)]).collect(),
+        })
+    }
+}
+
+/// Draws the holes that a region leaves: grey, opaque, 8 bit.
+#[derive(Debug)]
+pub(in super::super) struct HolesDrawer {
+    mask: MaskDrawer,
+    mask_at_rest: MaskDrawer,
+    target: Extent,
+}
+
+impl HolesDrawer {
+    pub(super) fn new(region: &Region, mesh: &Mesh, options: RenderOptions) -> Self {
+        let at_rest = Mesh::identity(*mesh.grid());
+        Self { mask: region.drawer(mesh, options), mask_at_rest: region.drawer(&at_rest, options), target: options.target }
+    }
+
+    pub(super) const fn target(&self) -> Extent {
+        self.target
+    }
+
+    pub(super) fn computed_width(&self) -> u32 {
+        self.mask.computed_width().saturating_add(self.mask_at_rest.computed_width())
+    }
+
+    pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
+        let row = out.len() / rows.len().max(1);
+        for (first, out) in rows.clone().step_by(STRIP as usize).zip(out.chunks_mut(STRIP as usize * row)) {
+            let rows = first..rows.end.min(first + STRIP);
+            let holes = self.mask_at_rest.weights(rows.clone()).into_iter().zip(self.mask.weights(rows));
+            for (out, (r, m)) in out.as_chunks_mut::<3>().0.iter_mut().zip(holes) {
+                *out = [mixed(u8::MAX, 0, [r.saturating_sub(m), 0]); 3];
+            }
+        }
+    }
+}
