@@ -101,6 +101,7 @@ fn watch_signals() {
             if let Some(path) = &*part {
                 let _ = fs::remove_file(path);
             }
+            #[expect(clippy::exit, reason = "this thread has no caller that could end the program")]
             std::process::exit(INTERRUPTED);
         });
     });

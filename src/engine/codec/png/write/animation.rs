@@ -109,7 +109,7 @@ mod tests {
         let shape = PngShape { extent, channels: Channels::Rgba, grey: false, depth: Depth::Eight };
         let writer = PngWriter::new(shape, Compression::Fast, icc);
         let row = width as usize * 4;
-        let samples: Vec<u8> = (0..row * height as usize).map(|k| (k as u8).wrapping_mul(value)).collect();
+        let samples: Vec<u8> = (0..=u8::MAX).cycle().take(row * height as usize).map(|k| k.wrapping_mul(value)).collect();
         let (mut out, mut sums) = (writer.head(), Vec::new());
         for strip in 0..writer.strips() {
             let rows = writer.rows(strip);
