@@ -4,7 +4,14 @@
 //!
 //! `cargo bench --bench batch`
 
-#![allow(missing_docs, unreachable_pub, dead_code, clippy::print_stdout, reason = "a program that prints a table")]
+#![allow(
+    missing_docs,
+    unreachable_pub,
+    dead_code,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    reason = "a program that prints a table"
+)]
 
 #[path = "request/client.rs"]
 mod client;
