@@ -48,18 +48,21 @@ impl fmt::Display for LayerName {
 pub enum LayerRef {
     /// `@coverage`: how much of each pixel the posed picture covers.
     Coverage,
+    /// `@holes`: what the region moves away from and nothing covers.
+    Holes,
     /// A stored layer.
     Stored(LayerName),
 }
 
 impl LayerRef {
     /// The names of the built-in layers.
-    pub const BUILT_IN: [&'static str; 1] = ["@coverage"];
+    pub const BUILT_IN: [&'static str; 2] = ["@coverage", "@holes"];
 
     /// The layer of a name; `None` of a text that is no name.
     pub fn parse(text: &str) -> Option<Self> {
         match text {
             "@coverage" => Some(Self::Coverage),
+            "@holes" => Some(Self::Holes),
             _ => LayerName::parse(text).map(Self::Stored),
         }
     }

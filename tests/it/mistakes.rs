@@ -280,8 +280,8 @@ async fn mistakes_with_curl_are_recognised_by_the_parts() {
     let document =
         told(server.post("/sessions").json(&json!({})), 415, "unsupported_media_type", None, &["found `application/json`"]).await;
     assert!(!document["detail"].as_str().unwrap().contains("of a session"), "{document}");
-    let region = Form::new().text("image", "x").text("region", "x").text("warp", "{}");
-    told(server.post("/warp").multipart(region), 422, "not_supported", None, &["`region`; supported: `image`, `warp`"]).await;
+    let region = Form::new().text("image", "x").text("region", "mask.png").text("warp", "{}");
+    told(server.post("/warp").multipart(region), 415, "unsupported_format", None, &["-F region=@path"]).await;
     told(server.post("/warp").multipart(form(&image, "not JSON")), 400, "malformed_request", None, &["the part `warp`: not JSON"]).await;
     let misnamed = Form::new().text("images", "x").text("warp", "{}");
     told(server.post("/warp").multipart(misnamed), 400, "malformed_request", None, &["`images`; did you mean `image`?"]).await;

@@ -332,6 +332,86 @@ async fn a_client_that_leaves_leaves_no_half_of_a_layer() {
     }
 }
 
+/// A mask of vertical halves: nothing moves on the left.
+fn mask(left: u8, right: u8) -> Vec<u8> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    let half = GrayImage::from_fn(40, 30, |x, _| image::Luma([if x < 20 { left } else { right }]));
+    half.write_to(&mut file, image::ImageFormat::Png).unwrap();
+    file.into_inner()
+}
+
+/// The three parts.
+fn masked(picture: &[u8], warp: &Value, mask: Vec<u8>) -> reqwest::multipart::Form {
+    form(picture, warp.to_string()).part("region", reqwest::multipart::Part::bytes(mask).file_name("mask"))
+}
+
+#[tokio::test]
+async fn only_the_content_of_a_region_moves() {
+    let server = Server::start(&[]).await;
+    let picture = photo(40, 30);
+    let (p, q) = (json!([[8, 8], [30, 10], [10, 25], [32, 22]]), json!([[9, 9], [28, 13], [12, 24], [29, 24]]));
+    let once = async |mask: Option<Vec<u8>>| {
+        let warp = json!({"p": p, "q": q});
+        let upload = match mask {
+            Some(mask) => masked(&picture, &warp, mask),
+            None => form(&picture, warp.to_string()),
+        };
+        let answer = server.post("/warp").multipart(upload).send().await.unwrap();
+        assert_eq!(answer.status(), 200);
+        (header(&answer, "etag").to_owned(), answer.bytes().await.unwrap().to_vec())
+    };
+    let pixels = |file: &[u8]| image::load_from_memory(file).unwrap().to_rgb8();
+    let (whole, none, half) = (once(None).await, once(Some(mask(0, 0))).await, once(Some(mask(0, 255))).await);
+    let still = pixels(&picture);
+    assert_eq!(pixels(&none.1), still);
+    assert!(whole.0 != half.0 && none.0 != half.0);
+    let (half_pixels, whole_pixels) = (pixels(&half.1), pixels(&whole.1));
+    assert!((0..30).all(|y| (0..10).all(|x| half_pixels.get_pixel(x, y) == still.get_pixel(x, y))));
+    assert!((0..30).any(|y| (25..36).any(|x| half_pixels.get_pixel(x, y) != still.get_pixel(x, y))));
+    assert!((5..25).any(|y| (5..15).any(|x| whole_pixels.get_pixel(x, y) != still.get_pixel(x, y))));
+    // A session with that layer draws the same, however it was stored.
+    let (id, other) = ("6f8fad5b-d9cb-469f-a165-70867728950e", server.session(&picture, &json!({"p": p})).await);
+    let upload = async |mask: Vec<u8>, status: u16| {
+        let request = server.client.put(server.url(&format!("/sessions/{id}"))).multipart(masked(&picture, &json!({"p": p}), mask));
+        let answer = request.send().await.unwrap();
+        assert_eq!(answer.status(), status);
+        assert_eq!(answer.json::<Value>().await.unwrap()["layers"]["region"], json!({"kind": "image"}));
+    };
+    upload(mask(0, 255), 201).await;
+    assert_eq!(put(&server, &other, "region", mask(0, 255)).await.status(), 201);
+    let drag = async |id: &str, layer: Value| {
+        let answer = server.drag(id, &json!({"q": q, "layer": layer})).await;
+        assert_eq!(answer.status(), 200, "{:?}", answer.text().await);
+        (header(&answer, "etag").to_owned(), answer.bytes().await.unwrap().to_vec())
+    };
+    for id in [id, &other] {
+        assert_eq!(drag(id, Value::Null).await, half);
+        server.app.clear_caches();
+        assert_eq!(drag(id, Value::Null).await, half);
+    }
+    // A layer follows the same region.
+    assert_eq!(put(&server, id, "copy", picture.clone()).await.status(), 201);
+    assert_eq!(drag(id, json!("copy")).await, half);
+    let holes = image::load_from_memory(&drag(id, json!("@holes")).await.1).unwrap();
+    assert_eq!(holes.color(), image::ColorType::L8);
+    // The same upload keeps its layers; another mask is another upload.
+    upload(mask(0, 255), 200).await;
+    assert_eq!(layers(&server, id).await.as_object().unwrap().len(), 2);
+    upload(mask(255, 0), 200).await;
+    assert_eq!(layers(&server, id).await.as_object().unwrap().len(), 1);
+    assert!(drag(id, Value::Null).await != half);
+    // Without the layer everything moves.
+    assert_eq!(server.client.delete(server.url(&format!("/sessions/{other}/layers/region"))).send().await.unwrap().status(), 204);
+    assert_eq!(drag(&other, Value::Null).await, whole);
+    let refused = problem(server.drag(&other, &json!({"q": q, "layer": "@holes"})).await, 422, "bad_value").await;
+    assert_eq!(refused["pointer"], "/layer");
+    for wrong in ["/warp", "/sessions"] {
+        let small = masked(&picture, &json!({"p": p, "q": q}), grey(16, 12, 1));
+        let refused = problem(server.post(wrong).multipart(small).send().await.unwrap(), 422, "bad_value").await;
+        assert!(refused["detail"].as_str().unwrap().starts_with("the part `region`: "), "{refused}");
+    }
+}
+
 /// Requests for different layers at the same time: each is stored.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn simultaneous_changes_lose_no_layer() {

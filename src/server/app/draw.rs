@@ -18,7 +18,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::drawable::Drawable;
+use super::drawable::Content;
 use crate::cache::CacheEntry;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
@@ -71,7 +71,7 @@ pub(crate) struct Planned {
 /// Everything that an image is drawn from.
 #[derive(Debug)]
 pub(crate) struct DrawJob {
-    pub(crate) drawable: Drawable,
+    pub(crate) content: Content,
     pub(crate) planned: Planned,
     pub(crate) q: Vec<Handle>,
     pub(crate) folds: Folds,
@@ -86,12 +86,16 @@ pub(crate) struct DrawJob {
 
 impl DrawJob {
     fn pose(&self, limits: &Limits, is_cancelled: IsCancelled<'_>) -> Result<(Posed, Target), WarpError> {
-        let Self { drawable, planned: Planned { setup, plan, .. }, q, folds, output, preview, .. } = self;
-        let extent = drawable.subject().extent();
-        drawable.subject().check(output)?;
+        let Self { content, planned: Planned { setup, plan, .. }, q, folds, output, preview, .. } = self;
+        let extent = content.subject().extent();
+        content.subject().check(output)?;
         output.check(extent, limits)?;
         let pose_as = if preview.is_some() { Posed::coarse } else { Posed::new };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
+        let posed = match content.region() {
+            Some(region) => posed.within(region.clone()),
+            None => posed,
+        };
         let target = output.target(extent, &posed, limits)?;
         let target = match *preview {
             Some(width) if width < target.extent.width() => OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits)?,
@@ -237,7 +241,7 @@ type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 struct SharedDrawing {
     strips: StripScheduler<Box<Warp>, Sink>,
     /// Its memory stays reserved while strips are drawn from it.
-    _drawable: Drawable,
+    _content: Content,
     meter: Meter,
     end: UnboundedSender<Piece>,
 }
@@ -323,7 +327,7 @@ impl App {
         let pose = || job.pose(&limits, is_cancelled);
         let (posed, target) = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
         drop(halved);
-        let subject = job.drawable.subject();
+        let subject = job.content.subject();
         let bytes = posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
         self.reserve_more(&mut reservation, bytes)?;
         let warp = Warp::onto(target, subject, &posed, &job.output);
@@ -369,7 +373,7 @@ impl DrawTask {
         if warp.is_one_piece() || warp.max_bytes() <= MAX_WHOLE {
             self.draw_whole(&warp, report, reservation);
         } else {
-            self.draw_strips(warp, report, reservation, job.drawable.clone(), began);
+            self.draw_strips(warp, report, reservation, job.content.clone(), began);
         }
     }
 
@@ -381,7 +385,7 @@ impl DrawTask {
         let _ = answer.send(Ok(Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } }));
     }
 
-    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, drawable: Drawable, began: Instant) {
+    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, content: Content, began: Instant) {
         let Self { app, ticket, timing, plan_built, handoff, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
@@ -395,7 +399,7 @@ impl DrawTask {
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
         let helpers = app.0.pool.helpers().min(strips.strips() - 1);
-        let drawing = Arc::new(SharedDrawing { strips, _drawable: drawable, meter: Meter::new(app.clone()), end });
+        let drawing = Arc::new(SharedDrawing { strips, _content: content, meter: Meter::new(app.clone()), end });
         let _ = handoff.set(Some(Arc::clone(&drawing)));
         if began.elapsed() >= HELPER_WAIT {
             // The helpers that were woken early may have returned.

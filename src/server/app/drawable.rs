@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, StepCounter};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, LabelImage, Subject, WarpError};
+use mlswarp::warp::{Digest, Image, LabelImage, Region, Subject, WarpError};
 
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
@@ -28,6 +28,22 @@ pub(crate) enum Drawable {
     Labels(Arc<CacheEntry<LabelImage>>),
     /// How much of each pixel the posed picture of this size covers.
     Coverage(Extent),
+    /// What a region moves away from and nothing covers.
+    Holes(Mask),
+}
+
+/// A region, and the memory of its mask.
+#[derive(Clone, Debug)]
+pub(crate) struct Mask {
+    region: Region,
+    _image: Arc<CacheEntry<Image>>,
+}
+
+/// What a request draws, and the region whose content moves if it is not the whole picture.
+#[derive(Clone, Debug)]
+pub(crate) struct Content {
+    drawable: Drawable,
+    mask: Option<Mask>,
 }
 
 impl Drawable {
@@ -37,19 +53,57 @@ impl Drawable {
             Self::Image(image) => Subject::Image(image),
             Self::Labels(labels) => Subject::Labels(labels),
             Self::Coverage(extent) => Subject::Coverage(*extent),
+            Self::Holes(mask) => Subject::Holes(&mask.region),
         }
     }
+}
 
-    /// Whether alpha is added where the posed picture does not cover the canvas.
+impl Mask {
+    fn new(image: Arc<CacheEntry<Image>>) -> Self {
+        Self { region: Region::new(&image), _image: image }
+    }
+}
+
+impl Content {
+    /// A picture, and the mask of what moves.
+    pub(super) fn image(image: &Arc<CacheEntry<Image>>, mask: Option<&Arc<CacheEntry<Image>>>) -> Self {
+        Self { drawable: Drawable::Image(Arc::clone(image)), mask: mask.map(|mask| Mask::new(Arc::clone(mask))) }
+    }
+
+    /// What the engine draws.
+    pub(crate) fn subject(&self) -> Subject<'_> {
+        self.drawable.subject()
+    }
+
+    /// The region whose content moves, if it is not the whole picture.
+    pub(crate) fn region(&self) -> Option<&Region> {
+        self.mask.as_ref().map(|mask| &mask.region)
+    }
+
+    /// Whether alpha is added where nothing is drawn.
     pub(crate) fn may_gain_alpha(&self) -> bool {
-        matches!(self, Self::Image(image) if !image.has_alpha())
+        matches!(&self.drawable, Drawable::Image(image) if !image.has_alpha())
     }
 }
 
 /// What a request draws, or its file where the cache has evicted it.
-pub(crate) enum Source {
+enum Source {
     Decoded(Drawable),
     File { kind: LayerKind, digest: Digest, file: Arc<CacheEntry<Bytes>> },
+}
+
+/// The sources of a [`Content`].
+pub(crate) struct Sources {
+    /// `None`: the holes of the region.
+    drawn: Option<Source>,
+    region: Option<Source>,
+}
+
+impl Sources {
+    /// Whether nothing is to be decoded.
+    pub(crate) fn is_decoded(&self) -> bool {
+        [&self.drawn, &self.region].into_iter().flatten().all(|source| matches!(source, Source::Decoded(_)))
+    }
 }
 
 /// A cached file as bytes.
@@ -62,17 +116,33 @@ impl AsRef<[u8]> for CachedFile {
 }
 
 impl App {
-    /// The source of a session's picture, or of a layer. The store is read here, without a ticket, so that a slow store blocks no worker.
-    /// Errors: There is no such layer; too little capacity.
-    pub(crate) async fn source(&self, client: Client, record: &Arc<Record>, layer: Option<&LayerRef>) -> Result<Source, Problem> {
-        let (kind, digest) = match layer {
-            None => (LayerKind::Image, record.image),
-            Some(LayerRef::Coverage) => return Ok(Source::Decoded(Drawable::Coverage(record.extent))),
+    /// The sources of a session's picture, or of a layer, and of its region. The store is read here, without a ticket, so that a slow store
+    /// blocks no worker.
+    /// Errors: There is no such layer; holes without a region; too little capacity.
+    pub(crate) async fn sources(&self, client: Client, record: &Record, layer: Option<&LayerRef>) -> Result<Sources, Problem> {
+        let region = record.layers.get(&LayerName::region());
+        let drawn = match layer {
+            None => Some(self.source(client, record, LayerKind::Image, record.image).await?),
+            Some(LayerRef::Coverage) => Some(Source::Decoded(Drawable::Coverage(record.extent))),
+            Some(LayerRef::Holes) if region.is_none() => {
+                let detail = "`@holes` needs a region; store its mask with PUT /sessions/{id}/layers/region";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/layer"));
+            }
+            Some(LayerRef::Holes) => None,
             Some(LayerRef::Stored(name)) => {
                 let (_, layer) = find_layer(record, name.as_str()).map_err(|problem| problem.pointer("/layer"))?;
-                (layer.kind, layer.digest)
+                Some(self.source(client, record, layer.kind, layer.digest).await?)
             }
         };
+        let region = match region {
+            Some(region) => Some(self.source(client, record, LayerKind::Image, region.digest).await?),
+            None => None,
+        };
+        Ok(Sources { drawn, region })
+    }
+
+    /// The source of a file of a session.
+    async fn source(&self, client: Client, record: &Record, kind: LayerKind, digest: Digest) -> Result<Source, Problem> {
         let key = Key::new(record.id.owner(), digest);
         let cached = match kind {
             LayerKind::Image => self.0.images.peek(key).map(Drawable::Image),
@@ -99,12 +169,50 @@ impl App {
         Ok(self.0.files.get(key, fetch, build_aborted).await?.value)
     }
 
-    /// Decodes a source if that has not been done.
-    pub(crate) async fn decoded(&self, owner: Owner, ticket: &Ticket, source: Source) -> Result<Drawable, Problem> {
+    /// Decodes what has not been decoded.
+    pub(crate) async fn content(&self, owner: Owner, ticket: &Ticket, sources: Sources) -> Result<Content, Problem> {
+        let mask = match sources.region {
+            Some(source) => match self.decoded(owner, ticket, source).await? {
+                Drawable::Image(image) => Some(Mask::new(image)),
+                _ => None,
+            },
+            None => None,
+        };
+        let drawable = match (sources.drawn, &mask) {
+            (Some(source), _) => self.decoded(owner, ticket, source).await?,
+            (None, Some(mask)) => Drawable::Holes(mask.clone()),
+            (None, None) => return Err(Problem::new(Code::Internal, "internal error")),
+        };
+        Ok(Content { drawable, mask })
+    }
+
+    async fn decoded(&self, owner: Owner, ticket: &Ticket, source: Source) -> Result<Drawable, Problem> {
         match source {
             Source::Decoded(drawable) => Ok(drawable),
             Source::File { kind, digest, file } => self.drawable(owner, ticket, kind, digest, CachedFile(file)).await,
         }
+    }
+
+    /// Checks the size of a layer's file by its header, and then decodes it; returns its digest too.
+    pub(super) async fn layer(
+        &self,
+        owner: Owner,
+        ticket: &Ticket,
+        kind: LayerKind,
+        file: Bytes,
+        expected: Extent,
+    ) -> Result<(Digest, Drawable), Problem> {
+        let (limits, header) = (self.0.config.limits().image, file.clone());
+        let open = move |cancel: &Cancel| {
+            let is_cancelled = || cancel.is_cancelled();
+            let steps = StepCounter::new(&is_cancelled);
+            check_extent(codec::open(&header, &limits, &steps).map_err(WarpError::from)?.header().extent, expected)?;
+            Ok::<_, Problem>(Digest::of(&header))
+        };
+        let digest = self.0.pool.run(ticket, open).await??;
+        let drawable = self.drawable(owner, ticket, kind, digest, file).await?;
+        check_extent(drawable.subject().extent(), expected)?;
+        Ok((digest, drawable))
     }
 
     /// The decoded file of a picture or layer, from the cache or decoded now.
@@ -185,4 +293,14 @@ pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, Stor
         let stored = if names.is_empty() { "it has no layers".to_owned() } else { format!("its layers: {}", list(&names)) };
         Problem::new(Code::NoSuchLayer, format!("the session has no stored layer {}; {stored}", quote(name)))
     })
+}
+
+/// A layer has the size of its session's picture.
+fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
+    if found == expected {
+        return Ok(());
+    }
+    let [found, expected] = [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
+    let detail = format!("the layer is {found} px after EXIF orientation; it must have the size of the session's picture, {expected} px");
+    Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }

@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::codec::{self, StepCounter};
-use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Setup, WarpError};
+use mlswarp::warp::{Digest, Setup};
 
 use super::drawable::find_layer;
 use super::warp::{ATTEMPTS, revision_key};
@@ -15,7 +13,7 @@ use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::pool::{QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record, Session, StoreError, StoredLayer};
@@ -47,7 +45,10 @@ impl App {
             let old = Arc::clone(&session.record);
             check_count(&old, name)?;
             let setup = self.session_setup(client, &old).await?;
-            let digest = self.check_layer(client, &old, kind, file.clone()).await?;
+            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+            let (digest, _) = self.layer(id.owner(), &ticket, kind, file.clone(), old.extent).await?;
+            // The ticket is not held while the store works.
+            drop(ticket);
             let mut layers = old.layers.clone();
             let before = layers.insert(name.clone(), StoredLayer { kind, digest });
             let is_new = before.is_none();
@@ -102,23 +103,6 @@ impl App {
         Ok(reservation.attach(file))
     }
 
-    /// Checks the size of a layer's file by its header, and then decodes it; returns its digest.
-    async fn check_layer(&self, client: Client, record: &Record, kind: LayerKind, file: Bytes) -> Result<Digest, Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
-        let (limits, expected, header) = (self.0.config.limits().image, record.extent, file.clone());
-        let open = move |cancel: &Cancel| {
-            let is_cancelled = || cancel.is_cancelled();
-            let steps = StepCounter::new(&is_cancelled);
-            let found = codec::open(&header, &limits, &steps).map_err(WarpError::from)?.header().extent;
-            check_extent(found, expected)?;
-            Ok::<_, Problem>(Digest::of(&header))
-        };
-        let digest = self.0.pool.run(&ticket, open).await??;
-        let drawable = self.drawable(record.id.owner(), &ticket, kind, digest, file).await?;
-        check_extent(drawable.subject().extent(), expected)?;
-        Ok(digest)
-    }
-
     /// Replaces the layers of a record, counted for its client. `None`: another revision is there.
     async fn revise_layers(
         &self,
@@ -156,14 +140,4 @@ fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {
         return Err(Problem::new(Code::TooLarge, detail).limit("session_layers", MAX_LAYERS, count));
     }
     Ok(())
-}
-
-/// A layer has the size of its session's picture.
-pub(super) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
-    if found == expected {
-        return Ok(());
-    }
-    let [found, expected] = [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
-    let detail = format!("the layer is {found} px after EXIF orientation; it must have the size of the session's picture, {expected} px");
-    Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }

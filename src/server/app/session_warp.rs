@@ -12,7 +12,7 @@ use mlswarp::warp::{OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
-use super::drawable::{Drawable, Source};
+use super::drawable::Content;
 use super::json_text::json_unless;
 use super::sequence::SequencePosition;
 use super::warp::ATTEMPTS;
@@ -99,13 +99,13 @@ impl App {
     pub async fn warp_session(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.admit_newest(client, Arc::clone(&request.record), drag.layer.as_ref());
-        let (record, drawable, plan) = self.unless_superseded(&request, plan).await?;
+        let (record, content, plan) = self.unless_superseded(&request, plan).await?;
         let format = formats.choose(drag.output.format, record.output.format)?;
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
         let q = record.rest.posed_at(drag.strength, drag.q);
-        self.draw(ticket, DrawJob { drawable, planned, q, folds, output, preview: None, alpha: false, quota }).await
+        self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, alpha: false, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
@@ -124,10 +124,10 @@ impl App {
         client: Client,
         mut record: Arc<Record>,
         layer: Option<&LayerRef>,
-    ) -> Result<(Arc<Record>, Drawable, AdmittedPlan), Problem> {
+    ) -> Result<(Arc<Record>, Content, AdmittedPlan), Problem> {
         for _ in 0..ATTEMPTS {
             match self.admit_drawing(client, &record, layer).await {
-                Ok((drawable, plan)) => return Ok((record, drawable, plan)),
+                Ok((content, plan)) => return Ok((record, content, plan)),
                 Err(problem) if problem.code == Code::NoSuchSession => {
                     let newest = in_stage("store", self.0.store.peek(record.id)).await?.record;
                     if newest.revision == record.revision {
@@ -146,17 +146,17 @@ impl App {
         client: Client,
         record: &Arc<Record>,
         layer: Option<&LayerRef>,
-    ) -> Result<(Drawable, AdmittedPlan), Problem> {
+    ) -> Result<(Content, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
-        let source = self.source(client, record, layer).await?;
-        let ticket = self.admit_step(client, record, &setup, matches!(source, Source::Decoded(_))).await?;
+        let sources = self.sources(client, record, layer).await?;
+        let ticket = self.admit_step(client, record, &setup, sources.is_decoded()).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let drawable = self.decoded(record.id.owner(), &ticket, source).await?;
+        let content = self.content(record.id.owner(), &ticket, sources).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
         let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
-        Ok((drawable, AdmittedPlan { ticket, planned }))
+        Ok((content, AdmittedPlan { ticket, planned }))
     }
 
     /// The plan of a session for a mesh.

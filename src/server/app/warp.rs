@@ -1,7 +1,6 @@
 //! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
 //! computation runs on the pool with one ticket per request.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -11,18 +10,19 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, OutputSpec, Setup};
 
 use super::draw::{DrawJob, Drawn, Planned};
-use super::drawable::Drawable;
+use super::drawable::{Content, Drawable};
 use super::landmarks::HeldLandmarks;
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
 use crate::client::{Client, Owner};
+use crate::layer::{LayerKind, LayerName};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
-use crate::store::{NamedFile, Record};
+use crate::store::{NamedFile, Record, StoredLayer};
 use crate::wire::formats::Formats;
 use crate::wire::{WarpObject, WarpPatch, method_text};
 
@@ -36,6 +36,8 @@ pub struct Upload {
     pub(crate) image: Bytes,
     /// The warp object.
     pub(crate) warp: Bytes,
+    /// The mask of what moves, if it is not the whole picture.
+    pub(crate) region: Option<Bytes>,
     /// The handles, if they are in landmark files.
     pub(crate) landmarks: Option<HeldLandmarks>,
 }
@@ -43,7 +45,7 @@ pub struct Upload {
 impl Upload {
     /// An image file and a warp object.
     pub fn new(image: impl Into<Bytes>, warp: impl Into<Bytes>) -> Self {
-        Self { image: image.into(), warp: warp.into(), landmarks: None }
+        Self { image: image.into(), warp: warp.into(), region: None, landmarks: None }
     }
 }
 
@@ -56,6 +58,7 @@ pub struct PreparedWarp {
     /// The format of this response; a session keeps the requested one.
     format: Format,
     image: Arc<CacheEntry<Image>>,
+    region: Option<(NamedFile, Arc<CacheEntry<Image>>)>,
     setup: Arc<Setup>,
     /// The memory of the setup.
     held: Option<Reservation>,
@@ -69,20 +72,23 @@ impl PreparedWarp {
 
     /// The record, files and setup of a session, and the memory of the setup.
     pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Vec<NamedFile>, Arc<Setup>, Option<Reservation>) {
-        let Self { file, digest, object, image, setup, held, .. } = self;
+        let Self { file, digest, object, image, region, setup, held, .. } = self;
+        let region = region.map(|(file, _)| file);
+        let made_with_region = region.as_ref().map(|file| file.digest);
+        let layer = |digest| (LayerName::region(), StoredLayer { kind: LayerKind::Image, digest });
         let record = Record {
             id,
             revision: Revision::random(),
             image: digest,
-            layers: BTreeMap::new(),
-            made_with_region: None,
+            layers: made_with_region.map(layer).into_iter().collect(),
+            made_with_region,
             extent: image.extent(),
             rest: object.rest,
             folds: object.folds,
             output: object.output,
             created: SystemTime::now(),
         };
-        (Arc::new(record), vec![NamedFile { digest, bytes: file }], setup, held)
+        (Arc::new(record), std::iter::once(NamedFile { digest, bytes: file }).chain(region).collect(), setup, held)
     }
 }
 
@@ -109,7 +115,7 @@ impl App {
         let q = prepared.object.posed()?.to_vec();
         let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
         let job = DrawJob {
-            drawable: Drawable::Image(Arc::clone(&prepared.image)),
+            content: Content::image(&prepared.image, prepared.region.as_ref().map(|(_, mask)| mask)),
             planned,
             q,
             folds,
@@ -147,7 +153,7 @@ impl App {
         upload: Upload,
         formats: Option<Formats>,
     ) -> Result<(PreparedWarp, Planned), Problem> {
-        let Upload { image: file, warp: json, landmarks } = upload;
+        let Upload { image: file, warp: json, region, landmarks } = upload;
         let has_landmarks = landmarks.is_some();
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
@@ -174,6 +180,15 @@ impl App {
             // An image that is warped once is evicted before those of sessions.
             self.0.images.demote(Key::new(owner, digest));
         }
+        let region = match region {
+            Some(bytes) => {
+                match self.layer(owner, ticket, LayerKind::Image, bytes.clone(), image.extent()).await.map_err(in_part_region)? {
+                    (digest, Drawable::Image(mask)) => Some((NamedFile { digest, bytes }, mask)),
+                    _ => None,
+                }
+            }
+            None => None,
+        };
         timing.decode = began.elapsed();
         stage("decode", began);
         let (app, extent) = (self.clone(), image.extent());
@@ -186,7 +201,7 @@ impl App {
         };
         let Resolved { object, setup, held } = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(owner, ticket, &setup, timing).await?;
-        Ok((PreparedWarp { file, digest, object, format, image, setup, held }, planned))
+        Ok((PreparedWarp { file, digest, object, format, image, region, setup, held }, planned))
     }
 
     /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
@@ -213,6 +228,12 @@ fn in_part_warp(mut problem: Problem) -> Problem {
     if problem.code == Code::MalformedRequest && problem.pointer.is_none() {
         problem.detail.insert_str(0, "the part `warp`: ");
     }
+    problem
+}
+
+/// Adds the name of the part.
+fn in_part_region(mut problem: Problem) -> Problem {
+    problem.detail.insert_str(0, "the part `region`: ");
     problem
 }
 

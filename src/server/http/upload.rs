@@ -1,4 +1,4 @@
-//! Multipart uploads: the parts `image` (the file), `warp` (the warp object) and landmark files, each once, in any order.
+//! Multipart uploads: the parts `image` (the file), `warp` (the warp object), `region` (a mask) and landmark files, each once, in any order.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -27,9 +27,8 @@ const MAX_OVERHEAD: u64 = 16 << 10;
 const PARSER_BYTES: u64 = 128 << 10;
 
 /// The parts of an upload, and those of landmark files alone, which are its last ones.
-const UPLOAD: [&str; 7] = ["image", "warp", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q"];
-const UPLOAD_ADVICE: &str =
-    "the parts are `image` and `warp`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p` and `extent_q`";
+const UPLOAD: [&str; 8] = ["image", "warp", "region", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q"];
+const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p` and `extent_q`";
 const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`";
 /// Longest text of an extent, bytes.
 const EXTENT_BYTES: u64 = 64;
@@ -52,14 +51,16 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
         let detail = format!("{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
-    let [image, warp, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
+    let [image, warp, region, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
     let files = landmark_files(files)?;
     // Every field of a warp object has a default, except for the handles.
     let warp = if files.is_empty() { warp } else { warp.or(Some(Bytes::from_static(b"{}"))) };
     match (image, warp) {
         (Some(image), Some(warp)) => {
             require_contents(&[("image", Code::UnsupportedFormat, Some(&image)), ("warp", Code::MalformedRequest, Some(&warp))])?;
+            require_contents(&[("region", Code::UnsupportedFormat, region.as_ref())])?;
             let mut upload = Upload::new(image, warp);
+            upload.region = region;
             if !files.is_empty() {
                 upload.landmarks = Some(caller.app.read_landmarks(caller.client, files).await?);
             } else if files.extent_p.or(files.extent_q).is_some() {
@@ -76,7 +77,7 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
 
 /// Reads the parts of landmark files alone.
 pub(crate) async fn read_landmark_parts(caller: &Caller, request: Request) -> Result<LandmarkFiles, Problem> {
-    let [_, _, files @ ..] = read_parts(caller, request, &UPLOAD[2..], LANDMARKS_ADVICE).await?;
+    let [_, _, _, files @ ..] = read_parts(caller, request, &UPLOAD[3..], LANDMARKS_ADVICE).await?;
     landmark_files(files)
 }
 
@@ -92,7 +93,7 @@ pub(crate) fn is_multipart(request: &Request) -> bool {
 }
 
 /// Reads the parts of these names, each once, in any order.
-async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str], advice: &str) -> Result<[Option<Bytes>; 7], Problem> {
+async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str], advice: &str) -> Result<[Option<Bytes>; 8], Problem> {
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
@@ -100,7 +101,7 @@ async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
-    let mut read: [Option<Bytes>; 7] = Default::default();
+    let mut read: [Option<Bytes>; 8] = Default::default();
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();

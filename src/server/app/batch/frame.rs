@@ -12,7 +12,7 @@ use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, check, pose_of};
 use crate::app::App;
 use crate::app::draw::{DrawJob, DrawnFile, Planned};
-use crate::app::drawable::Drawable;
+use crate::app::drawable::Content;
 use crate::app::json_text::json_unless;
 use crate::cache::CacheEntry;
 use crate::client::Client;
@@ -32,7 +32,7 @@ pub(crate) struct BatchJob {
     pub(crate) client: Client,
     pub(crate) quota: ClientQuota,
     pub(crate) record: Arc<Record>,
-    pub(crate) drawable: Drawable,
+    pub(crate) content: Content,
     pub(crate) setup: Arc<Setup>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) poses: BatchPoses,
@@ -67,8 +67,8 @@ impl BatchJob {
 
     fn draw_job(&self, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
-        let (drawable, quota) = (self.drawable.clone(), self.quota.clone());
-        DrawJob { drawable, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
+        let (content, quota) = (self.content.clone(), self.quota.clone());
+        DrawJob { content, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
     }
 
     /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
@@ -105,7 +105,7 @@ impl BatchJob {
         }
         if let Some(canvas) = canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
             self.output.canvas = CanvasSpec::Box(canvas);
-            self.output.check(self.drawable.subject().extent(), &self.app.config().limits())?;
+            self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
             self.alpha |= needs_alpha && !has_one_canvas;
         }
@@ -120,7 +120,7 @@ impl BatchJob {
             Outside::Edge | Outside::Reflect => true,
         };
         let has_holes = self.output.holes == Holes::Transparent;
-        (!is_opaque || has_holes) && self.drawable.may_gain_alpha() && self.output.format != Format::Jpeg
+        (!is_opaque || has_holes) && self.content.may_gain_alpha() && self.output.format != Format::Jpeg
     }
 
     /// Draws a frame and maps its annotations.

@@ -57,7 +57,7 @@ impl App {
         let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
         drop(ticket);
         check_form(&object, form)?;
-        let (record, drawable, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record, None).await?;
+        let (record, content, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record, None).await?;
         drop(ticket);
         let BatchObject { poses, annotations, output, delay } = object;
         let format = match form {
@@ -67,7 +67,7 @@ impl App {
         let output = OutputSpec { format, ..output.merge_onto(&record.output) };
         let (setup, plan, quota) = (planned.setup, planned.plan, self.response_quota(client));
         let mut job =
-            BatchJob { app: self.clone(), client, quota, record, drawable, setup, plan, poses, annotations, output, form, alpha: false };
+            BatchJob { app: self.clone(), client, quota, record, content, setup, plan, poses, annotations, output, form, alpha: false };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let job = self.0.pool.run(&ticket, move |cancel| job.prepare(cancel).map(|()| job)).await??;
         drop(ticket);

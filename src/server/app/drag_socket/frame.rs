@@ -97,13 +97,13 @@ async fn try_draw_frame(
     let seq = request.pose.seq;
     match form {
         Form::Picture(format) => {
-            let (record, drawable, plan) = app.admit_newest(client, record, None).await?;
+            let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, request.width);
             let AdmittedPlan { ticket, planned } = plan;
-            let job = DrawJob { drawable, planned, q, folds: record.folds, output, preview, alpha: false, quota };
+            let job = DrawJob { content, planned, q, folds: record.folds, output, preview, alpha: false, quota };
             let drawn = app.draw(ticket, job).await?;
             let Drawn { report, target, timing, picture, .. } = drawn;
             let (pieces, cost) = collect(picture).await?;
