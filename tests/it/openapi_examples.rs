@@ -125,7 +125,7 @@ fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> Request
             request.multipart(texts.fold(base, |form, (name, text)| form.text(name.clone(), text.as_str().unwrap().to_owned())))
         }
         "application/json" => request.json(body),
-        "image/jpeg" => request.body(PICTURE),
+        "application/octet-stream" => request.body(PICTURE),
         _ => panic!("no body of the type {media_type} can be made"),
     }
 }

@@ -36,12 +36,13 @@ static REFERENCE: LazyLock<Asset> =
     LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
-static EXAMPLES: LazyLock<[(&str, Asset); 29]> = LazyLock::new(|| {
+static EXAMPLES: LazyLock<[(&str, Asset); 32]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
         "examples/caricature.py" TEXT, "examples/caricature.js" JS,
         "examples/errors.sh" TEXT, "examples/errors.py" TEXT, "examples/errors.js" JS,
         "examples/landmarks.sh" TEXT, "examples/landmarks.py" TEXT, "examples/landmarks.js" JS,
+        "examples/layers.sh" TEXT, "examples/layers.py" TEXT, "examples/layers.js" JS,
         "examples/lines.sh" TEXT, "examples/lines.py" TEXT, "examples/lines.js" JS,
         "examples/methods.sh" TEXT, "examples/methods.py" TEXT, "examples/methods.js" JS,
         "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
