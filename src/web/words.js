@@ -19,6 +19,7 @@ const PROBLEMS = {
   timeout: ["The request timed out", "Retrying automatically. A smaller picture takes less time."],
   no_such_session: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
   session_expired: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
+  no_such_layer: ["The region of the session was removed", "Open the link again: another user has changed the session."],
   too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
   unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG, WebP, GIF or BMP and open that file."],
   bad_landmarks: ["The landmark file cannot be read", "Correct the file at the place that the message names."],
