@@ -123,6 +123,40 @@ async fn maps_are_the_files_that_the_server_answers() {
     }
 }
 
+#[tokio::test]
+async fn labels_and_coverage_are_those_of_layers() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]], "output": {"canvas": "fit"}});
+    let (picture, labels) = (photo(80, 60), png_of_labels());
+    let id = server.session(&picture, &json!({"p": warp["p"]})).await;
+    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/mask?kind=labels"))).body(labels.clone()).send().await.unwrap();
+    assert_eq!(put.status(), 201);
+    let (warp_file, image, mask, out) =
+        (scratch.path("warp.json"), scratch.path("image.png"), scratch.path("mask.png"), scratch.path("out.png"));
+    std::fs::write(&warp_file, warp.to_string()).unwrap();
+    std::fs::write(&image, picture).unwrap();
+    std::fs::write(&mask, labels).unwrap();
+    for (layer, file, kind) in [("mask", &mask, "labels"), ("@coverage", &image, "coverage")] {
+        let body = json!({"q": warp["q"], "output": warp["output"], "layer": layer});
+        let expected = answer(&server, &format!("/sessions/{id}/warp"), &body).await;
+        let (_, said) = done(&["warp", file, &warp_file, "--kind", kind, "-o", &out], "");
+        assert!(said.contains("canvas") && std::fs::read(&out).unwrap() == expected, "{layer}: {said}");
+    }
+    let said = failed(&["warp", &mask, &warp_file, "--kind", "labels", "-o", &scratch.path("out.jpg")], "");
+    assert!(said.starts_with("bad_value: "), "a format that would change labels: {said}");
+}
+
+/// A palette image of three labels.
+fn png_of_labels() -> Vec<u8> {
+    let labels: Vec<u8> = (0..60 * 80).map(|i| u8::try_from((i % 80 / 20 + i / 80 / 20) % 3).unwrap()).collect();
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, 80, 60);
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_palette(vec![0, 0, 0, 200, 10, 10, 10, 10, 200]);
+    encoder.write_header().unwrap().write_image_data(&labels).unwrap();
+    file
+}
+
 #[test]
 fn points_name_what_is_wrong() {
     let scratch = Scratch::new();

@@ -51,9 +51,9 @@ impl WarpInput {
         self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read("warp object", path, config.max_warp_json_bytes))
     }
 
-    /// Landmarks of both sides, if there are landmark files.
+    /// The landmark files, if there are any.
     /// Errors: A file that cannot be read.
-    pub(super) fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
+    pub(super) fn landmark_files(&self, config: &Config) -> Result<Option<LandmarkFiles>, Failure> {
         let Some(path) = &self.landmarks else { return Ok(None) };
         let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
         let extent = |name: &str, text: &Option<String>| text.as_ref().map(|text| extent(name, text)).transpose();
@@ -62,10 +62,16 @@ impl WarpInput {
             extent_q: extent("--extent-q", &self.extent_q)?,
             ..LandmarkFiles::default()
         };
-        let files = match &self.landmarks_q {
+        Ok(Some(match &self.landmarks_q {
             Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..extents },
             None => LandmarkFiles { both: Some(file(path)?), ..extents },
-        };
+        }))
+    }
+
+    /// Landmarks of both sides, if there are landmark files.
+    /// Errors: As [`Self::landmark_files`]; landmarks of one side.
+    pub(super) fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
+        let Some(files) = self.landmark_files(config)? else { return Ok(None) };
         let landmarks = files.read(config.limits().columns)?;
         landmarks.require_q()?;
         Ok(Some(landmarks))
@@ -80,11 +86,15 @@ impl ExtentInput {
             return Ok(Some(extent("--extent", text)?));
         }
         let Some(path) = &self.image else { return Ok(None) };
-        let file = read("image", path, config.max_body_bytes)?;
-        let steps = StepCounter::new(&|| false);
-        let opened = codec::open(&file, &config.limits().image, &steps).map_err(WarpError::from)?;
-        Ok(Some(opened.header().extent))
+        Ok(Some(extent_of(config, &read("image", path, config.max_body_bytes)?)?))
     }
+}
+
+/// The size of an image file, from its header.
+/// Errors: Not an image, or one over the limits.
+pub(super) fn extent_of(config: &Config, file: &[u8]) -> Result<Extent, WarpError> {
+    let steps = StepCounter::new(&|| false);
+    Ok(codec::open(file, &config.limits().image, &steps)?.header().extent)
 }
 
 /// The body of a request with a whole warp object and the size of its image.

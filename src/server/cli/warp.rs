@@ -5,11 +5,11 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, Posed, Report, Subject, Warp};
+use mlswarp::warp::{Image, LabelImage, Posed, Report, Subject, Warp};
 
 use super::failure::Failure;
 use super::{input, output};
-use crate::config::{Config, WarpArgs};
+use crate::config::{Config, WarpArgs, WarpKind};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Landmarks, UNMATCHED};
@@ -19,7 +19,7 @@ use crate::wire::{canvas_from_text, canvas_text, method_text};
 /// Warps one image. The result: what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
-    let WarpArgs { image, input: handles, canvas, out } = args;
+    let WarpArgs { image, input: handles, kind, canvas, out } = args;
     handles.require_one_stdin(&[Some(image)])?;
     let canvas = canvas.as_deref().map(canvas_from_text).transpose();
     let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
@@ -35,17 +35,27 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let mut object = patch.into_object()?;
     object.output.format = format;
     object.output.canvas = canvas.unwrap_or(object.output.canvas);
-    input::threads(config)?.install(|| render(config, &file, object, landmarks, out))
+    input::threads(config)?.install(|| match kind {
+        WarpKind::Image => render(config, Subject::Image(&Image::decode(&file, &config.limits().image)?), object, landmarks, out),
+        WarpKind::Labels => render(config, Subject::Labels(&LabelImage::decode(&file, &config.limits())?), object, landmarks, out),
+        WarpKind::Coverage => render(config, Subject::Coverage(input::extent_of(config, &file)?), object, landmarks, out),
+    })
 }
 
-fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Option<Landmarks>, out: &Path) -> Result<String, Failure> {
-    let image = Image::decode(file, &config.limits().image)?;
+fn render(
+    config: &Config,
+    subject: Subject<'_>,
+    mut object: WarpObject,
+    landmarks: Option<Landmarks>,
+    out: &Path,
+) -> Result<String, Failure> {
     let unmatched = landmarks.as_ref().is_some_and(Landmarks::has_unmatched).then_some(UNMATCHED);
-    let setup = input::resolve(config, &mut object, landmarks, image.extent())?;
+    let setup = input::resolve(config, &mut object, landmarks, subject.extent())?;
     let pose = setup.pose(object.posed()?)?;
-    object.output.check(image.extent(), &config.limits())?;
+    subject.check(&object.output)?;
+    object.output.check(subject.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
-    let warp = Warp::new(Subject::Image(&image), &posed, &object.output, &config.limits())?;
+    let warp = Warp::new(subject, &posed, &object.output, &config.limits())?;
     output::write(out, |sink| {
         let mut written = Ok(());
         let _ = warp.write(config.work.workers.saturating_sub(1), &(), &mut |bytes| {
@@ -55,7 +65,7 @@ fn render(config: &Config, file: &[u8], mut object: WarpObject, landmarks: Optio
         written
     })?;
     let target = warp.target();
-    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(Subject::Image(&image), &target, &|| false)?;
+    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, &target, &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
     let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
     let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Arg, Args, Subcommand};
+use clap::{Arg, Args, Subcommand, ValueEnum};
 
 /// The commands of the program.
 #[derive(Debug, Subcommand)]
@@ -55,6 +55,18 @@ pub struct ExtentInput {
     pub image: Option<PathBuf>,
 }
 
+/// What `mlswarp warp` draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum WarpKind {
+    /// The picture.
+    #[default]
+    Image,
+    /// Labels, as of a layer of a session with `kind=labels`.
+    Labels,
+    /// The layer `@coverage`.
+    Coverage,
+}
+
 /// The arguments of `mlswarp warp`.
 #[derive(Args, Clone, Debug)]
 pub struct WarpArgs {
@@ -63,6 +75,10 @@ pub struct WarpArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
+    /// What the image file is: a picture; a label mask, in whose warp every label is one of the mask, of the same depth and palette; or
+    /// only the size for the coverage, how much of each pixel the posed picture covers.
+    #[arg(long, value_enum, default_value_t, display_order = 4)]
+    pub kind: WarpKind,
     /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
     /// precedence over the warp object.
     #[arg(long, value_name = "same|fit|X,Y,WIDTH,HEIGHT", allow_hyphen_values = true, display_order = 4)]
@@ -113,6 +129,7 @@ pub struct MapArgs {
 const WARP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp warp cat.png warp.json -o warped.png
+  mlswarp warp cat-labels.png warp.json --kind labels -o warped-labels.png
   mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts -o average.jpg"#;
 
 const POINTS_EXAMPLE: &str = r#"Examples:
