@@ -7,7 +7,7 @@ mod malloc_trim;
 
 use std::process::ExitCode;
 
-use mlswarp_server::cli::{health, map, points, warp};
+use mlswarp_server::cli::{batch, health, map, points, warp};
 use mlswarp_server::config::{Cli, Command};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
@@ -30,6 +30,7 @@ fn main() -> ExitCode {
         }
         Command::Health => health::ask(&config).map_err(|e| format!("error: {e}")),
         Command::Warp(args) => warp::run(&config, &args).map(Some).map_err(|e| e.to_string()).map(print),
+        Command::Batch(args) => batch::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Map(args) => map::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Points(args) => points::run(&config, &args).map_err(|e| e.to_string()).map(print),
     };

@@ -124,26 +124,84 @@ async fn maps_are_the_files_that_the_server_answers() {
 }
 
 #[tokio::test]
-async fn labels_and_coverage_are_those_of_layers() {
+async fn batches_are_the_files_that_the_server_answers() {
     let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
-    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]], "output": {"canvas": "fit"}});
-    let (picture, labels) = (photo(80, 60), png_of_labels());
-    let id = server.session(&picture, &json!({"p": warp["p"]})).await;
-    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/mask?kind=labels"))).body(labels.clone()).send().await.unwrap();
-    assert_eq!(put.status(), 201);
-    let (warp_file, image, mask, out) =
-        (scratch.path("warp.json"), scratch.path("image.png"), scratch.path("mask.png"), scratch.path("out.png"));
-    std::fs::write(&warp_file, warp.to_string()).unwrap();
-    std::fs::write(&image, picture).unwrap();
-    std::fs::write(&mask, labels).unwrap();
-    for (layer, file, kind) in [("mask", &mask, "labels"), ("@coverage", &image, "coverage")] {
-        let body = json!({"q": warp["q"], "output": warp["output"], "layer": layer});
-        let expected = answer(&server, &format!("/sessions/{id}/warp"), &body).await;
-        let (_, said) = done(&["warp", file, &warp_file, "--kind", kind, "-o", &out], "");
-        assert!(said.contains("canvas") && std::fs::read(&out).unwrap() == expected, "{layer}: {said}");
+    let warp = json!({"p": [[10, 10], [70, 50]], "q": [[14, 10], [66, 41]], "method": "similarity"});
+    let batch = json!({"steps": 5, "easing": "ease-in-out", "output": {"format": "jpeg"}});
+    let jitter = json!({"jitter": {"seed": 7, "count": 3, "sigma": 2}, "points": [[1, 2]]});
+    let picture = photo(80, 60);
+    let id = server.session(&picture, &json!({"p": warp["p"], "method": "similarity"})).await;
+    let expected = async |batch: &Value, media_type: &str| {
+        let body = merged(&json!({"q": warp["q"]}), batch);
+        let response = server.post(&format!("/sessions/{id}/batch")).header("Accept", media_type).json(&body).send().await.unwrap();
+        assert_eq!(response.status(), 200);
+        response.bytes().await.unwrap().to_vec()
+    };
+    let path = |name: &str| scratch.path(name);
+    let (image, handles, file) = (path("image.png"), path("warp.json"), path("batch.json"));
+    std::fs::write(&image, &picture).unwrap();
+    std::fs::write(&handles, warp.to_string()).unwrap();
+    for batch in [&batch, &jitter] {
+        let archive = expected(batch, "application/zip").await;
+        let frames = if *batch == jitter { 3 } else { 5 };
+        std::fs::write(&file, batch.to_string()).unwrap();
+        let (stdout, said) = done(&["batch", &image, &handles, &file, "-o", &path("out.zip")], "");
+        assert!(stdout.is_empty() && std::fs::read(path("out.zip")).unwrap() == archive);
+        assert_eq!(said, format!("{frames} frames\n"));
+        assert!(done(&["batch", &image, &handles, "-", "-o", "-"], &batch.to_string()).0 == archive);
+        assert!(done(&["batch", &image, "-", "-o", "-"], &merged(&warp, batch).to_string()).0 == archive, "one object with all fields");
+        let directory = path(&format!("directory-{frames}"));
+        done(&["batch", &image, &handles, &file, "-o", &directory], "");
+        let mut entries = zip::ZipArchive::new(std::io::Cursor::new(archive)).unwrap();
+        assert_eq!(std::fs::read_dir(&directory).unwrap().count(), entries.len());
+        for k in 0..entries.len() {
+            let (mut entry, mut bytes) = (entries.by_index(k).unwrap(), Vec::new());
+            let name = entry.name().unwrap().into_owned();
+            entry.read_to_end(&mut bytes).unwrap();
+            assert!(std::fs::read(std::path::Path::new(&directory).join(&*name)).unwrap() == bytes, "{name}");
+        }
     }
+    let animation = json!({"steps": 4, "delay": 100});
+    std::fs::write(&file, animation.to_string()).unwrap();
+    for name in ["out.png", "out.APNG"] {
+        done(&["batch", &image, &handles, &file, "-Q", "-o", &path(name)], "");
+        assert!(std::fs::read(path(name)).unwrap() == expected(&animation, "image/apng").await, "{name}");
+    }
+    for (stdin, out, sentence) in [
+        (r#"{"steps": 0}"#, "out.zip", "bad_value: "),
+        (r#"{"steps": 4, "stps": 2}"#, "out.zip", "unknown_field: "),
+        (r#"{"steps": 4, "p": [[1, 1]]}"#, "out.zip", "malformed_request: the field `p` is given twice (/p)"),
+        (r#"{"steps": 4}"#, "out.tif", "unsupported_format: cannot write "),
+        (r#"{"steps": 4}"#, "missing/out.zip", "error: cannot write "),
+        ("{}", "out.zip", "bad_value: the poses are missing"),
+    ] {
+        let said = failed(&["batch", &image, &handles, "-", "-o", &path(out)], stdin);
+        assert!(said.starts_with(sentence), "{stdin} {out}: {said}");
+    }
+}
+
+#[test]
+fn labels_keep_their_palette_and_coverage_is_grey() {
+    let scratch = Scratch::new();
+    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]]});
+    let (warp_file, mask, out) = (scratch.path("warp.json"), scratch.path("mask.png"), scratch.path("out.png"));
+    std::fs::write(&warp_file, warp.to_string()).unwrap();
+    std::fs::write(&mask, png_of_labels()).unwrap();
+    let drawn = |kind: &str| {
+        done(&["warp", &mask, &warp_file, "--kind", kind, "-o", &out], "");
+        let decoder = png::Decoder::new(std::io::Cursor::new(std::fs::read(&out).unwrap()));
+        let mut reader = decoder.read_info().unwrap();
+        let mut samples = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut samples).unwrap();
+        (info.color_type, samples)
+    };
+    let (colour, labels) = drawn("labels");
+    assert_eq!(colour, png::ColorType::Indexed);
+    assert!((0..3).all(|label| labels.contains(&label)) && labels.iter().all(|label| *label < 3));
+    let (colour, coverage) = drawn("coverage");
+    assert!(colour == png::ColorType::Grayscale && coverage.contains(&255) && coverage.contains(&0));
     let said = failed(&["warp", &mask, &warp_file, "--kind", "labels", "-o", &scratch.path("out.jpg")], "");
-    assert!(said.starts_with("bad_value: "), "a format that would change labels: {said}");
+    assert!(said.contains("jpeg"), "a format that would change labels: {said}");
 }
 
 /// A palette image of three labels.

@@ -1,5 +1,6 @@
 //! The subcommands beside the server.
 
+pub mod batch;
 mod failure;
 pub mod health;
 mod input;

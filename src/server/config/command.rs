@@ -18,6 +18,9 @@ pub enum Command {
     /// Write the coordinate map without a server: the file of POST /map.
     #[command(after_help = MAP_EXAMPLE)]
     Map(MapArgs),
+    /// Draw many frames of one image without a server: the zip archive or animated PNG of POST /sessions/{id}/batch.
+    #[command(after_help = BATCH_EXAMPLE)]
+    Batch(BatchArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
@@ -126,6 +129,26 @@ pub struct MapArgs {
     pub out: PathBuf,
 }
 
+/// The arguments of `mlswarp batch`.
+#[derive(Args, Clone, Debug)]
+pub struct BatchArgs {
+    /// Image file (PNG, JPEG, WebP, TIFF, GIF, BMP); `-` reads standard input.
+    pub image: PathBuf,
+    /// The handles.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// Batch (JSON): frames, or steps and easing, or jitter; points, polygons, boxes, geojson; `-` reads standard input. Without this file
+    /// they stand in the warp object.
+    pub batch: Option<PathBuf>,
+    /// Show no progress on a terminal.
+    #[arg(short = 'Q', long, display_order = 5)]
+    pub quiet: bool,
+    /// Output file, .zip (pictures, annotations, frames.json), .png or .apng (an animation); a directory for the files of the archive; `-`
+    /// writes the archive to standard output.
+    #[arg(short, long, display_order = 5)]
+    pub out: PathBuf,
+}
+
 const WARP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp warp cat.png warp.json -o warped.png
@@ -141,6 +164,12 @@ const MAP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp map warp.json --image cat.png -o map.npy    # cv2.remap(cat, numpy.load("map.npy"), ...)
   mlswarp map warp.json --extent 451,300 --direction forward -o forward.tif"#;
+
+const BATCH_EXAMPLE: &str = r#"Examples:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  echo '{"steps": 24, "easing": "ease-in-out"}' | mlswarp batch cat.png warp.json - -o cat.apng
+  echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "boxes": [[150, 90, 330, 150]]}' > batch.json
+  mlswarp batch cat.png warp.json batch.json -o cats.zip"#;
 
 /// The limits of what is computed, with the help texts that fit a command.
 const LIMITS: [(&str, &str); 8] = [
@@ -165,10 +194,11 @@ const SERVICE: [(&str, &str); 9] = {
 };
 
 /// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
-pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 4] = [
+pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 5] = [
     ("warp", &LIMITS),
     ("points", &SERVICE),
     ("map", &SERVICE),
+    ("batch", &SERVICE),
     (
         "health",
         &[

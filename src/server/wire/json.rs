@@ -216,6 +216,12 @@ impl<'j> Node<'j, '_> {
         Ok((values.map(|value| value.filter(|node| node.kind() != Kind::Null)), unknown))
     }
 
+    /// The names, in their quotes, and the values of an object.
+    pub(crate) fn pairs(&self) -> impl Iterator<Item = (&'j str, &'j str)> + use<'j> {
+        let mut rest = self.text.get(1..).unwrap_or_default();
+        std::iter::from_fn(move || Some((next(&mut rest)?, next(&mut rest)?)))
+    }
+
     /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
     pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
         let mut node = Node { text: self.text, at: At::Root };
@@ -223,9 +229,7 @@ impl<'j> Node<'j, '_> {
             let mut rest = &node.text[1.min(node.text.len())..];
             let inner = match node.kind() {
                 Kind::Array => step.parse().ok().and_then(|index| std::iter::from_fn(|| next(&mut rest)).nth(index)),
-                Kind::Object => std::iter::from_fn(|| Some((next(&mut rest)?, next(&mut rest)?)))
-                    .find(|(name, _)| name.trim_matches('"') == step)
-                    .map(|(_, value)| value),
+                Kind::Object => node.pairs().find(|(name, _)| name.trim_matches('"') == step).map(|(_, value)| value),
                 _ => None,
             };
             let Some(text) = inner else { break };

@@ -3,7 +3,7 @@
 use mlswarp::pixmap::Extent;
 
 use super::json::{self, optional};
-use super::size;
+use super::{fields, size};
 use crate::problem::Problem;
 
 /// An object with the fields of all objects; a field of two of them is then one that is given twice.
@@ -17,6 +17,20 @@ pub(crate) fn merged(objects: &[&[u8]]) -> Result<Vec<u8>, Problem> {
         fields.extend((!inside.is_empty()).then_some(inside));
     }
     Ok(format!("{{{}}}", fields.join(",")).into_bytes())
+}
+
+/// The warp object of a session, and the body of a batch of it, from an object with the fields of both. `q` and `strength` are in both.
+/// Errors: Not a JSON object.
+pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
+    let root = json::root(object)?;
+    let name = |pair: &(&str, &str)| pair.0.trim_matches('"').to_owned();
+    let is_posed = |name: &str| ["q", "strength"].contains(&name);
+    let is_of_session = |name: &str| fields::WARP.contains(&name) && name != "output";
+    let text = |belongs: &dyn Fn(&str) -> bool| {
+        let fields: Vec<String> = root.pairs().filter(|pair| belongs(&name(pair))).map(|(name, value)| format!("{name}:{value}")).collect();
+        format!("{{{}}}", fields.join(",")).into_bytes()
+    };
+    Ok([text(&is_of_session), text(&|name| !is_of_session(name) || is_posed(name))])
 }
 
 /// The field `extent` of an object.
@@ -42,5 +56,9 @@ mod tests {
         assert_eq!(extent_in(b"{\"extent\": [4, 3]}").unwrap(), Extent::new(4, 3));
         assert_eq!(extent_in(b"{\"extent\": null, \"p\": []}").unwrap(), None);
         assert!(extent_in(b"{\"extent\": [4]}").is_err());
+        let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
+        let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
+        assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);
+        assert_eq!(batch, r#"{"steps":2,"q":[[3, 4]],"output":{},"other":"}"}"#);
     }
 }

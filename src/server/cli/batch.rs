@@ -1,0 +1,136 @@
+//! `mlswarp batch IMAGE WARP.json [BATCH.json] -o OUT`: a session and `POST /sessions/{id}/batch` without a server.
+
+use std::fs;
+use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
+use std::path::Path;
+
+use bytes::Bytes;
+use zip::read::read_zipfile_from_stream;
+
+use super::failure::Failure;
+use super::service::{Service, summary};
+use super::{input, output};
+use crate::app::batch::{Batch, BatchForm};
+use crate::app::warp::Upload;
+use crate::config::{BatchArgs, Config};
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
+use crate::wire::{merged, split_batch};
+
+/// Characters of the progress bar.
+const BAR: usize = 40;
+
+/// What is written.
+#[derive(Clone, Copy, PartialEq)]
+enum Out {
+    File(BatchForm),
+    /// The files of the archive.
+    Directory,
+}
+
+/// Draws a batch. The result: the number of frames, and what a server sends in response headers.
+/// Errors: See [`Failure`].
+pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
+    let BatchArgs { image, input: handles, batch, out, quiet, .. } = args;
+    handles.require_one_stdin(&[Some(image), batch.as_ref()])?;
+    let kind = kind_of(out)?;
+    output::require_directory(out)?;
+    let warp = handles.json(config)?;
+    let batch = batch.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| input::read("batch", path, config.max_body_bytes))?;
+    let [warp, batch] = split_batch(&merged(&[&warp, &batch])?)?;
+    let files = handles.landmark_files(config)?;
+    let image = input::read("image", image, config.max_body_bytes)?;
+    let service = Service::start(config)?;
+    let (app, client) = (&service.app, service.client);
+    let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
+    let (made, method, has_unmatched) = service.wait(async {
+        let landmarks = match files {
+            Some(files) => Some(app.read_landmarks(client, files).await?),
+            None => None,
+        };
+        let has_unmatched = landmarks.as_ref().is_some_and(|landmarks| landmarks.has_unmatched());
+        let upload = Upload { image: image.into(), warp: warp.into(), landmarks };
+        let (session, _, method) = app.create_session(client, upload).await?;
+        let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
+        Ok((made, method, has_unmatched))
+    })?;
+    let frames = made.frames;
+    let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
+    match kind {
+        Out::File(_) => output::write(out, |sink| each(&service, made, &progress, |bytes| sink.put(&bytes)))?,
+        Out::Directory => {
+            fs::create_dir_all(out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
+            each(&service, made, &progress, |bytes| extract(out, &bytes))?;
+        }
+    }
+    let what = if frames == 1 { "frame" } else { "frames" };
+    let more = summary(method, &[], has_unmatched).map_or_else(String::new, |more| format!(", {more}"));
+    Ok(Some(format!("{frames} {what}{more}")))
+}
+
+/// Hands over the bytes of the file, frame by frame.
+fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMut(Bytes) -> Result<(), Failure>) -> Result<(), Failure> {
+    let Batch { first, mut rest, .. } = made;
+    let (mut done, mut next) = (0, Some(first));
+    while let Some(bytes) = next {
+        take(bytes)?;
+        done += 1;
+        progress.show(done);
+        next = service.next(rest.next())?;
+    }
+    progress.clear();
+    Ok(())
+}
+
+/// Writes the files in a part of an archive, which has whole entries.
+fn extract(directory: &Path, part: &[u8]) -> Result<(), Failure> {
+    let broken = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot read the batch: {e}"));
+    let mut part = Cursor::new(part);
+    while part.position() < part.get_ref().len() as u64 {
+        let Some(mut entry) = read_zipfile_from_stream(&mut part).map_err(|e| broken(&e))? else { return Ok(()) };
+        let (name, mut bytes) = (entry.name().map_err(|e| broken(&e))?.into_owned(), Vec::new());
+        entry.read_to_end(&mut bytes).map_err(|e| broken(&e))?;
+        output::write(&directory.join(name), |sink| sink.put(&bytes))?;
+    }
+    Ok(())
+}
+
+fn kind_of(out: &Path) -> Result<Out, Problem> {
+    if out == Path::new("-") {
+        return Ok(Out::File(BatchForm::Zip));
+    }
+    let Some(extension) = out.extension().filter(|_| !out.is_dir()) else { return Ok(Out::Directory) };
+    match extension.to_string_lossy().to_ascii_lowercase().as_str() {
+        "zip" => Ok(Out::File(BatchForm::Zip)),
+        "png" | "apng" => Ok(Out::File(BatchForm::Apng)),
+        other => {
+            let extension = quote(&format!(".{other}"));
+            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .zip, .png, .apng, or a directory");
+            Err(Problem::new(Code::UnsupportedFormat, detail))
+        }
+    }
+}
+
+/// A bar on the terminal.
+struct Progress {
+    frames: u32,
+    is_shown: bool,
+}
+
+impl Progress {
+    /// The last part of the file is not a frame.
+    fn show(&self, done: u32) {
+        let done = done.min(self.frames);
+        if self.is_shown {
+            let full = BAR * done as usize / self.frames.max(1) as usize;
+            let _ = write!(io::stderr(), "\r[{}{}] {done} of {} frames", "=".repeat(full), " ".repeat(BAR - full), self.frames);
+        }
+    }
+
+    fn clear(&self) {
+        if self.is_shown {
+            // Erases the line.
+            let _ = write!(io::stderr(), "\r\x1b[K");
+        }
+    }
+}
