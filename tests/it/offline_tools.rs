@@ -180,28 +180,27 @@ async fn batches_are_the_files_that_the_server_answers() {
     }
 }
 
-#[test]
-fn labels_keep_their_palette_and_coverage_is_grey() {
-    let scratch = Scratch::new();
-    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]]});
-    let (warp_file, mask, out) = (scratch.path("warp.json"), scratch.path("mask.png"), scratch.path("out.png"));
+#[tokio::test]
+async fn labels_and_coverage_are_those_of_layers() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]], "output": {"canvas": "fit"}});
+    let (picture, labels) = (photo(80, 60), png_of_labels());
+    let id = server.session(&picture, &json!({"p": warp["p"]})).await;
+    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/mask?kind=labels"))).body(labels.clone()).send().await.unwrap();
+    assert_eq!(put.status(), 201);
+    let (warp_file, image, mask, out) =
+        (scratch.path("warp.json"), scratch.path("image.png"), scratch.path("mask.png"), scratch.path("out.png"));
     std::fs::write(&warp_file, warp.to_string()).unwrap();
-    std::fs::write(&mask, png_of_labels()).unwrap();
-    let drawn = |kind: &str| {
-        done(&["warp", &mask, &warp_file, "--kind", kind, "-o", &out], "");
-        let decoder = png::Decoder::new(std::io::Cursor::new(std::fs::read(&out).unwrap()));
-        let mut reader = decoder.read_info().unwrap();
-        let mut samples = vec![0; reader.output_buffer_size().unwrap()];
-        let info = reader.next_frame(&mut samples).unwrap();
-        (info.color_type, samples)
-    };
-    let (colour, labels) = drawn("labels");
-    assert_eq!(colour, png::ColorType::Indexed);
-    assert!((0..3).all(|label| labels.contains(&label)) && labels.iter().all(|label| *label < 3));
-    let (colour, coverage) = drawn("coverage");
-    assert!(colour == png::ColorType::Grayscale && coverage.contains(&255) && coverage.contains(&0));
+    std::fs::write(&image, picture).unwrap();
+    std::fs::write(&mask, labels).unwrap();
+    for (layer, file, kind) in [("mask", &mask, "labels"), ("@coverage", &image, "coverage")] {
+        let body = json!({"q": warp["q"], "output": warp["output"], "layer": layer});
+        let expected = answer(&server, &format!("/sessions/{id}/warp"), &body).await;
+        let (_, said) = done(&["warp", file, &warp_file, "--kind", kind, "-o", &out], "");
+        assert!(said.contains("canvas") && std::fs::read(&out).unwrap() == expected, "{layer}: {said}");
+    }
     let said = failed(&["warp", &mask, &warp_file, "--kind", "labels", "-o", &scratch.path("out.jpg")], "");
-    assert!(said.contains("jpeg"), "a format that would change labels: {said}");
+    assert!(said.starts_with("bad_value: "), "a format that would change labels: {said}");
 }
 
 /// A palette image of three labels.
