@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use crate::support::picture::png_of;
 use crate::support::program::mlswarp;
 use crate::support::{Scratch, Server, photo};
 
@@ -193,14 +194,39 @@ async fn labels_and_coverage_are_those_of_layers() {
     std::fs::write(&warp_file, warp.to_string()).unwrap();
     std::fs::write(&image, picture).unwrap();
     std::fs::write(&mask, labels).unwrap();
-    for (layer, file, kind) in [("mask", &mask, "labels"), ("@coverage", &image, "coverage")] {
+    let subjects = [("mask", &mask, "labels"), ("@coverage", &image, "coverage"), ("@holes", &image, "holes")];
+    for (layer, file, kind) in &subjects[..2] {
         let body = json!({"q": warp["q"], "output": warp["output"], "layer": layer});
         let expected = answer(&server, &format!("/sessions/{id}/warp"), &body).await;
         let (_, said) = done(&["warp", file, &warp_file, "--kind", kind, "-o", &out], "");
         assert!(said.contains("canvas") && std::fs::read(&out).unwrap() == expected, "{layer}: {said}");
     }
+    let region_file = scratch.path("region.png");
+    std::fs::write(&region_file, png_of_region()).unwrap();
+    let path = format!("/sessions/{id}/layers/region");
+    assert_eq!(server.client.put(server.url(&path)).body(png_of_region()).send().await.unwrap().status(), 201);
+    let expected = answer(&server, &format!("/sessions/{id}/warp"), &json!({"q": warp["q"], "output": warp["output"]})).await;
+    done(&["warp", &image, &warp_file, "--region", &region_file, "-o", &out], "");
+    assert!(std::fs::read(&out).unwrap() == expected, "a region");
+    for (layer, file, kind) in &subjects {
+        let body = json!({"q": warp["q"], "output": warp["output"], "layer": layer});
+        let expected = answer(&server, &format!("/sessions/{id}/warp"), &body).await;
+        done(&["warp", file, &warp_file, "--region", &region_file, "--kind", kind, "-o", &out], "");
+        assert!(std::fs::read(&out).unwrap() == expected, "{layer} of a region");
+    }
+    let said = failed(&["warp", &image, &warp_file, "--kind", "holes", "-o", &out], "");
+    assert!(said.starts_with("error: --kind holes needs a --region"), "{said}");
+    std::fs::write(&region_file, photo(81, 60)).unwrap();
+    let said = failed(&["warp", &image, &warp_file, "--region", &region_file, "-o", &out], "");
+    assert!(said.starts_with("bad_value: ") && said.contains("81x60"), "{said}");
     let said = failed(&["warp", &mask, &warp_file, "--kind", "labels", "-o", &scratch.path("out.jpg")], "");
     assert!(said.starts_with("bad_value: "), "a format that would change labels: {said}");
+}
+
+/// A mask whose left half moves, with a transition.
+fn png_of_region() -> Vec<u8> {
+    let samples: Vec<u8> = (0..60 * 80).map(|i| u8::try_from((60 - i % 80).clamp(0, 25) * 10).unwrap()).collect();
+    png_of(80, 60, png::ColorType::Grayscale, png::BitDepth::Eight, &samples)
 }
 
 /// A palette image of three labels.

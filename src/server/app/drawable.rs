@@ -296,7 +296,7 @@ pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, Stor
 }
 
 /// A layer has the size of its session's picture.
-fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
+pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
     if found == expected {
         return Ok(());
     }

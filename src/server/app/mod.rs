@@ -5,7 +5,7 @@ pub mod batch;
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;
-mod drawable;
+pub(crate) mod drawable;
 mod fit;
 mod json_text;
 pub mod landmarks;

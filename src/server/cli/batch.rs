@@ -31,8 +31,8 @@ enum Out {
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
-    let BatchArgs { image, input: handles, batch, out, quiet, .. } = args;
-    handles.require_one_stdin(&[Some(image), batch.as_ref()])?;
+    let BatchArgs { image, input: handles, batch, region, out, quiet } = args;
+    handles.require_one_stdin(&[Some(image), batch.as_ref(), region.as_ref()])?;
     let kind = kind_of(out)?;
     output::require_directory(out)?;
     let warp = handles.json(config)?;
@@ -40,6 +40,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let [warp, batch] = split_batch(&merged(&[&warp, &batch])?)?;
     let files = handles.landmark_files(config)?;
     let image = input::read("image", image, config.max_body_bytes)?;
+    let region = region.as_deref().map(|path| input::read("region", path, config.max_body_bytes).map(Bytes::from)).transpose()?;
     let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
     let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
@@ -49,7 +50,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
             None => None,
         };
         let has_unmatched = landmarks.as_ref().is_some_and(|landmarks| landmarks.has_unmatched());
-        let upload = Upload { image: image.into(), warp: warp.into(), landmarks };
+        let upload = Upload { image: image.into(), warp: warp.into(), region, landmarks };
         let (session, _, method) = app.create_session(client, upload).await?;
         let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
         Ok((made, method, has_unmatched))

@@ -5,10 +5,11 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, LabelImage, Posed, Report, Subject, Warp};
+use mlswarp::warp::{Image, LabelImage, Posed, Region, Report, Subject, Warp};
 
 use super::failure::Failure;
 use super::{input, output};
+use crate::app::drawable::check_extent;
 use crate::config::{Config, WarpArgs, WarpKind};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -19,8 +20,8 @@ use crate::wire::{canvas_from_text, canvas_text, method_text};
 /// Warps one image. The result: what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
-    let WarpArgs { image, input: handles, kind, canvas, out } = args;
-    handles.require_one_stdin(&[Some(image)])?;
+    let WarpArgs { image, input: handles, region, kind, canvas, out } = args;
+    handles.require_one_stdin(&[Some(image), region.as_ref()])?;
     let canvas = canvas.as_deref().map(canvas_from_text).transpose();
     let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
     let patch = WarpPatch::parse(&handles.json(config)?)?;
@@ -35,16 +36,35 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let mut object = patch.into_object()?;
     object.output.format = format;
     object.output.canvas = canvas.unwrap_or(object.output.canvas);
-    input::threads(config)?.install(|| match kind {
-        WarpKind::Image => render(config, Subject::Image(&Image::decode(&file, &config.limits().image)?), object, landmarks, out),
-        WarpKind::Labels => render(config, Subject::Labels(&LabelImage::decode(&file, &config.limits())?), object, landmarks, out),
-        WarpKind::Coverage => render(config, Subject::Coverage(input::extent_of(config, &file)?), object, landmarks, out),
+    let mask = region.as_deref().map(|path| input::read("region", path, config.max_body_bytes)).transpose()?;
+    input::threads(config)?.install(|| {
+        let image_limits = &config.limits().image;
+        let region = mask.map(|mask| Image::decode(&mask, image_limits).map(|mask| Region::new(&mask))).transpose()?;
+        let (picture, labels);
+        let subject = match (kind, &region) {
+            (WarpKind::Image, _) => {
+                picture = Image::decode(&file, image_limits)?;
+                Subject::Image(&picture)
+            }
+            (WarpKind::Labels, _) => {
+                labels = LabelImage::decode(&file, &config.limits())?;
+                Subject::Labels(&labels)
+            }
+            (WarpKind::Coverage, _) => Subject::Coverage(input::extent_of(config, &file)?),
+            (WarpKind::Holes, Some(region)) => Subject::Holes(region),
+            (WarpKind::Holes, None) => return Err(Failure::Local("--kind holes needs a --region".to_owned())),
+        };
+        if let Some(region) = &region {
+            check_extent(region.extent(), input::extent_of(config, &file)?)?;
+        }
+        render(config, subject, region.as_ref(), object, landmarks, out)
     })
 }
 
 fn render(
     config: &Config,
     subject: Subject<'_>,
+    region: Option<&Region>,
     mut object: WarpObject,
     landmarks: Option<Landmarks>,
     out: &Path,
@@ -55,6 +75,10 @@ fn render(
     subject.check(&object.output)?;
     object.output.check(subject.extent(), &config.limits())?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
+    let posed = match region {
+        Some(region) => posed.within(region.clone()),
+        None => posed,
+    };
     let warp = Warp::new(subject, &posed, &object.output, &config.limits())?;
     output::write(out, |sink| {
         let mut written = Ok(());

@@ -68,6 +68,8 @@ pub enum WarpKind {
     Labels,
     /// The layer `@coverage`.
     Coverage,
+    /// The layer `@holes`.
+    Holes,
 }
 
 /// The arguments of `mlswarp warp`.
@@ -78,8 +80,13 @@ pub struct WarpArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// What the image file is: a picture; a label mask, in whose warp every label is one of the mask, of the same depth and palette; or
-    /// only the size for the coverage, how much of each pixel the posed picture covers.
+    /// Image file of the same size that says what moves: white moves, black stays, and grey is a transition. In a file with transparent
+    /// pixels, the opaque ones move.
+    #[arg(long, value_name = "FILE", display_order = 4)]
+    pub region: Option<PathBuf>,
+    /// What is drawn. image: the picture; labels: a mask whose every label stays as it is, with its depth and palette; coverage: how much of
+    /// each pixel the posed picture covers; holes: what a region moves away from and nothing covers. The last two take only the size of the
+    /// image.
     #[arg(long, value_enum, default_value_t, display_order = 4)]
     pub kind: WarpKind,
     /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
@@ -140,6 +147,10 @@ pub struct BatchArgs {
     /// Batch (JSON): frames, or steps and easing, or jitter; points, polygons, boxes, geojson; `-` reads standard input. Without this file
     /// they stand in the warp object.
     pub batch: Option<PathBuf>,
+    /// Image file of the same size that says what moves: white moves, black stays, and grey is a transition. In a file with transparent
+    /// pixels, the opaque ones move.
+    #[arg(long, value_name = "FILE", display_order = 4)]
+    pub region: Option<PathBuf>,
     /// Show no progress on a terminal.
     #[arg(short = 'Q', long, display_order = 5)]
     pub quiet: bool,
