@@ -66,6 +66,15 @@ impl LayerRef {
             _ => LayerName::parse(text).map(Self::Stored),
         }
     }
+
+    /// Its name.
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::Coverage => "@coverage",
+            Self::Holes => "@holes",
+            Self::Stored(name) => name.as_str(),
+        }
+    }
 }
 
 /// How the pixels of a layer are read.

@@ -44,7 +44,8 @@ async fn zip(response: Response) -> (Files, Value) {
     let index: Value = serde_json::from_slice(&files["frames.json"]).unwrap();
     let listed = index["frames"].as_array().unwrap();
     assert_eq!(listed.len(), frames);
-    let named = listed.iter().flat_map(|frame| [&frame["picture"], &frame["annotations"]]).filter_map(Value::as_str);
+    let layers = listed.iter().filter_map(|frame| frame["layers"].as_object()).flat_map(|layers| layers.values());
+    let named = listed.iter().flat_map(|frame| [&frame["picture"], &frame["annotations"]]).chain(layers).filter_map(Value::as_str);
     assert_eq!(named.chain(["frames.json"]).collect::<std::collections::BTreeSet<_>>(), files.keys().map(String::as_str).collect());
     (files, index)
 }
@@ -153,6 +154,38 @@ async fn annotations_are_those_of_points() {
     }
 }
 
+#[tokio::test]
+async fn layers_are_those_of_single_requests() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(120, 80), &rest()).await;
+    let labels: Vec<u8> = (0..120 * 80).map(|k: u32| (k % 120 / 30) as u8 * 50).collect();
+    let put = async |name: &str, file: Vec<u8>| {
+        let response = server.client.put(server.url(&format!("/sessions/{id}/layers/{name}"))).body(file).send().await.unwrap();
+        assert_eq!(response.status(), 201, "{:?}", response.text().await);
+    };
+    put("mask?kind=labels", png_file(120, 80, png::ColorType::Grayscale, &labels)).await;
+    put("depth", photo(120, 80)).await;
+    let names = ["mask", "@coverage", "depth"];
+    for format in ["png", "tiff", "jpeg"] {
+        let body = json!({"frames": [{"q": q(0)}, {"q": q(9)}], "layers": names, "output": {"format": format}});
+        let (files, index) = zip(post(&server, &id, &body).await).await;
+        assert_eq!(files.len(), 2 * 4 + 1);
+        for (k, place) in [0, 9].into_iter().enumerate() {
+            for name in names {
+                // Labels and coverage are never JPEG.
+                let format = if format == "jpeg" && name != "depth" { "png" } else { format };
+                let single = server.drag(&id, &json!({"q": q(place), "layer": name, "output": {"format": format}})).await;
+                assert_eq!(single.status(), 200, "{name} {format}");
+                let file = index["frames"][k]["layers"][name].as_str().unwrap();
+                assert!(file.starts_with(&format!("{k:04}.{name}.")), "{file}");
+                assert!(files[file] == single.bytes().await.unwrap(), "{file}");
+            }
+        }
+    }
+    let body = json!({"q": q(1), "steps": 2, "layers": ["@coverage"]});
+    assert_eq!(problem(animation(&server, &id, &body).await, 422, "bad_value").await["pointer"], "/layers");
+}
+
 /// Either all pictures have alpha or none has, whether or not each of them is covered.
 #[tokio::test]
 async fn alpha_is_decided_once_for_all_frames() {
@@ -249,7 +282,8 @@ async fn mistakes_in_any_frame_are_found_before_the_first_byte() {
     told(&wrong(3, json!({"q": q(1), "strength": 11})), 422, "bad_value", "/frames/3/strength").await;
     told(&wrong(3, json!({"q": q(1), "speed": 11})), 422, "unknown_field", "/frames/3/speed").await;
     told(&wrong(3, json!([[1, 1]])), 422, "bad_value", "/frames/3").await;
-    told(&json!({"q": q(1), "steps": 3, "layers": ["mask"]}), 422, "not_supported", "/layers").await;
+    told(&json!({"q": q(1), "steps": 3, "layers": ["@coverage", "mask"]}), 404, "no_such_layer", "/layers/1").await;
+    told(&json!({"q": q(1), "steps": 3, "layers": ["mask", "mask"]}), 422, "bad_value", "/layers/1").await;
     told(&json!({"q": q(1), "steps": 3, "delay": 30}), 422, "bad_value", "/delay").await;
     let far = json!([[900_000, 22], [60, 40], [[10, 50], [70, 52]]]);
     told(&json!({"q": far, "jitter": {"seed": 1, "count": 2, "sigma": 10000}}), 422, "bad_value", "/jitter/sigma").await;

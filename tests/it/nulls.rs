@@ -50,6 +50,7 @@ fn sample(name: &str) -> Value {
         "canvas" => json!("fit"),
         "width" => json!(20),
         "frames" => json!([{"q": sample("q"), "strength": 0.5}, {"q": sample("q")}]),
+        "layers" => json!(["@coverage"]),
         "steps" => json!(2),
         "easing" => json!("ease-in-out"),
         "jitter" => json!({"seed": 7, "count": 2, "sigma": 0.5}),

@@ -80,6 +80,11 @@ impl Content {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
+    /// Whether it is a picture, which every format can hold.
+    pub(crate) const fn is_image(&self) -> bool {
+        matches!(self.drawable, Drawable::Image(_))
+    }
+
     /// Whether alpha is added where nothing is drawn.
     pub(crate) fn may_gain_alpha(&self) -> bool {
         matches!(&self.drawable, Drawable::Image(image) if !image.has_alpha())

@@ -1,6 +1,7 @@
 //! `POST /sessions/{id}/batch`: the poses of a batch in one of three forms, and the index of its result. Frames stay text until each is
 //! drawn.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use bytes::Bytes;
@@ -16,7 +17,8 @@ use super::json::{At, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
 use super::rest::strength;
-use super::{AsJson, HANDLES, fields, json};
+use super::{AsJson, HANDLES, fields, json, layer};
+use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
 /// The most frames of a batch.
@@ -31,6 +33,8 @@ const MOST_DELAY: u16 = 60_000;
 pub struct BatchObject {
     /// The poses of the frames.
     pub poses: BatchPoses,
+    /// Drawn with every picture, each once.
+    pub layers: Vec<LayerRef>,
     /// Mapped in every frame.
     pub annotations: Annotations,
     /// Replaces fields of the session's output.
@@ -118,7 +122,7 @@ impl BatchObject {
     /// Reads the object. `most_bytes`: the most bytes of everything but the frames; `most_frame_bytes`: the most of one frame.
     pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [frames, q, strength_, steps, easing, jitter, delay, output, points, polygons, boxes, geojson, refine] =
+        let [frames, q, strength_, steps, easing, jitter, delay, layers_, output, points, polygons, boxes, geojson, refine] =
             root.fields(&fields::BATCH)?;
         let of_frames = frames.map_or(0, |frames| frames.text.len());
         let rest = (body.len() - of_frames) as u64;
@@ -162,10 +166,32 @@ impl BatchObject {
                 return Err(last.problem(Code::BadValue, "send one of `frames`, `steps` and `jitter`"));
             }
         };
+        let layers = optional(layers_, layers)?.unwrap_or_default();
         let annotations = Annotations::read([points, polygons, boxes, geojson, None, refine])?;
         let output = optional(output, OutputPatch::read)?.unwrap_or_default();
-        Ok(Self { poses, annotations, output, delay: optional(delay, read_delay)? })
+        Ok(Self { poses, layers, annotations, output, delay: optional(delay, read_delay)? })
     }
+}
+
+/// Reads the names of layers; each may be given once.
+fn layers(node: &Node<'_, '_>) -> Result<Vec<LayerRef>, Problem> {
+    let mut layers: Vec<LayerRef> = Vec::new();
+    node.items::<Problem>("an array of names of layers", |_, item| {
+        let layer = layer(&item)?;
+        if layers.contains(&layer) {
+            return Err(item.problem(Code::BadValue, format!("the layer `{}` is given twice", layer.as_str())));
+        }
+        if layers.len() > MAX_LAYERS {
+            return Err(node.unexpected(&format!("at most {} layers", MAX_LAYERS + 1), "more").limit(
+                "layers",
+                MAX_LAYERS + 1,
+                layers.len() + 1,
+            ));
+        }
+        layers.push(layer);
+        Ok(())
+    })?;
+    Ok(layers)
 }
 
 fn posed(root: &Node<'_, '_>, q: Option<Node<'_, '_>>) -> Result<Vec<Handle>, Problem> {
@@ -238,6 +264,9 @@ pub(crate) enum FramePosition {
 pub(crate) struct BatchFrame {
     /// The file names.
     pub(crate) picture: String,
+    /// By the names of the layers.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) layers: BTreeMap<String, String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) annotations: Option<String>,
     #[serde(flatten)]
@@ -325,6 +354,9 @@ mod tests {
             (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": -1}}"#, Code::BadValue, Some("/jitter/sigma")),
             (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1, "scale": 1}}"#, Code::UnknownField, Some("/jitter/scale")),
             (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1}, "easing": "linear"}"#, Code::BadValue, Some("/easing")),
+            (r#"{"q": [], "steps": 2, "layers": ["a", "a"]}"#, Code::BadValue, Some("/layers/1")),
+            (r#"{"q": [], "steps": 2, "layers": ["@depth"]}"#, Code::BadValue, Some("/layers/0")),
+            (r#"{"q": [], "steps": 2, "layers": "a"}"#, Code::BadValue, Some("/layers")),
             (r#"{"q": [], "steps": 2, "inverse": true}"#, Code::UnknownField, Some("/inverse")),
             (&long, Code::TooLarge, Some("/frames/1")),
             (&many, Code::TooLarge, Some("/frames")),
@@ -347,6 +379,7 @@ mod tests {
     fn the_index_has_one_object_for_each_frame() {
         let frame = |position, annotations: Option<&str>| BatchFrame {
             picture: "0000.png".to_owned(),
+            layers: BTreeMap::new(),
             annotations: annotations.map(str::to_owned),
             position,
             width: 4,

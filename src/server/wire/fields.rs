@@ -50,8 +50,9 @@ pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
 /// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
-pub(crate) const BATCH: [&str; 13] =
-    ["frames", "q", "strength", "steps", "easing", "jitter", "delay", "output", "points", "polygons", "boxes", "geojson", "refine"];
+pub(crate) const BATCH: [&str; 14] = [
+    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "layers", "output", "points", "polygons", "boxes", "geojson", "refine",
+];
 pub(crate) const BATCH_FRAME: [&str; 2] = ["q", "strength"];
 pub(crate) const JITTER: [&str; 3] = ["seed", "count", "sigma"];
 
@@ -79,8 +80,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 5] =
-    [("layers", "frames"), ("region", "q"), ("subsampling", "quality"), ("window", "frames"), ("mesh", "frames")];
+const UNSUPPORTED: [(&str, &str); 4] = [("region", "q"), ("subsampling", "quality"), ("window", "frames"), ("mesh", "frames")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.
 pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {

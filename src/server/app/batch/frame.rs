@@ -1,5 +1,6 @@
 //! One frame of a batch, on one compute thread: its pose, its picture and its annotations.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -16,6 +17,7 @@ use crate::app::drawable::Content;
 use crate::app::json_text::json_unless;
 use crate::cache::CacheEntry;
 use crate::client::Client;
+use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::stages::Timing;
@@ -33,6 +35,8 @@ pub(crate) struct BatchJob {
     pub(crate) quota: ClientQuota,
     pub(crate) record: Arc<Record>,
     pub(crate) content: Content,
+    /// With their names.
+    pub(crate) layers: Vec<(LayerRef, Content)>,
     pub(crate) setup: Arc<Setup>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) poses: BatchPoses,
@@ -58,17 +62,20 @@ impl BatchJob {
 
     /// Files of each frame in an archive.
     pub(crate) fn files_per_frame(&self) -> u32 {
-        1 + u32::from(self.has_annotations())
+        1 + u32::try_from(self.layers.len()).unwrap_or(u32::MAX) + u32::from(self.has_annotations())
     }
 
     fn has_annotations(&self) -> bool {
         !self.annotations.kinds.is_empty() || matches!(self.poses, BatchPoses::Jitter { .. })
     }
 
-    fn draw_job(&self, q: Vec<Handle>, timing: Timing) -> DrawJob {
+    /// The job of drawing the picture or a layer. What JPEG and WebP would change, labels and coverage, is PNG.
+    fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
-        let (content, quota) = (self.content.clone(), self.quota.clone());
-        DrawJob { content, planned, q, folds: self.record.folds, output: self.output, preview: None, alpha: self.alpha, quota }
+        let (quota, folds) = (self.quota.clone(), self.record.folds);
+        let is_exact = content.is_image() || self.output.format == Format::Tiff;
+        let output = OutputSpec { format: if is_exact { self.output.format } else { Format::Png }, ..self.output };
+        DrawJob { content: content.clone(), planned, q, folds, output, preview: None, alpha: self.alpha, quota }
     }
 
     /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
@@ -88,13 +95,15 @@ impl BatchJob {
         let needs_alpha = self.may_need_alpha();
         let (mut canvas, mut has_one_canvas): (Option<Canvas>, _) = (None, true);
         let last = self.count() - 1;
+        // Only what may gain alpha shows whether it must.
+        let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
         // The last in-between moves the most.
         for frame in std::iter::once(last).chain(0..last) {
             if !may_be_refused && (self.alpha || !needs_alpha) {
                 break;
             }
             let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
-            let prepared = self.app.prepare_drawing(&self.draw_job(q, Timing::default()), &|| cancel.is_cancelled());
+            let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
             let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
             self.alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
@@ -112,6 +121,11 @@ impl BatchJob {
         Ok(())
     }
 
+    /// The picture and the layers.
+    fn contents(&self) -> impl Iterator<Item = &Content> {
+        std::iter::once(&self.content).chain(self.layers.iter().map(|(_, content)| content))
+    }
+
     /// Whether pictures have alpha if the posed picture does not cover them, or has holes, and none otherwise.
     fn may_need_alpha(&self) -> bool {
         let is_opaque = match self.output.outside {
@@ -120,7 +134,7 @@ impl BatchJob {
             Outside::Edge | Outside::Reflect => true,
         };
         let has_holes = self.output.holes == Holes::Transparent;
-        (!is_opaque || has_holes) && self.content.may_gain_alpha() && self.output.format != Format::Jpeg
+        (!is_opaque || has_holes) && self.contents().any(Content::may_gain_alpha) && self.output.format != Format::Jpeg
     }
 
     /// Draws a frame and maps its annotations.
@@ -132,9 +146,18 @@ impl BatchJob {
         } else {
             None
         };
-        let job = self.draw_job(q, timing);
-        let DrawnFile { report, target, bytes } = self.app.draw_file(&job, &|| cancel.is_cancelled()).map_err(located)?;
+        let is_cancelled = || cancel.is_cancelled();
+        let (mut layers, mut layer_files) = (BTreeMap::new(), Vec::new());
+        for (layer, content) in &self.layers {
+            let job = self.draw_job(content, q.clone(), Timing::default());
+            let name = format!("{frame:04}.{}.{}", layer.as_str(), job.output.format.extension());
+            layer_files.push((name.clone(), self.app.draw_file(&job, &is_cancelled).map_err(located)?.bytes));
+            layers.insert(layer.as_str().to_owned(), name);
+        }
+        let job = self.draw_job(&self.content, q, timing);
+        let DrawnFile { report, target, bytes } = self.app.draw_file(&job, &is_cancelled).map_err(located)?;
         let entry = BatchFrame {
+            layers,
             picture: format!("{frame:04}.{}", self.output.format.extension()),
             annotations: annotations.as_ref().map(|(name, _)| name.clone()),
             position,
@@ -146,7 +169,7 @@ impl BatchJob {
             warnings: report.warnings.iter().map(|warning| warning.code()).collect(),
             exceeded: (report.exceeded > 0).then_some(report.exceeded),
         };
-        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(annotations).collect();
+        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(layer_files).chain(annotations).collect();
         // A copy of each, and then the bytes of the file that is sent.
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
         let held = self.app.reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;

@@ -6,18 +6,23 @@ pub(crate) mod package;
 mod poses;
 mod stream;
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
 use mlswarp::warp::{CanvasSpec, OutputSpec};
 
 use super::App;
+use super::drawable::Content;
 use super::session_warp::AdmittedPlan;
 use super::warp::columns;
 use crate::client::Client;
+use crate::layer::LayerRef;
 use crate::pool::{QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
+use crate::store::Record;
 use crate::wire::BatchObject;
 use crate::wire::formats::Formats;
 use frame::BatchJob;
@@ -59,15 +64,29 @@ impl App {
         check_form(&object, form)?;
         let (record, content, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record, None).await?;
         drop(ticket);
-        let BatchObject { poses, annotations, output, delay } = object;
+        let BatchObject { poses, layers: names, annotations, output, delay } = object;
+        let layers = self.layers(client, &record, names).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
         };
         let output = OutputSpec { format, ..output.merge_onto(&record.output) };
         let (setup, plan, quota) = (planned.setup, planned.plan, self.response_quota(client));
-        let mut job =
-            BatchJob { app: self.clone(), client, quota, record, content, setup, plan, poses, annotations, output, form, alpha: false };
+        let mut job = BatchJob {
+            app: self.clone(),
+            client,
+            quota,
+            record,
+            content,
+            layers,
+            setup,
+            plan,
+            poses,
+            annotations,
+            output,
+            form,
+            alpha: false,
+        };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let job = self.0.pool.run(&ticket, move |cancel| job.prepare(cancel).map(|()| job)).await??;
         drop(ticket);
@@ -82,12 +101,32 @@ impl App {
     }
 }
 
+impl App {
+    /// The layers of these names, decoded.
+    /// Errors: An unknown layer, or too little capacity.
+    async fn layers(&self, client: Client, record: &Arc<Record>, names: Vec<LayerRef>) -> Result<Vec<(LayerRef, Content)>, Problem> {
+        let mut layers = Vec::with_capacity(names.len());
+        for (k, name) in names.into_iter().enumerate() {
+            let sources = self.sources(client, record, Some(&name)).await.map_err(|mut problem| {
+                problem.pointer = problem.pointer.map(|_| format!("/layers/{k}"));
+                problem
+            })?;
+            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+            layers.push((name, self.content(record.id.owner(), &ticket, sources).await?));
+        }
+        Ok(layers)
+    }
+}
+
 /// Errors: What the kind of file does not have.
 fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
     let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {
         BatchForm::Zip if object.delay.is_some() => {
             refused("/delay", "`delay` does not apply to an archive: send `Accept: image/apng` for an animation")
+        }
+        BatchForm::Apng if !object.layers.is_empty() => {
+            refused("/layers", "`layers` does not apply to an animation, which has pictures only: send `Accept: application/zip`")
         }
         BatchForm::Apng if !object.annotations.kinds.is_empty() => {
             let name = object.annotations.kinds[0].name();
