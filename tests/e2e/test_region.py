@@ -149,7 +149,7 @@ def test_the_preview_of_a_drag_is_the_servers_picture(bent, picture):
         bent.keys("Control+z")
         bent.ready()
     png = rgba(bent.saved("download")[1])
-    assert png.getpixel(RED)[3] == 0 and png.getpixel((250, 40)) == (200, 200, 200, 255)
+    assert png.getpixel(RED)[3] < 16 and png.getpixel((250, 40)) == (200, 200, 200, 255)
 
 
 def test_it_is_removed_inverted_and_cleared(bent, picture):
@@ -160,8 +160,7 @@ def test_it_is_removed_inverted_and_cleared(bent, picture):
     bent.drag(*closed(AROUND))
     bent.body("[data-region='2']")
     removed, png = changed(bent, picture)
-    source = Image.open(picture).convert("RGBA")
-    assert rgba(png).getpixel(RED) == source.getpixel(RED), "it stays"
+    assert rgba(png).getpixel(GOAL) == (200, 200, 200, 255), "the disc does not move"
     bent.page.click("#region-invert")
     box, _ = changed(bent, picture)
     assert inside(box, (55, 55, 165, 215)) and not inside(removed, (55, 55, 165, 215))
