@@ -68,7 +68,7 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
         ["max-body-bytes", "max-warp-json-bytes", "max-image-pixels", "max-image-side", "max-columns", "max-fit-handles", "max-plan-bytes"];
     assert_eq!(
         shown("warp"),
-        [&["landmarks", "landmarks-q", "extent-p", "extent-q", "region", "kind", "canvas", "out"][..], &limits, &["workers"]].concat()
+        [&["landmarks", "landmarks-q", "extent-p", "extent-q", "canvas", "kind", "region", "out"][..], &limits, &["workers"]].concat()
     );
     let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "extent", "image", "out"];
     assert_eq!(shown("points"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());

@@ -49,7 +49,7 @@ const CRATES: [(&str, &[&str]); 14] = [
     ("image", &["engine/codec"]),
     ("png", &["engine/codec"]),
     ("rand_chacha", &["engine/warp/batch.rs"]),
-    ("zip", &["server/app/batch/package.rs"]),
+    ("zip", &["server/app/batch/package.rs", "server/cli/batch.rs"]),
 ];
 
 type Module = Vec<String>;

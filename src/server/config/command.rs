@@ -96,7 +96,7 @@ pub struct WarpArgs {
     /// Output file; `-` writes standard output. Its extension selects the format: .png, .jpg, .jpeg, .webp, .tif or .tiff. A format in the
     /// warp object takes precedence and allows other extensions. Without an extension or a format, the output is PNG.
     // All of these stand before the options of the server.
-    #[arg(short, long, display_order = 4)]
+    #[arg(short, long, display_order = 5)]
     pub out: PathBuf,
 }
 
@@ -156,7 +156,7 @@ pub struct BatchArgs {
     pub quiet: bool,
     /// Output file, .zip (pictures, annotations, frames.json), .png or .apng (an animation); a directory for the files of the archive; `-`
     /// writes the archive to standard output.
-    #[arg(short, long, display_order = 5)]
+    #[arg(short, long, display_order = 6)]
     pub out: PathBuf,
 }
 
