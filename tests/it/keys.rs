@@ -57,6 +57,8 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
         ("POST", "/fit") => request.json(&json!({"extent": [9, 9], "p": rest()["p"], "q": rest()["p"]})),
         ("POST", "/landmarks") => request.body("1,2\n"),
         ("POST", "/sessions/{id}/map") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
+        ("POST", "/sessions/{id}/report") => request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]})),
+        ("POST", "/report") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]]})),
         ("POST", "/map") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]]})),
         ("POST", "/points") => request.json(&json!({"extent": [9, 9], "p": [[1, 1]], "q": [[2, 1]], "points": [[3, 3]]})),
         ("GET", "/sessions/{id}/drag") => request

@@ -46,6 +46,7 @@ mod points;
 mod problems;
 mod public_path;
 mod real_landmarks;
+mod report;
 mod request_ids;
 mod revisions;
 mod session_layers;

@@ -208,6 +208,12 @@ impl Field {
         &self.handles
     }
 
+    /// The client's handles at rest.
+    #[must_use]
+    pub fn given(&self) -> &Handles {
+        self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0)
+    }
+
     /// The fall-off of moving least squares.
     #[must_use]
     pub const fn falloff(&self) -> Option<Falloff> {
@@ -252,8 +258,7 @@ impl Field {
     /// # Errors
     /// Shapes, numbers; contradictory targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
-        let given = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0);
-        let given = Pose::new(given, posed)?;
+        let given = Pose::new(self.given(), posed)?;
         let (displacements, contradictions) = match self.grouped.as_deref() {
             Some((_, groups)) => {
                 let mean = groups.displacements(given.displacements());
@@ -284,7 +289,7 @@ impl Field {
             let members: Option<Vec<Member>> = given.and_then(|(groups, given)| groups.members(column, given)).map(Iterator::collect);
             members.unwrap_or_else(|| {
                 let handle = self.owners[element];
-                let weights = self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0).weights();
+                let weights = self.given().weights();
                 // Columns of the client's set identify the points of groups; these must differ from them.
                 vec![Member { element: usize::MAX - element, handle, weight: weights[handle], displacement }]
             })

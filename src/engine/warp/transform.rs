@@ -84,6 +84,11 @@ impl<'a> Transform<'a> {
         Self { map, unit, samples: AtomicUsize::new(0) }
     }
 
+    /// The same map between positions in px.
+    pub(super) fn in_px(self) -> Self {
+        Self { unit: (1.0, 1.0), ..self }
+    }
+
     /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops when `cancelled` returns true.
     ///
     /// # Errors

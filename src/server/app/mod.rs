@@ -14,6 +14,7 @@ pub(crate) mod lifecycle;
 pub mod map;
 mod metrics_text;
 pub(crate) mod points;
+pub(crate) mod report;
 pub mod sequence;
 pub(crate) mod session;
 pub mod session_warp;

@@ -50,6 +50,8 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/points", Keyed, uploads(post(routes::points::once))),
         ("/sessions/{id}/map", Keyed, uploads(post(routes::map::of_session))),
         ("/map", Keyed, uploads(post(routes::map::once))),
+        ("/sessions/{id}/report", Keyed, uploads(post(routes::report::of_session))),
+        ("/report", Keyed, uploads(post(routes::report::once))),
         ("/sessions/{id}/fit", Keyed, uploads(post(routes::fit::of_session))),
         ("/fit", Keyed, uploads(post(routes::fit::once))),
         ("/landmarks", Keyed, uploads(post(routes::landmarks::convert))),

@@ -30,6 +30,13 @@ pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
     fields
 };
 
+/// The fields of `/report`: those of the warp object, and the extent.
+pub(crate) const WARP_WITH_EXTENT: [&str; 15] = {
+    let mut fields = ["extent"; 15];
+    fields.split_at_mut(WARP.len()).0.copy_from_slice(&WARP);
+    fields
+};
+
 /// The fields of `/sessions/{id}/points`.
 pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 

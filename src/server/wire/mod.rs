@@ -18,6 +18,7 @@ mod merge;
 mod mesh;
 mod number;
 mod output;
+mod report;
 mod rest;
 mod session;
 mod socket;
@@ -48,6 +49,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Folds, OutputSpec, RestSpec};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
+pub use report::{ReportAnswer, ReportObject};
 pub(crate) use rest::WarpPatch;
 use rest::strength;
 pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
@@ -160,6 +162,13 @@ impl DragObject {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
         Self::read(&root, [q, strength, seq, None, None])
+    }
+
+    /// Reads the object of a request for a report: `q`, `strength` and `output`.
+    pub fn parse_unnumbered(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
+        Self::read(&root, [q, strength, None, None, output])
     }
 
     fn read(root: &Node<'_, '_>, [q, strength_, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {

@@ -7,9 +7,9 @@ use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{CoordinateMap, Image, ImageLimits, Limits, MapFormat, Posed, Setup, Subject, Warp};
+use mlswarp::warp::{CoordinateMap, Folds, Image, ImageLimits, Limits, MapFormat, Posed, Quality, Setup, Subject, Warp};
 use mlswarp_server::problem::Problem;
-use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, WarpObject};
+use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarpObject};
 
 use serde_json::{Map, Value};
 
@@ -27,14 +27,16 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
-    let refused = match route % 9 {
+    let refused = match route % 11 {
         0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
         3 => as_with_nulls("Drag", json, DragObject::parse).err(),
         4 => as_with_nulls("Points", json, PointsObject::parse).and_then(|object| mapped(&object)).err(),
         5 => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
         6 => as_with_nulls("Map", json, MapObject::parse).and_then(|object| inverted(&object)).err(),
         7 => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
-        _ => as_with_nulls("Batch", json, batch).err(),
+        8 => as_with_nulls("Batch", json, batch).err(),
+        9 => as_with_nulls("Report", json, ReportObject::parse).and_then(|object| measured(&object)).err(),
+        _ => as_with_nulls("PosedReport", json, DragObject::parse_unnumbered).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
@@ -66,6 +68,22 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
     let count = object.poses.count();
     assert!((1..=10_000).contains(&count), "{count}");
     Ok((count, (0..count.min(100)).map(|frame| object.poses.given(frame)).collect()))
+}
+
+fn measured(object: &ReportObject) -> Result<(), Problem> {
+    let (warp, extent) = (&object.warp, object.extent);
+    let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
+    let (q, never) = (warp.posed()?, || false);
+    let pose = setup.pose(q)?;
+    warp.output.check(extent, &LIMITS)?;
+    let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
+    let quality = Quality::of(&setup, q, &pose, &posed, warp.output.canvas.of(extent, &posed), &never)?;
+    assert_eq!(quality.residuals.len(), warp.rest.p.len());
+    assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
+    let answer = ReportAnswer(&quality);
+    let text = serde_json::to_vec(&answer).expect("a report is JSON");
+    assert!(text.len() <= answer.text_bytes(), "{} bytes", text.len());
+    Ok(())
 }
 
 fn warped(object: &WarpObject) -> Result<(), Problem> {

@@ -3,6 +3,7 @@
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small numbers of the tests themselves")]
 
 mod drawn;
+mod quality;
 mod region;
 mod sets;
 mod subjects;

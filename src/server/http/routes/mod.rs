@@ -14,6 +14,7 @@ pub(crate) mod map;
 pub(crate) mod mesh;
 pub(crate) mod points;
 pub(crate) mod problems;
+pub(crate) mod report;
 pub(crate) mod service;
 pub(crate) mod sessions;
 pub(crate) mod warp;

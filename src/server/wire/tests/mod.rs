@@ -420,6 +420,10 @@ fn fit_reads_its_fields() {
 #[test]
 fn points_and_maps_begin_with_the_fields_of_the_warp() {
     assert_eq!(fields::WARP_WITH_POINTS[..fields::WARP.len()], fields::WARP);
+    assert_eq!(
+        (fields::WARP_WITH_EXTENT[..fields::WARP.len()].to_vec(), fields::WARP_WITH_EXTENT.last()),
+        (fields::WARP.to_vec(), Some(&"extent"))
+    );
     assert_eq!(fields::WARP_WITH_MAP[..fields::WARP.len()], fields::WARP);
 }
 
@@ -587,6 +591,8 @@ fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
         WarpObject::parse(text).err(),
         DragObject::parse(text).err(),
         PointsObject::parse(text).err(),
+        ReportObject::parse(text).err(),
+        DragObject::parse_unnumbered(text).err(),
         PointsObject::parse_posed(text).err(),
         MapObject::parse(text).err(),
         MapObject::parse_posed(text).err(),

@@ -1,0 +1,114 @@
+//! `POST /report` and `/sessions/{id}/report`: how good a pose is, without drawing it.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{CanvasSpec, Folds, OutputSpec, Posed, Quality, Report, Setup};
+
+use super::App;
+use super::draw::Planned;
+use super::json_text::json_unless;
+use super::warp::Resolved;
+use crate::client::{Client, Owner};
+use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
+use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
+use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
+use crate::problem::Problem;
+use crate::session::SessionId;
+use crate::wire::{DragObject, ReportAnswer, ReportObject, method_text};
+
+/// The quality of a pose.
+#[derive(Debug)]
+pub(crate) struct QualityReport {
+    /// Warnings and measures for the head of the response.
+    pub(crate) report: Report,
+    pub(crate) timing: Timing,
+    /// Whether the plan was built for this request.
+    pub(crate) plan_built: bool,
+    /// The figures as JSON.
+    pub(crate) body: Bytes,
+}
+
+/// What is measured.
+struct ReportJob {
+    owner: Owner,
+    setup: Arc<Setup>,
+    q: Vec<Handle>,
+    extent: Extent,
+    canvas: CanvasSpec,
+    quota: ClientQuota,
+}
+
+impl App {
+    /// Measures the pose of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
+    /// Errors: Wrong handles, or too little capacity.
+    pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let ReportObject { mut warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
+        // Nothing is drawn.
+        warp.output = OutputSpec { canvas: warp.output.canvas, ..OutputSpec::default() };
+        let app = self.clone();
+        let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
+        let Resolved { setup, held: _held, object } = self.0.pool.run(&ticket, resolve).await??;
+        let method = object.is_auto.then(|| method_text(&object.rest));
+        let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
+        Ok((self.report(&ticket, ReportJob { owner: client.owner, setup, q, extent, canvas, quota }).await?, method))
+    }
+
+    /// Measures a pose of a session.
+    /// Errors: Unknown session, wrong handles, or too little capacity.
+    pub(crate) async fn report_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<QualityReport, Problem> {
+        let record = self.touch(id, None).await?.record;
+        let setup = self.session_setup(client, &record).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+        let limits = self.0.config.limits();
+        let (extent, quota) = (record.extent, self.response_quota(client));
+        let parse = move |_: &_| {
+            let DragObject { q, strength, output, .. } = DragObject::parse_unnumbered(&json)?;
+            let canvas = output.merge_onto(&record.output).canvas;
+            OutputSpec { canvas, ..OutputSpec::default() }.check(extent, &limits)?;
+            Ok::<_, Problem>((record.rest.posed_at(strength, q), canvas))
+        };
+        let (q, canvas) = self.0.pool.run(&ticket, parse).await??;
+        self.report(&ticket, ReportJob { owner: id.owner(), setup, q, extent, canvas, quota }).await
+    }
+
+    async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
+        let ReportJob { owner, setup, q, extent, canvas, quota } = job;
+        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
+        let app = self.clone();
+        let measure = move |cancel: &Cancel| {
+            let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
+            let mut reservation = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
+            let _halved = app.reserve(Purpose::Frame, setup.most_halved_bytes())?;
+            let measure = || {
+                let pose = setup.pose(&q)?;
+                let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
+                let canvas = canvas.of(extent, &posed);
+                app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas))?;
+                let quality = Quality::of(&setup, &q, &pose, &posed, canvas, &is_cancelled)?;
+                Ok::<_, Problem>((quality, posed.into_report(canvas, &is_cancelled)?))
+            };
+            let (quality, report) = app.0.pool.run_parallel(measure)?;
+            timing.deform = began.elapsed();
+            stage("deform", began);
+            app.metrics().prepared(&timing);
+            let answer = ReportAnswer(&quality);
+            let text = answer.text_bytes();
+            app.reserve_more(&mut reservation, text as u64)?;
+            let mut body = json_unless(cancel, &answer, text)?;
+            // The client may read it slowly.
+            body.shrink_to_fit();
+            reservation.shrink_to(body.len() as u64);
+            let body = reservation.attach(body);
+            Ok::<_, Problem>(QualityReport { report, timing, plan_built: is_built, body })
+        };
+        self.0.pool.run(ticket, measure).await?
+    }
+}

@@ -1,0 +1,115 @@
+//! `POST /report` and `/sessions/{id}/report`: the request without an image, and the response.
+
+use mlswarp::geometry::{FoldRegions, Spread};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Quality, RoundTrip, ToleranceQuality};
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
+use super::{AsJson, SIZE, WarpObject, WarpPatch, fields, json, size};
+use crate::problem::Problem;
+
+/// Longest text of a number and its comma, bytes.
+const NUMBER_TEXT: usize = 25;
+/// The names and the single numbers of a response, bytes.
+const FIXED_TEXT: usize = 2048;
+
+/// The body of `/report`: a warp object with `q`, and the extent of the picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReportObject {
+    /// The warp object; its strength is applied.
+    pub warp: WarpObject,
+    /// The extent `[W, H]`.
+    pub extent: Extent,
+}
+
+impl ReportObject {
+    /// Reads the object. `q` may be absent if there is no `p`.
+    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+        let root = json::root(json)?;
+        let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
+        let mut warp = WarpPatch::read(warp)?.into_object()?;
+        warp.apply_strength();
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        warp.posed()?;
+        Ok(Self { warp, extent })
+    }
+}
+
+/// The response of `/report`.
+#[derive(Debug)]
+pub struct ReportAnswer<'a>(pub &'a Quality);
+
+impl ReportAnswer<'_> {
+    /// Upper bound of its JSON, bytes.
+    #[must_use]
+    pub fn text_bytes(&self) -> usize {
+        let Quality { residuals, folds, coincident, .. } = self.0;
+        let groups: usize = coincident.iter().map(|group| group.handles.len() + 8).sum();
+        FIXED_TEXT + NUMBER_TEXT * (residuals.len() + 4 * folds.boxes.len() + groups)
+    }
+}
+
+// Numbers that are not finite become `null`.
+impl Serialize for ReportAnswer<'_> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let Quality { residuals, folds, distortion, canvas, covered, tolerance, coincident, round_trip } = self.0;
+        let mut object = s.serialize_map(Some(9))?;
+        object.serialize_entry("residuals", residuals)?;
+        object.serialize_entry("folds", &AsJson(folds))?;
+        object.serialize_entry("area_factor", &distortion.area_factor.map(AsJson))?;
+        object.serialize_entry("shear", &distortion.shear.map(AsJson))?;
+        object.serialize_entry("canvas", &canvas.map(AsJson))?;
+        object.serialize_entry("covered", covered)?;
+        object.serialize_entry("tolerance", &tolerance.map(AsJson))?;
+        object.serialize_entry("coincident", &AsJson(coincident.as_slice()))?;
+        object.serialize_entry("round_trip", &AsJson(*round_trip))?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<&FoldRegions> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let FoldRegions { cells, share, regions, boxes } = self.0;
+        let mut object = s.serialize_map(Some(4))?;
+        object.serialize_entry("cells", cells)?;
+        object.serialize_entry("share", share)?;
+        object.serialize_entry("regions", regions)?;
+        object.serialize_entry("boxes", boxes)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<Spread> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let Spread { min, median, max } = self.0;
+        let mut object = s.serialize_map(Some(3))?;
+        object.serialize_entry("min", &min)?;
+        object.serialize_entry("median", &median)?;
+        object.serialize_entry("max", &max)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<ToleranceQuality> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let ToleranceQuality { px, exceeded } = self.0;
+        let mut object = s.serialize_map(Some(3))?;
+        object.serialize_entry("px", &px)?;
+        object.serialize_entry("met", &(exceeded == 0))?;
+        object.serialize_entry("exceeded", &exceeded)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<RoundTrip> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let RoundTrip { positions, in_folds, missing, distance } = self.0;
+        let mut object = s.serialize_map(Some(5))?;
+        object.serialize_entry("positions", &positions)?;
+        object.serialize_entry("in_folds", &in_folds)?;
+        object.serialize_entry("missing", &missing)?;
+        object.serialize_entry("median", &distance.map(|distance| distance.median))?;
+        object.serialize_entry("max", &distance.map(|distance| distance.max))?;
+        object.end()
+    }
+}
