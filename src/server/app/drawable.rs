@@ -80,8 +80,8 @@ impl Content {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
-    /// Whether it is a picture, which every format can hold.
-    pub(crate) const fn is_image(&self) -> bool {
+    /// Whether it is a picture, which any format can hold; labels and coverage need an exact one.
+    pub(crate) fn is_picture(&self) -> bool {
         matches!(self.drawable, Drawable::Image(_))
     }
 

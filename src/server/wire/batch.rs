@@ -23,6 +23,8 @@ use crate::problem::{Code, Problem};
 
 /// The most frames of a batch.
 const MOST_FRAMES: u32 = 10_000;
+/// All stored layers of a session, and the built-in ones.
+const MOST_LAYERS: usize = MAX_LAYERS + LayerRef::BUILT_IN.len();
 /// The largest standard deviation of a jitter, px.
 const MOST_SIGMA: f64 = 10_000.0;
 /// The longest display of a frame, ms.
@@ -181,12 +183,8 @@ fn layers(node: &Node<'_, '_>) -> Result<Vec<LayerRef>, Problem> {
         if layers.contains(&layer) {
             return Err(item.problem(Code::BadValue, format!("the layer `{}` is given twice", layer.as_str())));
         }
-        if layers.len() > MAX_LAYERS {
-            return Err(node.unexpected(&format!("at most {} layers", MAX_LAYERS + 1), "more").limit(
-                "layers",
-                MAX_LAYERS + 1,
-                layers.len() + 1,
-            ));
+        if layers.len() >= MOST_LAYERS {
+            return Err(node.unexpected(&format!("at most {MOST_LAYERS} layers"), "more").limit("layers", MOST_LAYERS, layers.len() + 1));
         }
         layers.push(layer);
         Ok(())

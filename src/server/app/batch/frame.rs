@@ -73,8 +73,8 @@ impl BatchJob {
     fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
-        let is_exact = content.is_image() || self.output.format == Format::Tiff;
-        let output = OutputSpec { format: if is_exact { self.output.format } else { Format::Png }, ..self.output };
+        let is_kept = content.is_picture() || self.output.format == Format::Tiff;
+        let output = OutputSpec { format: if is_kept { self.output.format } else { Format::Png }, ..self.output };
         DrawJob { content: content.clone(), planned, q, folds, output, preview: None, alpha: self.alpha, quota }
     }
 
