@@ -74,7 +74,7 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
     assert_eq!(shown("points"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
     let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "extent", "image", "direction", "out"];
     assert_eq!(shown("map"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "region", "quiet", "out"];
+    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "layer", "region", "quiet", "out"];
     assert_eq!(shown("batch"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
     assert_eq!(shown("health"), ["listen", "tls-cert", "tls-key", "metrics-listen"]);
     assert!(shown("serve").len() > 40);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// Each module with the modules that it may name. Modules of the server may name every module of the engine.
 const SERVER: [(&str, &[&str]); 16] = [
-    ("cli", &["http", "app", "config", "auth", "problem", "wire", "client"]),
+    ("cli", &["http", "app", "config", "auth", "problem", "wire", "layer", "client"]),
     ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "layer", "client"]),
     ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "layer", "client"]),
     ("config", &["store", "observe", "auth", "limits"]),

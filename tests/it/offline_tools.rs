@@ -162,11 +162,26 @@ async fn batches_are_the_files_that_the_server_answers() {
             assert!(std::fs::read(std::path::Path::new(&directory).join(&*name)).unwrap() == bytes, "{name}");
         }
     }
+    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/mask?kind=labels"))).body(png_of_labels()).send().await.unwrap();
+    assert_eq!(put.status(), 201);
+    let archive = expected(&json!({"steps": 2, "layers": ["mask", "@coverage"]}), "application/zip").await;
+    std::fs::write(path("mask.png"), png_of_labels()).unwrap();
+    let mask = format!("mask={}:labels", path("mask.png"));
+    let layers = ["batch", &image, &handles, "-", "-o", "-", "--layer", &mask, "--layer", "@coverage"];
+    assert!(done(&layers, r#"{"steps": 2}"#).0 == archive, "layers");
     let animation = json!({"steps": 4, "delay": 100});
     std::fs::write(&file, animation.to_string()).unwrap();
     for name in ["out.png", "out.APNG"] {
         done(&["batch", &image, &handles, &file, "-Q", "-o", &path(name)], "");
         assert!(std::fs::read(path(name)).unwrap() == expected(&animation, "image/apng").await, "{name}");
+    }
+    for (layer, sentence) in [
+        ("mask", "error: --layer \"mask\": expected NAME=FILE"),
+        ("a/b=mask.png", "error: cannot read the layer "),
+        ("@coverage=-", "error: standard input can be one of the input files only"),
+    ] {
+        let said = failed(&["batch", &image, &handles, "-", "-o", "-", "--layer", layer], r#"{"steps": 2}"#);
+        assert!(said.starts_with(sentence), "{layer}: {said}");
     }
     for (stdin, out, sentence) in [
         (r#"{"steps": 0}"#, "out.zip", "bad_value: "),

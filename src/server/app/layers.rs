@@ -14,6 +14,7 @@ use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
 use crate::pool::{QueueKey, WorkClass};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record, Session, StoreError, StoredLayer};
@@ -140,4 +141,14 @@ fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {
         return Err(Problem::new(Code::TooLarge, detail).limit("session_layers", MAX_LAYERS, count));
     }
     Ok(())
+}
+
+/// The problem of a name that no stored layer can have.
+pub(crate) fn bad_name(name: &str) -> Problem {
+    let detail = if name.starts_with('@') {
+        format!("a layer cannot be stored as {}: names that begin with `@` are built-in", quote(name))
+    } else {
+        format!("{} is not the name of a layer: it has 1 to 64 of the characters A-Z, a-z, 0-9, `.`, `_` and `-`", quote(name))
+    };
+    Problem::new(Code::BadValue, detail)
 }

@@ -9,7 +9,7 @@ pub(crate) mod drawable;
 mod fit;
 mod json_text;
 pub mod landmarks;
-mod layers;
+pub(crate) mod layers;
 pub(crate) mod lifecycle;
 pub mod map;
 mod metrics_text;

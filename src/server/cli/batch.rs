@@ -2,17 +2,20 @@
 
 use std::fs;
 use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
+use serde_json::json;
 use zip::read::read_zipfile_from_stream;
 
 use super::failure::Failure;
 use super::service::{Service, summary};
 use super::{input, output};
 use crate::app::batch::{Batch, BatchForm};
+use crate::app::layers::bad_name;
 use crate::app::warp::Upload;
 use crate::config::{BatchArgs, Config};
+use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::{merged, split_batch};
@@ -31,16 +34,21 @@ enum Out {
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
-    let BatchArgs { image, input: handles, batch, region, out, quiet } = args;
-    handles.require_one_stdin(&[Some(image), batch.as_ref(), region.as_ref()])?;
+    let BatchArgs { image, input: handles, batch, region, layers, out, quiet } = args;
+    let layers = layers.iter().map(|text| Layer::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let others = [Some(image), batch.as_ref(), region.as_ref()];
+    handles.require_one_stdin(&others.into_iter().chain(layers.iter().map(|layer| layer.file.as_ref())).collect::<Vec<_>>())?;
     let kind = kind_of(out)?;
     output::require_directory(out)?;
     let warp = handles.json(config)?;
     let batch = batch.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| input::read("batch", path, config.max_body_bytes))?;
-    let [warp, batch] = split_batch(&merged(&[&warp, &batch])?)?;
+    let [warp, batch] = split_batch(&merged(&[&warp, &batch, &drawn(&layers)])?)?;
     let files = handles.landmark_files(config)?;
     let image = input::read("image", image, config.max_body_bytes)?;
     let region = region.as_deref().map(|path| input::read("region", path, config.max_body_bytes).map(Bytes::from)).transpose()?;
+    let layers = layers.into_iter().filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
+    let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, config.max_body_bytes)?)));
+    let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
     let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
     let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
@@ -52,6 +60,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         let has_unmatched = landmarks.as_ref().is_some_and(|landmarks| landmarks.has_unmatched());
         let upload = Upload { image: image.into(), warp: warp.into(), region, landmarks };
         let (session, _, method) = app.create_session(client, upload).await?;
+        for (name, kind, file) in layers {
+            let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
+            app.put_layer(client, session.record.id, &name, kind, file.into()).await?;
+        }
         let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
         Ok((made, method, has_unmatched))
     })?;
@@ -69,6 +81,33 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     Ok(Some(format!("{frames} {what}{more}")))
 }
 
+/// `NAME=FILE`, `NAME=FILE:labels`, or the name of a built-in layer.
+struct Layer {
+    name: String,
+    kind: LayerKind,
+    file: Option<PathBuf>,
+}
+
+impl Layer {
+    fn parse(text: &str) -> Result<Self, Failure> {
+        let Some((name, file)) = text.split_once('=') else {
+            let name = text.to_owned();
+            let built_in = text.starts_with('@').then_some(Self { name, kind: LayerKind::Image, file: None });
+            return built_in.ok_or_else(|| Failure::Local(format!("--layer {text:?}: expected NAME=FILE, NAME=FILE:labels or @coverage")));
+        };
+        let (file, kind) = file.strip_suffix(":labels").map_or((file, LayerKind::Image), |file| (file, LayerKind::Labels));
+        Ok(Self { name: name.to_owned(), kind, file: Some(file.into()) })
+    }
+}
+
+/// The field of a batch that draws them.
+fn drawn(layers: &[Layer]) -> Vec<u8> {
+    if layers.is_empty() {
+        return b"{}".to_vec();
+    }
+    json!({"layers": layers.iter().map(|layer| &layer.name).collect::<Vec<_>>()}).to_string().into_bytes()
+}
+
 /// Hands over the bytes of the file, frame by frame.
 fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMut(Bytes) -> Result<(), Failure>) -> Result<(), Failure> {
     let Batch { first, mut rest, .. } = made;
@@ -79,7 +118,6 @@ fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMu
         progress.show(done);
         next = service.next(rest.next())?;
     }
-    progress.clear();
     Ok(())
 }
 
@@ -127,8 +165,10 @@ impl Progress {
             let _ = write!(io::stderr(), "\r[{}{}] {done} of {} frames", "=".repeat(full), " ".repeat(BAR - full), self.frames);
         }
     }
+}
 
-    fn clear(&self) {
+impl Drop for Progress {
+    fn drop(&mut self) {
         if self.is_shown {
             // Erases the line.
             let _ = write!(io::stderr(), "\r\x1b[K");

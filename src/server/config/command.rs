@@ -151,6 +151,10 @@ pub struct BatchArgs {
     /// pixels, the opaque ones move.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
+    /// A layer that is drawn in each frame, into files of its own: an image file of the same size, a label mask, or @coverage or @holes. It
+    /// may be given several times.
+    #[arg(long = "layer", value_name = "NAME=FILE[:labels]", display_order = 4)]
+    pub layers: Vec<String>,
     /// Show no progress on a terminal.
     #[arg(short = 'Q', long, display_order = 5)]
     pub quiet: bool,
@@ -180,7 +184,7 @@ const BATCH_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   echo '{"steps": 24, "easing": "ease-in-out"}' | mlswarp batch cat.png warp.json - -o cat.apng
   echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "boxes": [[150, 90, 330, 150]]}' > batch.json
-  mlswarp batch cat.png warp.json batch.json -o cats.zip"#;
+  mlswarp batch cat.png warp.json batch.json --layer mask=cat-labels.png:labels -o cats.zip"#;
 
 /// The limits of what is computed, with the help texts that fit a command.
 const LIMITS: [(&str, &str); 8] = [

@@ -7,11 +7,11 @@ use axum::response::{IntoResponse as _, Response};
 use mlswarp::codec::SourceFormat;
 
 use super::sessions::{reserved_object, session_id};
+use crate::app::layers::bad_name;
 use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::layer::{LayerKind, LayerName};
-use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::EnumName as _;
 
@@ -49,13 +49,4 @@ pub(crate) async fn delete(caller: Caller, Path((id, name)): Path<(String, Strin
 fn parse_kind(text: &str) -> Result<LayerKind, Problem> {
     let found = LayerKind::ALL.iter().find(|kind| kind.as_str() == text);
     found.copied().ok_or_else(|| bad_query_value("kind", text, "`image` or `labels`"))
-}
-
-fn bad_name(name: &str) -> Problem {
-    let detail = if name.starts_with('@') {
-        format!("a layer cannot be stored as {}: names that begin with `@` are built-in", quote(name))
-    } else {
-        format!("{} is not the name of a layer: it has 1 to 64 of the characters A-Z, a-z, 0-9, `.`, `_` and `-`", quote(name))
-    };
-    Problem::new(Code::BadValue, detail)
 }
