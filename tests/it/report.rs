@@ -73,7 +73,8 @@ async fn a_session_has_the_report_of_its_warp_object() {
     assert!(folded["folds"]["cells"].as_u64().unwrap() > 0 && folded["area_factor"]["min"].as_f64().unwrap() < 0.0, "{folded}");
     assert!(folded["shear"]["max"].as_f64().unwrap() > 90.0);
     let nothing = report(&server, "/report", &json!({"extent": EXTENT})).await;
-    assert_eq!((&nothing["residuals"], &nothing["covered"], &nothing["shear"]["max"]), (&json!([]), &json!(1.0), &json!(0.0)));
+    assert_eq!((&nothing["residuals"], &nothing["covered"]), (&json!([]), &json!(1.0)));
+    assert!(nothing["shear"]["max"].as_f64().unwrap() < 1e-9, "{nothing}");
 }
 
 #[tokio::test]
