@@ -7,7 +7,7 @@ mod malloc_trim;
 
 use std::process::ExitCode;
 
-use mlswarp_server::cli::{batch, health, map, points, warp};
+use mlswarp_server::cli::{batch, health, map, points, report, warp};
 use mlswarp_server::config::{Cli, Command};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Command::Warp(args) => warp::run(&config, &args).map(Some).map_err(|e| e.to_string()).map(print),
         Command::Batch(args) => batch::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Map(args) => map::run(&config, &args).map_err(|e| e.to_string()).map(print),
+        Command::Report(args) => report::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Points(args) => points::run(&config, &args).map_err(|e| e.to_string()).map(print),
     };
     match done {

@@ -71,7 +71,9 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
         [&["landmarks", "landmarks-q", "extent-p", "extent-q", "canvas", "kind", "region", "out"][..], &limits, &["workers"]].concat()
     );
     let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "extent", "image", "out"];
-    assert_eq!(shown("points"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
+    for subcommand in ["points", "report"] {
+        assert_eq!(shown(subcommand), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
+    }
     let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "extent", "image", "direction", "out"];
     assert_eq!(shown("map"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
     let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "layer", "region", "quiet", "out"];

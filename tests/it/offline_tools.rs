@@ -90,6 +90,21 @@ async fn points_are_those_that_the_server_answers() {
 }
 
 #[tokio::test]
+async fn reports_are_those_that_the_server_answers() {
+    let server = Server::start(&[]).await;
+    // Handles that cross fold the picture.
+    let crossing = json!({"p": [[20, 20], [300, 200], [200, 20]], "q": [[220, 20], [300, 180], [52, 21]], "extent": [400, 300]});
+    let few = json!({"p": [[20, 20]], "q": [[25, 20]], "extent": [400, 300], "output": {"canvas": "fit"}});
+    for (body, warnings) in [(crossing, ""), (few, "translation_only\n")] {
+        let expected = answer(&server, "/report", &body).await;
+        let (stdout, said) = done(&["report", "-"], &body.to_string());
+        assert!(stdout == expected && said == warnings, "{said}");
+    }
+    let said = failed(&["report", "-"], r#"{"p": [[1, 1]], "extent": [4, 3]}"#);
+    assert!(said.starts_with("bad_value: `q` is missing"), "{said}");
+}
+
+#[tokio::test]
 async fn maps_are_the_files_that_the_server_answers() {
     let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
     let warp = json!({"p": [[20, 20], [300, 200], [150, 20]], "q": [[40, 20], [300, 180], [152, 21]]});

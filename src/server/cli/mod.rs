@@ -7,6 +7,7 @@ mod input;
 pub mod map;
 mod output;
 pub mod points;
+pub mod report;
 mod service;
 pub mod warp;
 

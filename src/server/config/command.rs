@@ -21,6 +21,9 @@ pub enum Command {
     /// Draw many frames of one image without a server: the zip archive or animated PNG of POST /sessions/{id}/batch.
     #[command(after_help = BATCH_EXAMPLE)]
     Batch(BatchArgs),
+    /// Measure a pose without a server (residuals, folds, stretch, tolerance): the JSON of POST /report.
+    #[command(after_help = REPORT_EXAMPLE)]
+    Report(ReportArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
@@ -136,6 +139,20 @@ pub struct MapArgs {
     pub out: PathBuf,
 }
 
+/// The arguments of `mlswarp report`.
+#[derive(Args, Clone, Debug)]
+pub struct ReportArgs {
+    /// The handles.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// The size of the image.
+    #[command(flatten)]
+    pub extent: ExtentInput,
+    /// Output file (JSON); `-` writes standard output.
+    #[arg(short, long, default_value = "-", display_order = 5)]
+    pub out: PathBuf,
+}
+
 /// The arguments of `mlswarp batch`.
 #[derive(Args, Clone, Debug)]
 pub struct BatchArgs {
@@ -180,6 +197,11 @@ const MAP_EXAMPLE: &str = r#"Examples:
   mlswarp map warp.json --image cat.png -o map.npy    # cv2.remap(cat, numpy.load("map.npy"), ...)
   mlswarp map warp.json --extent 451,300 --direction forward -o forward.tif"#;
 
+const REPORT_EXAMPLE: &str = r#"Examples:
+  echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
+  mlswarp report warp.json --image cat.png
+  mlswarp report --landmarks face.pts --landmarks-q average.pts --image face.jpg -o report.json"#;
+
 const BATCH_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   echo '{"steps": 24, "easing": "ease-in-out"}' | mlswarp batch cat.png warp.json - -o cat.apng
@@ -209,11 +231,12 @@ const SERVICE: [(&str, &str); 9] = {
 };
 
 /// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
-pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 5] = [
+pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 6] = [
     ("warp", &LIMITS),
     ("points", &SERVICE),
     ("map", &SERVICE),
     ("batch", &SERVICE),
+    ("report", &SERVICE),
     (
         "health",
         &[

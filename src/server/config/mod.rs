@@ -22,7 +22,7 @@ use option::{Checked, clear_mistakes, keep_final, report, size, take_mistakes, v
 pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
-pub use command::{BatchArgs, Command, ExtentInput, MapArgs, PointsArgs, WarpArgs, WarpInput, WarpKind};
+pub use command::{BatchArgs, Command, ExtentInput, MapArgs, PointsArgs, ReportArgs, WarpArgs, WarpInput, WarpKind};
 use command::{EFFECTIVE, help_of};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
