@@ -76,7 +76,7 @@ impl Matrix {
 
 impl<'a> Inverse<'a> {
     /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells have 4 to 8 px: positions are not found
-    /// where larger ones differ from f by more than [`MARGIN`], or where more than [`MOST_CELLS`] smaller ones overlap.
+    /// where larger ones differ from f by more than `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
         Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh) }
