@@ -92,10 +92,10 @@ async fn points_are_those_that_the_server_answers() {
 #[tokio::test]
 async fn reports_are_those_that_the_server_answers() {
     let server = Server::start(&[]).await;
-    // Handles that cross fold the picture.
+    // Handles that cross fold the picture, and turn it in a place by no certain angle.
     let crossing = json!({"p": [[20, 20], [300, 200], [200, 20]], "q": [[220, 20], [300, 180], [52, 21]], "extent": [400, 300]});
     let few = json!({"p": [[20, 20]], "q": [[25, 20]], "extent": [400, 300], "output": {"canvas": "fit"}});
-    for (body, warnings) in [(crossing, ""), (few, "translation_only\n")] {
+    for (body, warnings) in [(crossing, "rotation_undefined, tolerance_exceeded\n"), (few, "translation_only\n")] {
         let expected = answer(&server, "/report", &body).await;
         let (stdout, said) = done(&["report", "-"], &body.to_string());
         assert!(stdout == expected && said == warnings, "{said}");
