@@ -14,6 +14,8 @@ export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 
 const PARTS = 8;
 /** Time of one way, ms. */
 export const TIME = 1500;
+/** The most time between two frames, ms: a slow browser plays more slowly, and shows what lies between. */
+const LONGEST = 200;
 /** Stills that replace the motion of one way if the user prefers reduced motion. */
 const STILLS = 5;
 
@@ -82,20 +84,20 @@ export class Player {
       return this.store.do("problem", { problem });
     }
     const { goal } = posesOf(document);
-    const begun = performance.now();
+    let [time, last] = [0, performance.now()];
     // There and back begins and ends at the pose, so that nothing jumps.
-    const wayAt = back ? (time) => Math.abs(1 - time) : (time) => time;
     const frame = (now) => {
       if (!isMine()) return;
-      const time = Math.max(0, now - begun) / TIME;
+      time += Math.min(LONGEST, Math.max(0, now - last)) / TIME;
+      last = now;
       if (time > (back ? 2 : 1)) return this.stop();
-      const way = wayAt(time);
+      const way = back ? Math.abs(1 - time) : time;
       const share = EASINGS[easing](this.still.matches ? Math.round(way * (STILLS - 1)) / (STILLS - 1) : way);
       this.store.do("play", { playing: Math.round(100 * share * goal) / 100 });
       this.view.play(this.#meshAt(share));
       requestAnimationFrame(frame);
     };
-    if (isMine()) frame(begun);
+    if (isMine()) frame(last);
   }
 
   /** Fetches the meshes of a document. */
