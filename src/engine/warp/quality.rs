@@ -16,6 +16,8 @@ const MOST_REGIONS: usize = 100;
 const LATTICE: u32 = 32;
 /// f is the same at two positions if its values are nearer than this, px.
 const SAME: f64 = 1e-6;
+/// Positions with the same f that are farther from each other than this are on two sides of a fold, px.
+const APART: f64 = 1.0 / 16.0;
 /// The covered share is counted on at most this many pixels of a side.
 const COUNTED_SIDE: u32 = 1024;
 
@@ -164,14 +166,13 @@ fn round_trip(setup: &Setup, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_
         places.into_iter().zip(there).filter_map(|(place, there)| Some((place, there?))).unzip();
     let back = inverse.map(&there, cancelled)?;
     let again = f.map(&back.iter().zip(&places).map(|(back, place)| back.unwrap_or(*place)).collect::<Vec<_>>(), cancelled)?;
-    let cell = grid.cell().0.hypot(grid.cell().1);
     let mut trip = RoundTrip { in_folds: folded.len() as u64, ..RoundTrip::default() };
     let mut distances = Vec::new();
     for (((place, there), back), again) in places.into_iter().zip(there).zip(back).zip(again) {
         match back.map(|back| back.distance(place)) {
             None => trip.missing += 1,
-            // Another part of the picture is drawn there.
-            Some(distance) if distance > cell && again.is_some_and(|again| again.distance(there) < SAME) => trip.in_folds += 1,
+            // Another part of the picture is drawn there; beside handles, f may fold within a cell.
+            Some(distance) if distance > APART && again.is_some_and(|again| again.distance(there) < SAME) => trip.in_folds += 1,
             Some(distance) => distances.push(distance),
         }
     }

@@ -56,7 +56,7 @@ fn an_affine_map_has_one_area_factor_and_one_shear() {
 
 #[test]
 fn the_inverse_returns_outside_folds() {
-    let (mut positions, mut folded) = (0, 0);
+    let (mut positions, mut folded, mut smooth) = (0, 0, 0);
     for case in randoms(extent(160, 120), 0..2) {
         let (Quality { folds, round_trip, residuals, .. }, posed) = quality(&case);
         assert_eq!(folds.cells, posed.report().folds, "{}", case.name);
@@ -65,8 +65,10 @@ fn the_inverse_returns_outside_folds() {
         assert_eq!(round_trip.missing, 0, "{}: {round_trip:?}", case.name);
         if let Some(distance) = round_trip.distance {
             assert!(distance.median < 1e-7, "{}: {round_trip:?}", case.name);
-            // Where f is nearly singular, positions differ by more than their images.
-            assert!(folds.cells > 0 || distance.max < 1e-6, "{}: {round_trip:?}", case.name);
+            // Where f is nearly singular, beside folds and at cusps and creases, positions differ by more than their images.
+            let is_smooth = folds.cells == 0 && case.rest.alpha.is_none_or(|alpha| alpha >= 1.5);
+            smooth += usize::from(is_smooth);
+            assert!(!is_smooth || distance.max < 1e-6, "{}: {round_trip:?}", case.name);
         }
         positions += round_trip.positions;
         folded += u64::from(folds.cells > 0);
@@ -75,7 +77,7 @@ fn the_inverse_returns_outside_folds() {
             assert!((worst - posed.report().residual).abs() < 1e-4, "{}: {worst}, {}", case.name, posed.report().residual);
         }
     }
-    assert!(positions > 20_000 && folded > 0, "{positions} {folded}");
+    assert!(positions > 20_000 && folded > 0 && smooth > 10, "{positions} {folded} {smooth}");
 }
 
 #[test]
