@@ -36,6 +36,12 @@ impl LabelImage {
         Ok(Self { digest, labels: Arc::new(opened.decode_labels()?) })
     }
 
+    /// Labels that no file has.
+    #[cfg(test)]
+    pub(super) fn of(labels: Labels) -> Self {
+        Self { digest: Digest::of(&labels.values), labels: Arc::new(labels) }
+    }
+
     /// The digest of the file.
     #[must_use]
     pub const fn digest(&self) -> Digest {

@@ -2,11 +2,11 @@
 
 use super::drawn::shown;
 use super::sets::{Case, FEW, Kind, LINES, MIXED, MORE, Noise, extent, random};
-use crate::codec::Format;
+use crate::codec::{Format, Labels, PngShape};
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::{Canvas, Filter, Outside};
-use crate::warp::{CanvasSpec, Folds, Holes, Image, Limits, Method, OutputSpec, Posed, Region, Setup, Subject, Warning, Warp};
+use crate::warp::{CanvasSpec, Folds, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed, Region, Setup, Subject, Warning, Warp};
 
 const SIDE: (u32, u32) = (120, 90);
 /// Rest positions nearer than this to the edge of a mask may be mixed, px: the reach of a filter, and of a mean of a few pixels.
@@ -326,4 +326,47 @@ fn what_a_picture_depends_on_is_in_its_digest() {
     assert!(warns(posed(&away)) && !warns(posed(&away).within(HARD.region())));
     let png = OutputSpec { format: Format::Png, ..OutputSpec::default() };
     assert!(Warp::new(Subject::Holes(&HARD.region()), &hard, &png, &Limits::default()).unwrap().etag() != all[1]);
+}
+
+#[test]
+fn labels_are_chosen_and_coverage_is_mixed() {
+    let size = extent(SIDE.0, SIDE.1);
+    let shape = PngShape { extent: size, channels: Channels::Rgb, grey: true, depth: Depth::Eight };
+    let values = (0..size.pixels()).map(|k| 1 + (k * 7919 % 251) as u8).collect();
+    let labels = LabelImage::of(Labels { shape, palette: None, values });
+    let (mut counts, mut partly) = ([0; 3], 0);
+    for (n, case) in cases().into_iter().enumerate() {
+        let disc = [HARD, SOFT][n % 2];
+        let (mask, region) = (disc.image(Channels::Rgb, Depth::Eight), disc.region());
+        let output = OutputSpec { holes: [Holes::Keep, Holes::Transparent][n / 2 % 2], ..OutputSpec::default() };
+        let (whole, still) = (posed(&case), at_rest(&case));
+        let moved = posed(&case).within(region.clone());
+        let grey = |subject, posed: &Posed| {
+            let warp = Warp::new(subject, posed, &output, &Limits::default()).unwrap();
+            let mut bytes = vec![0; size.pixels() as usize * warp.drawer.pixel_bytes()];
+            warp.drawer.band(0..SIDE.1, &mut bytes);
+            bytes.chunks_exact(warp.drawer.pixel_bytes()).map(|pixel| pixel[0]).collect::<Vec<u8>>()
+        };
+        let [there, at_rest, part] = [&whole, &still, &moved].map(|posed| grey(Subject::Labels(&labels), posed));
+        let [covered, parts_covered] = [&whole, &moved].map(|posed| grey(Subject::Coverage(size), posed));
+        let outside = OutputSpec { outside: Outside::Colour([0, 0, 0, 255]), ..output };
+        let m: Vec<u16> = draw(Subject::Image(&mask), &whole, &outside).all().map(|pixel| pixel[0]).collect();
+        let holes = grey(Subject::Holes(&region), &moved);
+        for k in 0..part.len() {
+            let is_hole = output.holes == Holes::Transparent && holes[k] >= 128;
+            let (want, kind) = match (m[k] >= 128, is_hole) {
+                (true, _) => (there[k], 0),
+                (false, true) => (0, 1),
+                (false, false) => (at_rest[k], 2),
+            };
+            assert_eq!(part[k], want, "{}: pixel {k}", case.name);
+            counts[kind] += 1;
+            let open = if output.holes == Holes::Transparent { holes[k] } else { 0 };
+            if covered[k] == 255 {
+                assert_eq!(parts_covered[k], 255 - open, "{}: pixel {k}", case.name);
+                partly += usize::from(open > 0);
+            }
+        }
+    }
+    assert!(counts.into_iter().all(|count| count > 100) && partly > 100, "{counts:?} {partly}");
 }
