@@ -17,8 +17,10 @@ use crate::pool::{PoolError, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::wire::{BatchFrame, BatchIndex};
 
-/// Most frames that are made or wait at one time.
-const MOST_AHEAD: usize = 4;
+/// Frames that are made ahead beyond the number of workers, so that none waits while the reader takes one.
+const SPARE: usize = 2;
+/// Most frames that are made ahead.
+const MOST_AHEAD: usize = 8;
 /// Pause before a frame is tried again for which there was no worker or no memory.
 const RETRY: Duration = Duration::from_millis(50);
 
@@ -53,7 +55,7 @@ impl BatchStream {
         let directory = job.form.directory_bytes(job.count(), job.files_per_frame());
         let held = Some(job.app.reserve_for(Purpose::Frame, &job.quota, directory)?);
         let package = Some(Package::new(job.form, job.count(), delay));
-        let width = job.app.pool().workers().min(MOST_AHEAD);
+        let width = most_ahead(&job);
         Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, entries: Vec::new(), package, held })
     }
 
@@ -89,7 +91,7 @@ impl BatchStream {
     /// The next frame. A busy server delays a batch that has begun; it ends it only if one frame takes longer than a request may.
     async fn made(&mut self) -> Result<Frame, Problem> {
         let (began, limit) = (Instant::now(), self.job.app.config().timeouts.request);
-        let most = self.job.app.pool().workers().min(MOST_AHEAD);
+        let most = most_ahead(&self.job);
         loop {
             self.begin();
             let task = self.ahead.front_mut().ok_or_else(|| Problem::new(Code::Internal, "no frame was begun"))?;
@@ -127,6 +129,10 @@ impl BatchStream {
             self.begun += 1;
         }
     }
+}
+
+fn most_ahead(job: &BatchJob) -> usize {
+    (job.app.pool().workers() + SPARE).min(MOST_AHEAD)
 }
 
 /// Makes a frame on a worker. All frames of a client's batches wait in one lane, behind nothing that takes milliseconds.
