@@ -169,11 +169,15 @@ class Program:
         options = {"listen": "127.0.0.1:0", "workers": "1", "max-warp-json-bytes": "32MiB", "header-timeout": "1h", "session-idle": "1h"}
         command = [PROGRAM, "serve", *(word for name, value in options.items() for word in (f"--{name}", value))]
         environment = {name: value for name, value in os.environ.items() if not name.startswith("MLSWARP_")}
-        self.process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        address = next((found[1] for line in self.process.stdout if (found := re.search(r"http://([0-9.]+:[0-9]+)", line))), None)
-        if not address:
-            raise SystemExit("the program did not start")
-        self.connection = http.client.HTTPConnection(address)
+        FILES.mkdir(parents=True, exist_ok=True)
+        log = FILES / "program.log"
+        with open(log, "w") as file:
+            self.process = subprocess.Popen(command, env=environment, stdout=file, stderr=subprocess.STDOUT)
+        while not (address := re.search(r"http://([0-9.]+:[0-9]+)", log.read_text())):
+            if self.process.poll() is not None:
+                raise SystemExit(f"the program did not start: {log.read_text()}")
+            time.sleep(0.02)
+        self.connection = http.client.HTTPConnection(address[1])
 
     def ask(self, method, path, body=None, headers=JSON):
         self.connection.request(method, path, body if isinstance(body, bytes | None) else json.dumps(body), headers)
@@ -350,7 +354,6 @@ def show(name, job, warped):
     for i, channel in enumerate(warped.dots):
         dots[..., i % 3] = numpy.maximum(dots[..., i % 3], channel)
     mask = cv2.cvtColor(warped.mask, cv2.COLOR_GRAY2BGR)
-    FILES.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(FILES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")), numpy.hstack([marked, mask, dots]))
 
 
