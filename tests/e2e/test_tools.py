@@ -65,10 +65,12 @@ def test_strength_slides_from_rest_to_pose_and_beyond_both(bent):
 
 def test_sliding_by_mouse_is_live_and_one_step(bent):
     undo = int(bent["undo"])
-    box = bent.page.locator("#strength").bounding_box()
+    slider, mouse = bent.page.locator("#strength"), bent.page.mouse
+    box = slider.bounding_box()
+    # Waits until the slider stays where it is and nothing covers it.
+    slider.hover(position={"x": 8 + (box["width"] - 16) * 2 / 3, "y": box["height"] / 2})
+    box = slider.bounding_box()
     x, y = box["x"] + 8 + (box["width"] - 16) * 2 / 3, box["y"] + box["height"] / 2
-    mouse = bent.page.mouse
-    mouse.move(x, y)
     mouse.down()
     mouse.move(x - (box["width"] - 16) / 6, y, steps=5)
     bent.body(f"[data-moving=true][data-source=mesh][data-shown='{bent['revision']}']")
