@@ -83,8 +83,8 @@ pub struct WarpArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Image file of the same size that says what moves: white moves, black stays, and grey is a transition. In a file with transparent
-    /// pixels, the opaque ones move.
+    /// Mask of the region that moves, an image file of the same size: white moves, black stays the same, and grey is a transition. In a
+    /// file with transparent pixels, the opaque ones move.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
     /// What is drawn. image: the picture; labels: a mask whose every label stays as it is, with its depth and palette; coverage: how much of
@@ -164,8 +164,8 @@ pub struct BatchArgs {
     /// Batch (JSON): frames, or steps and easing, or jitter; points, polygons, boxes, geojson; `-` reads standard input. Without this file
     /// they stand in the warp object.
     pub batch: Option<PathBuf>,
-    /// Image file of the same size that says what moves: white moves, black stays, and grey is a transition. In a file with transparent
-    /// pixels, the opaque ones move.
+    /// Mask of the region that moves, an image file of the same size: white moves, black stays the same, and grey is a transition. In a
+    /// file with transparent pixels, the opaque ones move.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
     /// A layer that is drawn in each frame, into files of its own: an image file of the same size, a label mask, or @coverage or @holes. It

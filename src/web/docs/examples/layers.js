@@ -8,19 +8,24 @@ const created = await fetch(`${server}sessions`, { method: "POST", headers: head
 const { id, image: size, detail } = await created.json();
 if (!created.ok) throw new Error(detail);
 
+// A mask of the face: white inside, black outside.
 const mask = new OffscreenCanvas(size.width, size.height);
 const brush = mask.getContext("2d");
 brush.fillRect(0, 0, size.width, size.height);
 brush.fillStyle = "white";
-brush.arc(250, 190, 130, 0, 7);
+brush.ellipse(250, 175, 130, 115, 0, 0, 7);
 brush.fill();
 const body = await mask.convertToBlob();
-const stored = await fetch(`${server}sessions/${id}/layers/face`, { method: "PUT", headers: headers(), body });
-if (!stored.ok) throw new Error((await stored.json()).detail);
 
-for (const layer of ["face", "@coverage"]) {
-  const body = JSON.stringify({ q: [[150, 104], [338, 126], [262, 262]], layer });
+// As labels, which follow the warp, and as the region, outside of which nothing moves.
+for (const layer of ["face?kind=labels", "region"]) {
+  const stored = await fetch(`${server}sessions/${id}/layers/${layer}`, { method: "PUT", headers: headers(), body });
+  if (!stored.ok) throw new Error((await stored.json()).detail);
+}
+
+for (const layer of [null, "face", "@holes"]) {
+  const body = JSON.stringify({ q: [[128, 112], [276, 136], [222, 240]], layer });
   const options = { method: "POST", headers: { ...headers(), "Content-Type": "application/json" }, body };
-  await show(await fetch(`${server}sessions/${id}/warp`, options), layer);
+  await show(await fetch(`${server}sessions/${id}/warp`, options), layer ?? "the image");
 }
 await fetch(`${server}sessions/${id}`, { method: "DELETE", headers: headers() });

@@ -1,5 +1,7 @@
+import io
 import json
-import httpx
+import httpx  # pip install httpx pillow
+from PIL import Image, ImageDraw
 
 server = httpx.Client(base_url="http://127.0.0.1:8080")
 image = server.get("/page/cat.jpg").raise_for_status().content
@@ -10,16 +12,22 @@ if created.is_error:
     raise SystemExit(created.json()["detail"])
 session = f"/sessions/{created.json()['id']}"
 
-# Usually a mask or labels; here the image itself.
-stored = server.put(f"{session}/layers/copy", content=image)
-if stored.is_error:
-    raise SystemExit(stored.json()["detail"])
+# A mask of the face: 255 inside, 0 outside.
+mask, file = Image.new("L", Image.open(io.BytesIO(image)).size), io.BytesIO()
+ImageDraw.Draw(mask).ellipse([120, 60, 380, 290], fill=255)
+mask.save(file, "png")
 
-for layer in ["copy", "@coverage"]:
-    pose = {"q": [[150, 104], [338, 126], [262, 262]], "layer": layer}
+# As labels, which follow the warp, and as the region, outside of which nothing moves.
+for layer in ["face?kind=labels", "region"]:
+    stored = server.put(f"{session}/layers/{layer}", content=file.getvalue())
+    if stored.is_error:
+        raise SystemExit(stored.json()["detail"])
+
+for layer in [None, "face", "@holes"]:
+    pose = {"q": [[128, 112], [276, 136], [222, 240]], "layer": layer}
     answer = server.post(f"{session}/warp", json=pose)
     if answer.is_error:
         raise SystemExit(answer.json()["detail"])
-    open(f"layer-{layer}.png", "wb").write(answer.content)
+    open(f"layer-{layer or 'image'}.png", "wb").write(answer.content)
 
 server.delete(session).raise_for_status()
