@@ -103,11 +103,12 @@ fn main() {
         drop(stream);
         while metric(&mut client, &service, "mlswarp_workers_busy") > 0.0 {}
         let stopped = began.elapsed();
-        let (started, frames) = (metric(&mut client, &service, "mlswarp_pictures_total{state=\"started\"}"), FRAMES);
+        let started = metric(&mut client, &service, "mlswarp_pictures_total{state=\"started\"}");
         std::thread::sleep(std::time::Duration::from_millis(50));
         let later = metric(&mut client, &service, "mlswarp_pictures_total{state=\"started\"}");
         println!(
-            "left after {frames} / 10 frames: no work after {:.1} ms (goal 50), {} more later",
+            "left after {} frames: no work after {:.1} ms (goal 50), {} more later",
+            FRAMES / 10,
             stopped.as_secs_f64() * 1e3,
             later - started
         );

@@ -313,7 +313,7 @@ impl App {
         let (warp, report, reservation) = self.prepare_drawing(job, is_cancelled)?;
         stage("deform", began);
         self.metrics().prepared(&Timing { deform: began.elapsed(), ..job.planned.timing });
-        let (bytes, _) = self.write_whole(&warp, reservation, is_cancelled).ok_or(WarpError::Cancelled)?;
+        let (bytes, _) = self.write_whole(&warp, reservation, is_cancelled)?;
         Ok(DrawnFile { report, target: warp.target(), bytes })
     }
 
@@ -336,24 +336,27 @@ impl App {
         Ok((warp, report, reservation))
     }
 
-    /// Draws a whole file on this thread; `None` if it was cancelled.
-    fn write_whole(&self, warp: &Warp, mut reservation: Reservation, is_cancelled: IsCancelled<'_>) -> Option<(Bytes, Cost)> {
-        let (meter, mut file) = (Meter::new(self.clone()), Vec::new());
+    /// Draws a whole file on this thread.
+    fn write_whole(&self, warp: &Warp, mut reservation: Reservation, is_cancelled: IsCancelled<'_>) -> Result<(Bytes, Cost), Problem> {
+        let (meter, mut pieces) = (Meter::new(self.clone()), Vec::new());
         let observer = Observer { meter: &meter, is_cancelled: Some(is_cancelled), ticket: None };
         let flow = warp.write(0, &observer, &mut |bytes| {
-            if file.is_empty() {
-                file = bytes;
-            } else {
-                file.extend_from_slice(&bytes);
-            }
+            pieces.push(bytes);
             if is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if flow.is_break() {
-            return None;
+            return Err(WarpError::Cancelled.into());
         }
         meter.finish();
-        reservation.shrink_to(file.len() as u64);
-        Some((reservation.attach(file), meter.cost()))
+        let length = pieces.iter().map(Vec::len).sum::<usize>() as u64;
+        let file = if pieces.len() == 1 {
+            pieces.swap_remove(0)
+        } else {
+            self.reserve_more(&mut reservation, length)?;
+            pieces.concat()
+        };
+        reservation.shrink_to(length);
+        Ok((reservation.attach(file), meter.cost()))
     }
 }
 
@@ -379,10 +382,10 @@ impl DrawTask {
 
     fn draw_whole(self, warp: &Warp, report: Report, reservation: Reservation) {
         let Self { app, timing, plan_built, answer, .. } = self;
-        // Without a file, nobody waits for the answer.
-        let Some((bytes, cost)) = app.write_whole(warp, reservation, &|| answer.is_closed()) else { return };
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
-        let _ = answer.send(Ok(Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } }));
+        let written = app.write_whole(warp, reservation, &|| answer.is_closed());
+        let drawn = |(bytes, cost)| Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } };
+        let _ = answer.send(written.map(drawn));
     }
 
     fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, content: Content, began: Instant) {
