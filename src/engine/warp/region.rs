@@ -84,29 +84,38 @@ impl Region {
         self.digest
     }
 
-    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px.
+    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: each pixel of
+    /// the mask is read once, whatever the size of the cells.
     pub(super) fn bounds(&self, mesh: &Mesh) -> [f64; 4] {
         let grid = mesh.grid();
+        let (width, height) = (self.extent().width() as usize, self.extent().height() as usize);
         let mut bounds = [0.0, 0.0, grid.width(), grid.height()];
+        // For each column, the number of rows down to the last pixel of the mask that has been read.
+        let (mut last, mut read) = (vec![0; width], 0);
+        // For each column, the number of columns before it that have some of the mask in the rows of the cells.
+        let mut before = vec![0_u32; width + 1];
         for j in 0..grid.rows() - 1 {
-            for i in (0..grid.columns() - 1).filter(|&i| self.is_in(mesh, i, j)) {
-                let [left, top, right, bottom] = mesh.cell_bounds(i, j);
-                bounds = [bounds[0].min(left), bounds[1].min(top), bounds[2].max(right), bounds[3].max(bottom)];
+            let rows = pixels(grid.vertex(0, j).y, grid.vertex(0, j + 1).y, height);
+            for y in read..rows.end {
+                for (x, last) in last.iter_mut().enumerate() {
+                    if self.weight_at(x, y) > 0 {
+                        *last = y + 1;
+                    }
+                }
+            }
+            read = rows.end;
+            for x in 0..width {
+                before[x + 1] = before[x] + u32::from(last[x] > rows.start);
+            }
+            for i in 0..grid.columns() - 1 {
+                let columns = pixels(grid.vertex(i, j).x, grid.vertex(i + 1, j).x, width);
+                if before[columns.end] > before[columns.start] {
+                    let [left, top, right, bottom] = mesh.cell_bounds(i, j);
+                    bounds = [bounds[0].min(left), bounds[1].min(top), bounds[2].max(right), bounds[3].max(bottom)];
+                }
             }
         }
         bounds
-    }
-
-    /// Whether a cell may show some of the mask.
-    fn is_in(&self, mesh: &Mesh, column: u32, row: u32) -> bool {
-        let (from, to) = (mesh.grid().vertex(column, row), mesh.grid().vertex(column + 1, row + 1));
-        let extent = self.extent();
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
-        let pixels = |from: f64, to: f64, side: u32| {
-            ((from - FILTER_REACH).floor() as usize).min(side as usize - 1)..((to + FILTER_REACH).ceil() as usize).min(side as usize)
-        };
-        let (columns, rows) = (pixels(from.x, to.x, extent.width()), pixels(from.y, to.y, extent.height()));
-        rows.into_iter().any(|y| columns.clone().any(|x| self.weight_at(x, y) > 0))
     }
 
     fn weight_at(&self, x: usize, y: usize) -> u16 {
@@ -129,6 +138,12 @@ impl Region {
         let options = RenderOptions { outside: Outside::Colour([0, 0, 0, alpha]), alpha: false, ..options };
         MaskDrawer { renderer: Renderer::new(Arc::clone(&self.mask), mesh, options), channel: self.channel }
     }
+}
+
+/// The pixels of a mask, of `side` px, that a cell between these coordinates may show.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+fn pixels(from: f64, to: f64, side: usize) -> Range<usize> {
+    ((from - FILTER_REACH).floor() as usize).min(side - 1)..((to + FILTER_REACH).ceil() as usize).min(side)
 }
 
 const fn widened(sample: u8) -> u16 {

@@ -6,7 +6,10 @@ use crate::codec::{Format, Labels, PngShape};
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::{Canvas, Filter, Outside};
-use crate::warp::{CanvasSpec, Folds, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed, Region, Setup, Subject, Warning, Warp};
+use crate::warp::{
+    CanvasSpec, Folds, GridSpec, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed, Region, RestSpec, Setup, Subject, Warning,
+    Warp,
+};
 
 const SIDE: (u32, u32) = (120, 90);
 /// Rest positions nearer than this to the edge of a mask may be mixed, px: the reach of a filter, and of a mean of a few pixels.
@@ -282,6 +285,42 @@ fn canvases_are_crops_and_bands_do_not_matter() {
             let inside = |at: f64, side: u32| (0.0..f64::from(side)).contains(&at);
             let is_inside = inside(x, canvas.extent.width()) && inside(y, canvas.extent.height());
             assert!(is_inside || pixel == [0; 4], "{}: {x}, {y}", case.name);
+        }
+    }
+}
+
+/// The box of the cells that have a pixel of the mask within two pixels.
+#[test]
+fn a_box_contains_the_cells_that_have_some_of_the_mask() {
+    let size = extent(SIDE.0, SIDE.1);
+    let masks: [(&str, &dyn Fn(u32, u32) -> bool); 5] = [
+        ("nothing", &|_, _| false),
+        ("everything", &|_, _| true),
+        ("a disc", &|x, y| HARD.value(Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5)) > 0.0),
+        ("dots", &|x, y| x % 41 == 7 && y % 37 == 11),
+        ("corners", &|x, y| (x == 0 && y == 0) || (x + 1 == SIDE.0 && y + 1 == SIDE.1)),
+    ];
+    for (name, is_masked) in masks {
+        let values = (0..SIDE.1).flat_map(|y| (0..SIDE.0).flat_map(move |x| [255 * u8::from(is_masked(x, y)); 3])).collect();
+        let region = Region::new(&Image::of_pixmap(name, Pixmap::new(size, Channels::Rgb, Samples::Eight(values)), true));
+        for (case, grid) in cases().into_iter().flat_map(|case| {
+            let grids = [GridSpec::Pixel, GridSpec::Cell(7.3), GridSpec::Counts { columns: 2, rows: 3 }];
+            grids.map(|grid| (Case { rest: RestSpec { grid, ..case.rest.clone() }, ..case.clone() }, grid))
+        }) {
+            let posed = posed(&case);
+            let (mesh, grid_lines) = (posed.mesh(), posed.mesh().grid());
+            let mut want = [0.0, 0.0, f64::from(SIDE.0), f64::from(SIDE.1)];
+            for (i, j) in (0..grid_lines.rows() - 1).flat_map(|j| (0..grid_lines.columns() - 1).map(move |i| (i, j))) {
+                let (from, to) = (grid_lines.vertex(i, j), grid_lines.vertex(i + 1, j + 1));
+                let range = |from: f64, to: f64, side: u32| {
+                    ((from - 2.0).floor().max(0.0) as u32).min(side - 1)..((to + 2.0).ceil() as u32).min(side)
+                };
+                if range(from.y, to.y, SIDE.1).any(|y| range(from.x, to.x, SIDE.0).any(|x| is_masked(x, y))) {
+                    let cell = mesh.cell_bounds(i, j);
+                    want = [want[0].min(cell[0]), want[1].min(cell[1]), want[2].max(cell[2]), want[3].max(cell[3])];
+                }
+            }
+            assert_eq!(region.bounds(mesh), want, "{name}: {}, {grid:?}", case.name);
         }
     }
 }
