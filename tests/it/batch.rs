@@ -285,6 +285,8 @@ async fn mistakes_in_any_frame_are_found_before_the_first_byte() {
     told(&json!({"q": q(1), "steps": 3, "layers": ["@coverage", "mask"]}), 404, "no_such_layer", "/layers/1").await;
     told(&json!({"q": q(1), "steps": 3, "layers": ["mask", "mask"]}), 422, "bad_value", "/layers/1").await;
     told(&json!({"q": q(1), "steps": 3, "delay": 30}), 422, "bad_value", "/delay").await;
+    let wide = told(&json!({"q": q(1), "steps": 3, "output": {"width": 99_999}}), 413, "too_large", "/output/width").await;
+    assert!(!wide["detail"].as_str().unwrap().contains("frame"), "{wide}");
     let far = json!([[900_000, 22], [60, 40], [[10, 50], [70, 52]]]);
     told(&json!({"q": far, "jitter": {"seed": 1, "count": 2, "sigma": 10000}}), 422, "bad_value", "/jitter/sigma").await;
 }
@@ -429,6 +431,22 @@ async fn drags_are_served_between_the_frames_of_batches() {
         }
     }
     assert_eq!((drags, lengths[0]), (5, lengths[1]));
+}
+
+/// Frames that leave nothing uncovered are all posed before the first byte, because none may have alpha: other requests have their turn.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn requests_are_served_while_the_frames_of_a_batch_are_surveyed() {
+    let server = Server::start(&["--workers", "1"]).await;
+    let rest = json!({"p": [[20, 20], [9, 5]], "grid": {"cell": 1}});
+    let id = server.session(&photo(LARGE.0, LARGE.1), &rest).await;
+    let still = server.post(&format!("/sessions/{id}/batch")).json(&json!({"q": rest["p"], "steps": 10_000})).send();
+    let still = tokio::spawn(still);
+    eventually("the batch has begun", || !idle(&server)).await;
+    for _ in 0..10 {
+        server.session(&photo(16, 12), &json!({"p": []})).await;
+    }
+    assert!(!still.is_finished());
+    still.abort();
 }
 
 /// A server without memory delays a batch; one that has none for as long as a request may take ends it, and the file has no directory.

@@ -25,6 +25,8 @@ use crate::problem::{Code, Problem};
 const MOST_FRAMES: u32 = 10_000;
 /// All stored layers of a session, and the built-in ones.
 const MOST_LAYERS: usize = MAX_LAYERS + LayerRef::BUILT_IN.len();
+/// What a number of frames is.
+const COUNT: &str = "a whole number of frames, at least 1";
 /// The largest standard deviation of a jitter, px.
 const MOST_SIGMA: f64 = 10_000.0;
 /// The longest display of a frame, ms.
@@ -148,11 +150,11 @@ impl BatchObject {
                 refuse_beside("jitter", "it applies to `steps`", &[("easing", easing)])?;
                 let [seed, count, sigma] = jitter.fields(&fields::JITTER)?;
                 let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
-                let (seed_of, sigma_of) = ("a whole number, at least 0", "a number of pixels between 0 and 10000");
+                let (seed_of, sigma_of) = ("a whole number between 0 and 18446744073709551615", "a number of pixels between 0 and 10000");
                 BatchPoses::Jitter {
                     q: posed(&root, q)?,
                     strength: optional(strength_, strength)?.unwrap_or(1.0),
-                    count: frame_count(&required(count, "count", "a number of frames")?)?,
+                    count: frame_count(&required(count, "count", COUNT)?)?,
                     jitter: Jitter {
                         seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
                         sigma: number_in(&required(sigma, "sigma", sigma_of)?, 0.0..=MOST_SIGMA, sigma_of)?,
@@ -228,7 +230,7 @@ fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<F
 }
 
 fn frame_count(node: &Node<'_, '_>) -> Result<u32, Problem> {
-    match count(node, 1, "a number of frames, at least 1")? {
+    match count(node, 1, COUNT)? {
         count if count > MOST_FRAMES => Err(too_many(node, count.into())),
         count => Ok(count),
     }

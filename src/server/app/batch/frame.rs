@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
@@ -27,6 +28,9 @@ use crate::store::Record;
 use crate::wire::annotations::Annotations;
 use crate::wire::{AsJson, BatchFrame, BatchPoses, FrameAnnotations, FramePosition, in_frame};
 
+/// Time after which other clients have their turn while frames are surveyed.
+const TURN: Duration = Duration::from_millis(20);
+
 /// Everything that the frames of a batch have in common.
 #[derive(Debug)]
 pub(crate) struct BatchJob {
@@ -45,6 +49,18 @@ pub(crate) struct BatchJob {
     pub(crate) form: BatchForm,
     /// Whether the pictures have alpha where the posed picture covers them.
     pub(crate) alpha: bool,
+}
+
+/// What the frames that have been posed have in common.
+#[derive(Debug)]
+pub(crate) struct Survey {
+    /// The number of frames that have been posed.
+    posed: u32,
+    may_be_refused: bool,
+    needs_alpha: bool,
+    /// Shows what each of them shows.
+    canvas: Option<Canvas>,
+    has_one_canvas: bool,
 }
 
 /// A frame that is ready to be appended, and its memory.
@@ -85,38 +101,56 @@ impl BatchJob {
         if is_pose && matches!(self.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
     }
 
-    /// Checks all poses, and decides what all pictures have in common: alpha, and the canvas of an animation. Frames are posed for this
-    /// until it is decided: at once if nothing depends on it, all of them if one of them may be refused.
-    /// Errors: Those of a frame.
-    pub(crate) fn prepare(&mut self, cancel: &Cancel) -> Result<(), Problem> {
+    /// Checks all poses, and whether frames must be posed to find out what all pictures have in common.
+    /// Errors: Those of a frame, or of the output.
+    pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
         check(&self.poses, &self.record.rest, &self.setup, &|| cancel.is_cancelled())?;
+        self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
-        let needs_alpha = self.may_need_alpha();
-        let (mut canvas, mut has_one_canvas): (Option<Canvas>, _) = (None, true);
-        let last = self.count() - 1;
+        Ok(Survey { posed: 0, may_be_refused, needs_alpha: self.may_need_alpha(), canvas: None, has_one_canvas: true })
+    }
+
+    /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an animation: none if nothing depends on
+    /// it, all of them if one of them may be refused. It ends earlier after [`TURN`], so that other clients have their turn.
+    /// Errors: Those of a frame.
+    pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
+        let began = Instant::now();
         // Only what may gain alpha shows whether it must.
         let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
-        // The last in-between moves the most.
-        for frame in std::iter::once(last).chain(0..last) {
-            if !may_be_refused && (self.alpha || !needs_alpha) {
-                break;
-            }
+        while !self.is_surveyed(survey) {
+            // The last in-between moves the most.
+            let frame = if survey.posed == 0 { self.count() - 1 } else { survey.posed - 1 };
             let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
             let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
             self.alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
-                let all = canvas.map_or(shown, |canvas| canvas.union(shown));
-                has_one_canvas &= canvas.is_none_or(|canvas| canvas == shown);
-                canvas = Some(all);
+                survey.has_one_canvas &= survey.canvas.is_none_or(|canvas| canvas == shown);
+                survey.canvas = Some(survey.canvas.map_or(shown, |canvas| canvas.union(shown)));
+            }
+            survey.posed += 1;
+            if began.elapsed() >= TURN {
+                return Ok(());
             }
         }
-        if let Some(canvas) = canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
+        Ok(())
+    }
+
+    /// Whether no more frames need to be posed.
+    pub(crate) fn is_surveyed(&self, survey: &Survey) -> bool {
+        survey.posed == self.count() || !survey.may_be_refused && (self.alpha || !survey.needs_alpha)
+    }
+
+    /// Decides on the canvas of all pictures of an animation.
+    /// Errors: It is too large.
+    pub(crate) fn decide(&mut self, survey: &Survey) -> Result<(), Problem> {
+        let is_fit = self.output.canvas == CanvasSpec::Fit;
+        if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
             self.output.canvas = CanvasSpec::Box(canvas);
             self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
-            self.alpha |= needs_alpha && !has_one_canvas;
+            self.alpha |= survey.needs_alpha && !survey.has_one_canvas;
         }
         Ok(())
     }

@@ -19,7 +19,7 @@ use super::session_warp::AdmittedPlan;
 use super::warp::columns;
 use crate::client::Client;
 use crate::layer::LayerRef;
-use crate::pool::{QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::Record;
@@ -88,8 +88,15 @@ impl App {
             alpha: false,
         };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let job = self.0.pool.run(&ticket, move |cancel| job.prepare(cancel).map(|()| job)).await??;
+        let mut survey;
+        (job, survey) = self.0.pool.run(&ticket, move |cancel| job.check(cancel).map(|survey| (job, survey))).await??;
         drop(ticket);
+        while !job.is_surveyed(&survey) {
+            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+            let surveyed = move |cancel: &Cancel| job.survey(&mut survey, cancel).map(|()| (job, survey));
+            (job, survey) = self.0.pool.run(&ticket, surveyed).await??;
+        }
+        job.decide(&survey)?;
         let frames = job.count();
         let canvas = match job.output.canvas {
             CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
@@ -123,14 +130,14 @@ fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
     let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {
         BatchForm::Zip if object.delay.is_some() => {
-            refused("/delay", "`delay` does not apply to an archive: send `Accept: image/apng` for an animation")
+            refused("/delay", "`delay` does not apply to an archive, only to an animation (image/apng)")
         }
         BatchForm::Apng if !object.layers.is_empty() => {
-            refused("/layers", "`layers` does not apply to an animation, which has pictures only: send `Accept: application/zip`")
+            refused("/layers", "`layers` does not apply to an animation, which has pictures only, but to an archive (application/zip)")
         }
         BatchForm::Apng if !object.annotations.kinds.is_empty() => {
             let name = object.annotations.kinds[0].name();
-            let why = format!("`{name}` does not apply to an animation, which has pictures only: send `Accept: application/zip`");
+            let why = format!("`{name}` does not apply to an animation, which has pictures only, but to an archive (application/zip)");
             refused(&format!("/{name}"), &why)
         }
         BatchForm::Apng if object.output.format.is_some_and(|format| format != Format::Png) => {
