@@ -184,16 +184,27 @@ async fn batches_are_the_files_that_the_server_answers() {
     let mask = format!("mask={}:labels", path("mask.png"));
     let layers = ["batch", &image, &handles, "-", "-o", "-", "--layer", &mask, "--layer", "@coverage"];
     assert!(done(&layers, r#"{"steps": 2}"#).0 == archive, "layers");
+    let (directory, stdout) = (path("directory.v2/"), std::path::Path::new("/dev/stdout"));
+    done(&[&layers[..4], &["-o", &directory]].concat(), r#"{"steps": 2}"#);
+    assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 3, "a name that ends with a slash is that of a directory");
+    if stdout.exists() {
+        let archive = expected(&json!({"steps": 2}), "application/zip").await;
+        assert!(done(&["batch", &image, &handles, "-", "-o", "/dev/stdout"], r#"{"steps": 2}"#).0 == archive, "a pipe takes the archive");
+    }
     let animation = json!({"steps": 4, "delay": 100});
     std::fs::write(&file, animation.to_string()).unwrap();
     for name in ["out.png", "out.APNG"] {
         done(&["batch", &image, &handles, &file, "-Q", "-o", &path(name)], "");
         assert!(std::fs::read(path(name)).unwrap() == expected(&animation, "image/apng").await, "{name}");
     }
+    let wide = path("wide.png");
+    std::fs::write(&wide, photo(81, 60)).unwrap();
     for (layer, sentence) in [
         ("mask", "error: --layer \"mask\": expected NAME=FILE"),
         ("a/b=mask.png", "error: cannot read the layer "),
         ("@coverage=-", "error: standard input can be one of the input files only"),
+        ("@holes", "error: --layer @holes needs a --region"),
+        (&*format!("mask={wide}"), "bad_value: --layer mask: the layer is 81x60 px"),
     ] {
         let said = failed(&["batch", &image, &handles, "-", "-o", "-", "--layer", layer], r#"{"steps": 2}"#);
         assert!(said.starts_with(sentence), "{layer}: {said}");
@@ -318,7 +329,10 @@ fn a_reader_that_leaves_is_a_failure_and_no_panic() {
         drop(stdout);
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(1) && said.starts_with("error: cannot write \"-\": ") && said.lines().count() == 1, "{said}");
+        assert!(
+            output.status.code() == Some(1) && said.starts_with("error: cannot write standard output: ") && said.lines().count() == 1,
+            "{said}"
+        );
     }
 }
 

@@ -2,13 +2,14 @@
 
 use std::fs;
 use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
 
 use bytes::Bytes;
 use serde_json::json;
 use zip::read::read_zipfile_from_stream;
 
 use super::failure::Failure;
+use super::input::is_stdio;
 use super::service::{Service, summary};
 use super::{input, output};
 use crate::app::batch::{Batch, BatchForm};
@@ -38,6 +39,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let layers = layers.iter().map(|text| Layer::parse(text)).collect::<Result<Vec<_>, _>>()?;
     let others = [Some(image), batch.as_ref(), region.as_ref()];
     handles.require_one_stdin(&others.into_iter().chain(layers.iter().map(|layer| layer.file.as_ref())).collect::<Vec<_>>())?;
+    let has = |name: &str| layers.iter().any(|layer| layer.name == name);
+    if has("@holes") && region.is_none() && !has("region") {
+        return Err(Failure::Local("--layer @holes needs a --region".to_owned()));
+    }
     let kind = kind_of(out)?;
     output::require_directory(out)?;
     let warp = handles.json(config)?;
@@ -62,7 +67,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         let (session, _, method) = app.create_session(client, upload).await?;
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
-            app.put_layer(client, session.record.id, &name, kind, file.into()).await?;
+            app.put_layer(client, session.record.id, &name, kind, file.into()).await.map_err(|mut problem| {
+                problem.detail.insert_str(0, &format!("--layer {}: ", name.as_str()));
+                problem
+            })?;
         }
         let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
         Ok((made, method, has_unmatched))
@@ -135,10 +143,12 @@ fn extract(directory: &Path, part: &[u8]) -> Result<(), Failure> {
 }
 
 fn kind_of(out: &Path) -> Result<Out, Problem> {
-    if out == Path::new("-") {
+    let is_directory = out.is_dir() || out.to_string_lossy().ends_with(is_separator);
+    // A device or a pipe has no extension.
+    if is_stdio(out) || out.exists() && !out.is_file() && !is_directory {
         return Ok(Out::File(BatchForm::Zip));
     }
-    let Some(extension) = out.extension().filter(|_| !out.is_dir()) else { return Ok(Out::Directory) };
+    let Some(extension) = out.extension().filter(|_| !is_directory) else { return Ok(Out::Directory) };
     match extension.to_string_lossy().to_ascii_lowercase().as_str() {
         "zip" => Ok(Out::File(BatchForm::Zip)),
         "png" | "apng" => Ok(Out::File(BatchForm::Apng)),

@@ -39,7 +39,8 @@ impl Sink<'_> {
 }
 
 fn cannot_write(out: &Path, e: &io::Error) -> Failure {
-    Failure::Local(format!("cannot write {out:?}: {e}"))
+    let name = if is_stdio(out) { "standard output".to_owned() } else { format!("{out:?}") };
+    Failure::Local(format!("cannot write {name}: {e}"))
 }
 
 /// Writes text to a file or standard output. Errors: As [`write`].

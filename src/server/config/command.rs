@@ -161,8 +161,8 @@ pub struct BatchArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Batch (JSON): frames, or steps and easing, or jitter; points, polygons, boxes, geojson; `-` reads standard input. Without this file
-    /// they stand in the warp object.
+    /// Batch (JSON), as the body of POST /sessions/{id}/batch: frames, or steps and easing, or jitter; delay, layers, output; points,
+    /// polygons, boxes, geojson. `-` reads standard input. Without this file, these fields are read from the warp object.
     pub batch: Option<PathBuf>,
     /// Mask of the region that moves, an image file of the same size: white moves, black stays the same, and grey is a transition. In a
     /// file with transparent pixels, the opaque ones move.
@@ -175,8 +175,8 @@ pub struct BatchArgs {
     /// Show no progress on a terminal.
     #[arg(short = 'Q', long, display_order = 5)]
     pub quiet: bool,
-    /// Output file, .zip (pictures, annotations, frames.json), .png or .apng (an animation); a directory for the files of the archive; `-`
-    /// writes the archive to standard output.
+    /// Output file, .zip (pictures, annotations, frames.json), .png or .apng (an animation); or a directory, which is created, for
+    /// the files of the archive; `-` writes the archive to standard output.
     #[arg(short, long, display_order = 6)]
     pub out: PathBuf,
 }
