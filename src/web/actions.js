@@ -61,7 +61,7 @@ export class Actions {
     const { state } = this;
     const part = partOf(state, places, Math.min(1, 0.5 / this.view.zoom));
     this.store.do("draft", { places: [] });
-    if (!part) return this.say("A lasso needs three points");
+    if (!part) return this.say("The lasso encloses nothing");
     this.edit(withPart(state.document, part));
     this.say(part.removes ? "Removed from the region" : "Added to the region");
   }

@@ -229,7 +229,8 @@ export class ExportDialog {
     } catch (error) {
       if (api.wasAborted(error)) return;
       if (!(error instanceof api.Problem)) throw error;
-      const { title, detail, advice } = problemWords(error);
+      // Nothing that the dialog requests is repeated automatically.
+      const { title, detail, advice } = problemWords(Object.assign(Object.create(error), { opening: true }));
       find("problem").hidden = false;
       text("problem", [`${title}.`, detail, advice].filter(Boolean).join(" "));
       text("result", "");

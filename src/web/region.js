@@ -29,9 +29,17 @@ export const brushSizeOf = ({ brush, picture }) => brush ?? (picture ? Math.max(
 /** The part that the lasso or the brush has drawn along these places; null if it has no area. */
 export function partOf(state, places, most = 0) {
   const { tool, removes } = state;
-  if (tool === "lasso" && places.length < 3) return null;
+  if (tool === "lasso" && isFlat(places, most)) return null;
   const drawn = { kind: tool, removes, places: simplified(places, most) };
   return tool === "brush" ? { ...drawn, size: brushSizeOf(state) } : drawn;
+}
+
+/** Whether places lie on a line, to `most` px. */
+function isFlat(places, most) {
+  const [[ax, ay]] = places.length ? places : [[0, 0]];
+  const away = ([x, y]) => Math.hypot(x - ax, y - ay);
+  const far = places.reduce((a, b) => (away(b) > away(a) ? b : a), [ax, ay]);
+  return places.every(([x, y]) => Math.abs((far[0] - ax) * (y - ay) - (far[1] - ay) * (x - ax)) <= most * away(far));
 }
 
 const tenth = (x) => Math.round(10 * x) / 10;

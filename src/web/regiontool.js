@@ -17,6 +17,7 @@ export class RegionTool {
   #shown = { parts: [], feather: 0 };
   #size = null;
   #places = []; // of the stroke that is being drawn
+  #brushAt = null; // position of the stage
   #due = false;
 
   constructor(store, view, actions) {
@@ -48,7 +49,8 @@ export class RegionTool {
     this.#drawControls(state);
     this.#invalidate();
     if (state.tool !== "brush") this.hover(null);
-    else if (state.cross !== previous.cross || state.brush !== previous.brush) this.hover(state.cross && this.view.toStage(state.cross));
+    else if (state.cross !== previous.cross) this.hover(state.cross && this.view.toStage(state.cross));
+    else if (state.brush !== previous.brush || state.playing !== previous.playing) this.hover(this.#brushAt);
   }
 
   #take(region, size) {
@@ -78,9 +80,10 @@ export class RegionTool {
 
   /** Shows the size of the brush at a position of the stage; null hides it. */
   hover(at) {
-    const { tool } = this.store.state;
+    const { tool, playing } = this.store.state;
+    this.#brushAt = at;
     const node = find("brush-at");
-    node.hidden = !at || tool !== "brush";
+    node.hidden = !at || tool !== "brush" || playing !== null;
     if (node.hidden) return;
     const side = brushSizeOf(this.store.state) * this.view.zoom;
     Object.assign(node.style, { width: `${side}px`, height: `${side}px`, transform: `translate(${at[0] - side / 2}px, ${at[1] - side / 2}px)` });
@@ -131,7 +134,7 @@ export class RegionTool {
     const { document, tool, removes, regionShown, picture } = state;
     const { parts, feather } = regionOf(document);
     find(removes ? "region-removes" : "region-adds").checked = true;
-    find("region-bar").hidden = !isRegionTool(tool) || state.phase !== "open" || state.draft.length > 0;
+    find("region-bar").hidden = !isRegionTool(tool) || state.phase !== "open" || state.draft.length > 0 || state.playing !== null;
     find("brush-row").hidden = tool !== "brush";
     if (picture) find("brush-size").max = Math.round(Math.max(picture.width, picture.height) / 2);
     find("brush-size").value = brushSizeOf(state);

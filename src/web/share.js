@@ -64,7 +64,15 @@ const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) 
 
 const addressOf = (path) => new URL(path, document.baseURI).href;
 const keyHeader = () => (hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "");
-const jsonBody = (value) => `-H 'Content-Type: application/json' -d ${quoted(JSON.stringify(value))}`;
+
+/** Characters of JSON that are passed as an argument. Linux limits an argument to 128 KiB. */
+const MOST_ARGUMENT = 100_000;
+
+function jsonBody(value) {
+  const json = JSON.stringify(value);
+  const body = json.length <= MOST_ARGUMENT ? quoted(json) : `@- <<'END'\n${json}\nEND\n`;
+  return `-H 'Content-Type: application/json' -d ${body}`;
+}
 
 /** A curl command for a batch of the session. */
 export const batchLine = (sync, name, media, body) =>
