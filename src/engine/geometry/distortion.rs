@@ -10,19 +10,19 @@
 
 use super::Mesh;
 
-/// The least, the middle and the greatest of some values.
+/// Minimum, median and maximum of some values.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
-    /// The least.
+pub struct Summary {
+    /// The minimum.
     pub min: f64,
-    /// Half of the values are not above it, half are not below.
+    /// The median; of an even number of values, the mean of the two middle ones.
     pub median: f64,
-    /// The greatest.
+    /// The maximum.
     pub max: f64,
 }
 
-impl Spread {
-    /// The spread of the finite values; `None` if there are none. O(values), which are reordered.
+impl Summary {
+    /// The summary of the finite values; `None` if there are none. O(values), which are reordered.
     #[must_use]
     pub fn of(values: &mut Vec<f64>) -> Option<Self> {
         values.retain(|value| value.is_finite());
@@ -44,9 +44,9 @@ impl Spread {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
     /// Posed area over area at rest.
-    pub area_factor: Option<Spread>,
+    pub area_factor: Option<Summary>,
     /// Largest change of a right angle, degrees.
-    pub shear: Option<Spread>,
+    pub shear: Option<Summary>,
 }
 
 impl Mesh {
@@ -71,7 +71,7 @@ impl Mesh {
                 shears.push(2.0 * difference.atan2(sum).to_degrees());
             }
         }
-        Some(Distortion { area_factor: Spread::of(&mut area_factors), shear: Spread::of(&mut shears) })
+        Some(Distortion { area_factor: Summary::of(&mut area_factors), shear: Summary::of(&mut shears) })
     }
 }
 
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_spread_has_the_middle_of_a_sorted_list() {
+    fn the_median_is_the_middle_of_a_sorted_list() {
         for (values, want) in [
             (vec![3.0, 1.0, 2.0], Some((1.0, 2.0, 3.0))),
             (vec![4.0, 1.0, 2.0, 10.0], Some((1.0, 3.0, 10.0))),
@@ -120,8 +120,8 @@ mod tests {
             (vec![f64::NAN], None),
             (vec![], None),
         ] {
-            let spread = Spread::of(&mut values.clone());
-            assert_eq!(spread.map(|spread| (spread.min, spread.median, spread.max)), want, "{values:?}");
+            let summary = Summary::of(&mut values.clone());
+            assert_eq!(summary.map(|summary| (summary.min, summary.median, summary.max)), want, "{values:?}");
         }
     }
 }

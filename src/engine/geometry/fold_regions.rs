@@ -1,4 +1,5 @@
-//! The folded cells of a posed grid, as regions of cells that share an edge or a corner.
+//! The folded cells of a posed grid, as regions of cells that share an edge or a corner: connected components, found row by row with a
+//! union-find structure. O(cells).
 
 use std::ops::Range;
 
@@ -13,45 +14,44 @@ pub struct FoldRegions {
     pub share: f64,
     /// The number of regions.
     pub regions: u64,
-    /// Left, top, right and bottom of the largest regions by their number of cells, px of the posed plane; equal ones row by row.
+    /// Left, top, right and bottom edges of the largest regions by their number of cells, px of the posed plane; equal ones in row order.
     pub boxes: Vec<[f64; 4]>,
 }
 
-/// Cells that are connected so far.
+/// Cells that are known to be connected.
 #[derive(Clone, Debug)]
-struct Region {
-    /// The region that has taken it over.
+struct Component {
+    /// The component that it was united with; itself if it is a root.
     parent: usize,
     cells: u64,
     bounds: [f64; 4],
 }
 
-/// Folded cells side by side, and their region.
+/// Adjacent folded cells of a row, and their component.
 type Run = (Range<u32>, usize);
 
 #[derive(Default)]
-struct Regions(Vec<Region>);
+struct UnionFind(Vec<Component>);
 
-impl Regions {
-    fn root(&mut self, mut region: usize) -> usize {
-        while self.0[region].parent != region {
-            self.0[region].parent = self.0[self.0[region].parent].parent;
-            region = self.0[region].parent;
+impl UnionFind {
+    fn find(&mut self, mut component: usize) -> usize {
+        while self.0[component].parent != component {
+            self.0[component].parent = self.0[self.0[component].parent].parent;
+            component = self.0[component].parent;
         }
-        region
+        component
     }
 
-    /// The earlier one takes over the later one.
-    fn join(&mut self, a: usize, b: usize) -> usize {
-        let (a, b) = (self.root(a), self.root(b));
+    /// Unites two components under the root that was found first.
+    fn union(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.find(a), self.find(b));
         let (first, last) = (a.min(b), a.max(b));
         if first != last {
-            let Region { cells, bounds, .. } = self.0[last].clone();
+            let Component { cells, bounds, .. } = self.0[last].clone();
             self.0[last].parent = first;
             self.0[first].cells += cells;
             include(&mut self.0[first].bounds, bounds);
         }
-        first
     }
 }
 
@@ -65,7 +65,7 @@ impl Mesh {
     #[must_use]
     pub fn fold_regions(&self, most: usize, cancelled: &dyn Fn() -> bool) -> Option<FoldRegions> {
         let grid = self.grid();
-        let mut regions = Regions::default();
+        let mut components = UnionFind::default();
         let (mut above, mut runs): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
         let (mut cells, mut area) = (0, 0.0);
         for j in 0..grid.rows() - 1 {
@@ -80,16 +80,16 @@ impl Mesh {
                 area += size.x * size.y;
                 let bounds = self.cell_bounds(i, j);
                 match runs.last_mut() {
-                    Some((run, region)) if run.end == i => {
+                    Some((run, component)) if run.end == i => {
                         run.end = i + 1;
-                        let region = regions.root(*region);
-                        regions.0[region].cells += 1;
-                        include(&mut regions.0[region].bounds, bounds);
+                        let root = components.find(*component);
+                        components.0[root].cells += 1;
+                        include(&mut components.0[root].bounds, bounds);
                     }
                     _ => {
-                        let region = regions.0.len();
-                        regions.0.push(Region { parent: region, cells: 1, bounds });
-                        runs.push((i..i + 1, region));
+                        let parent = components.0.len();
+                        components.0.push(Component { parent, cells: 1, bounds });
+                        runs.push((i..i + 1, parent));
                     }
                 }
                 // Cells of the row above that share an edge or a corner.
@@ -97,18 +97,19 @@ impl Mesh {
                     before += 1;
                 }
                 let (_, own) = *runs.last().expect("has this cell");
-                for (_, region) in above[before..].iter().take_while(|(run, _)| run.start <= i + 1) {
-                    regions.join(own, *region);
+                for (_, component) in above[before..].iter().take_while(|(run, _)| run.start <= i + 1) {
+                    components.union(own, *component);
                 }
             }
             std::mem::swap(&mut above, &mut runs);
         }
-        let mut found: Vec<&Region> = regions.0.iter().enumerate().filter(|(k, region)| region.parent == *k).map(|(_, r)| r).collect();
-        let total = found.len() as u64;
+        let roots = components.0.iter().enumerate().filter(|(k, component)| component.parent == *k);
+        let mut roots: Vec<&Component> = roots.map(|(_, root)| root).collect();
+        let regions = roots.len() as u64;
         // Stable: equal regions stay in the order of their first cells.
-        found.sort_by_key(|region| std::cmp::Reverse(region.cells));
-        let boxes = found.into_iter().take(most).map(|region| region.bounds).collect();
-        Some(FoldRegions { cells, share: area / (grid.width() * grid.height()), regions: total, boxes })
+        roots.sort_by_key(|root| std::cmp::Reverse(root.cells));
+        let boxes = roots.into_iter().take(most).map(|root| root.bounds).collect();
+        Some(FoldRegions { cells, share: area / (grid.width() * grid.height()), regions, boxes })
     }
 }
 

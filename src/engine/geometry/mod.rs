@@ -15,7 +15,7 @@ mod vec;
 
 pub use cell_tree::CellTree;
 pub use compact::Compact;
-pub use distortion::{Distortion, Spread};
+pub use distortion::{Distortion, Summary};
 pub use fold_regions::FoldRegions;
 pub use grid::Grid;
 pub use mesh::Mesh;

@@ -2,18 +2,19 @@
 
 use crate::pixmap::{Channels, Depth};
 
-/// The weight of a picture that is drawn alone.
-pub const WHOLE: u16 = u16::MAX;
+/// The weight 1 as a fixed-point number: that of a picture that is shown alone.
+pub const FULL_WEIGHT: u16 = u16::MAX;
 
-/// Draws `over` onto `under` with weights of [`WHOLE`], pixel by pixel: the colours of both count by alpha times weight, and the alpha of
-/// the result is the sum of these. What the two weights leave is transparent. A pixel that has the whole of one picture is that of the
-/// picture, bit for bit, and so is one on which both agree. Shapes: `under: [pixels][channels]`, `over: [pixels][over_channels]`,
-/// `weights: [pixels]`: of `over`, then of `under`; samples in PNG order (16-bit big-endian).
+/// Mixes `over` into `under`, pixel by pixel. Weights are parts of [`FULL_WEIGHT`] and add up to at most that; what they leave is transparent.
+/// Each colour counts by its alpha times its weight, and the alpha of the result is the sum of these products. If the weight of one picture is
+/// full, the result is its pixel, bit for bit; if the weights add up to the full one and both pixels are equal, it is that pixel. Shapes:
+/// `under: [pixels][channels]`, `over: [pixels][over_channels]`, `weights: [pixels]` (of `over`, then of `under`); samples in PNG order (16-bit
+/// big-endian).
 ///
 /// # Panics
 /// If the shapes differ, or `over` has alpha and `under` has none.
 pub fn blend(under: &mut [u8], channels: Channels, over: &[u8], over_channels: Channels, depth: Depth, weights: &[[u16; 2]]) {
-    assert!(channels == Channels::Rgba || over_channels == Channels::Rgb, "alpha has a place");
+    assert!(channels == Channels::Rgba || over_channels == Channels::Rgb, "the result can store alpha");
     let (pixel, over_pixel) = (channels.count() * depth.bytes(), over_channels.count() * depth.bytes());
     assert_eq!((under.len(), over.len()), (pixel * weights.len(), over_pixel * weights.len()), "one weight for each pixel");
     let opaque = match depth {
@@ -21,11 +22,11 @@ pub fn blend(under: &mut [u8], channels: Channels, over: &[u8], over_channels: C
         Depth::Sixteen => u64::from(u16::MAX),
     };
     for ((under, over), &[w, v]) in under.chunks_exact_mut(pixel).zip(over.chunks_exact(over_pixel)).zip(weights) {
-        if (w, v) == (0, WHOLE) {
+        if (w, v) == (0, FULL_WEIGHT) {
             continue;
         }
         let (a, b) = (samples(over, depth, opaque), samples(under, depth, opaque));
-        let mixed = if (w, v) == (WHOLE, 0) { a } else { mix(a, b, u64::from(w), u64::from(v)) };
+        let mixed = if (w, v) == (FULL_WEIGHT, 0) { a } else { mix(a, b, u64::from(w), u64::from(v)) };
         for (k, value) in mixed.into_iter().take(channels.count()).enumerate() {
             put(under, depth, k, value);
         }
@@ -50,7 +51,7 @@ fn put(pixel: &mut [u8], depth: Depth, k: usize, value: u64) {
 }
 
 fn mix(a: [u64; 4], b: [u64; 4], w: u64, v: u64) -> [u64; 4] {
-    let whole = u64::from(WHOLE);
+    let whole = u64::from(FULL_WEIGHT);
     // At most 2^32: the weights sum up to at most the whole.
     let (of_a, of_b) = (w * a[3], v * b[3]);
     let sum = of_a + of_b;
@@ -76,13 +77,13 @@ mod tests {
     fn the_whole_of_a_picture_and_agreement_are_exact() {
         for pixel in [[1, 2, 3, 0], [9, 200, 31, 1], [255, 0, 77, 128], [4, 5, 6, 255]] {
             let other = [250, 3, 99, 37];
-            assert_eq!(mixed(&pixel, &other, 0, WHOLE), pixel);
-            assert_eq!(mixed(&other, &pixel, WHOLE, 0), pixel);
+            assert_eq!(mixed(&pixel, &other, 0, FULL_WEIGHT), pixel);
+            assert_eq!(mixed(&other, &pixel, FULL_WEIGHT, 0), pixel);
             for w in [1, 77, 32_768, 65_534] {
-                assert_eq!(mixed(&pixel, &pixel, w, WHOLE - w), pixel, "{w}");
+                assert_eq!(mixed(&pixel, &pixel, w, FULL_WEIGHT - w), pixel, "{w}");
             }
         }
-        assert_eq!(mixed(&[7, 8, 9, 255], &[1, 2, 3], WHOLE, 0), [1, 2, 3, 255]);
+        assert_eq!(mixed(&[7, 8, 9, 255], &[1, 2, 3], FULL_WEIGHT, 0), [1, 2, 3, 255]);
         assert_eq!(mixed(&[7, 8, 9], &[1, 2, 3], 32_768, 32_767), [4, 5, 6]);
     }
 
@@ -94,7 +95,7 @@ mod tests {
         assert_eq!(mixed(&[10, 20, 30, 255], &[200, 200, 200, 255], 0, 32_768), [10, 20, 30, 128]);
         let wide = [0xffff_u16, 0, 1000].map(u16::to_be_bytes).concat();
         let (mut out, over) = (wide.clone(), [0_u16, 0xffff, 3000].map(u16::to_be_bytes).concat());
-        blend(&mut out, Channels::Rgb, &over, Channels::Rgb, Depth::Sixteen, &[[WHOLE / 5, WHOLE - WHOLE / 5]]);
+        blend(&mut out, Channels::Rgb, &over, Channels::Rgb, Depth::Sixteen, &[[FULL_WEIGHT / 5, FULL_WEIGHT - FULL_WEIGHT / 5]]);
         assert_eq!(out, [52_428_u16, 13_107, 1400].map(u16::to_be_bytes).concat());
     }
 }

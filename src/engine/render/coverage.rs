@@ -1,6 +1,7 @@
-//! How much of each pixel the posed picture covers. Pixels that no outline passes are covered as their centre is; the others by the area of
-//! the cells in them. Outlines are the border of the posed picture and the sides of folded cells: elsewhere a pixel has cells all around.
-//! Accuracy: half a step of 8 bit; where folded cells overlap in a pixel, their areas are cut into slices of 1/16 px.
+//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if its centre is. For the others, the area of
+//! the union of the cells in them is computed. Outlines are the border of the posed picture and the edges of folded cells: away from these,
+//! either all or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in a pixel, the area is summed over
+//! slices of 1/16 px.
 
 use std::ops::{ControlFlow, Range};
 
@@ -9,14 +10,14 @@ use super::inverse_map::InverseMap;
 use crate::geometry::{CellTree, Mesh, Point, RefinedCell};
 use crate::pixmap::Extent;
 
-/// Pixels that are nearer than this to an outline are measured: vertices are snapped before the other pixels are drawn, px.
+/// Pixels nearer than this to an outline are measured, px: the renderer snaps vertices, which may move an outline past a pixel's centre.
 const NEAR: f64 = 1.0 / 64.0;
-/// Up to this number of triangles in a pixel their area is exact.
-const FEW: usize = 64;
+/// Up to this number of triangles that do not overlap in a pixel, their area is exact.
+const MAX_EXACT: usize = 64;
 /// The slices of a pixel with more triangles, or with triangles that overlap.
 const SLICES: u32 = 16;
-/// A pixel with more triangles is covered as its centre is: single pixels into which a part of the picture is squeezed.
-const MOST: usize = 4096;
+/// A pixel with more triangles is covered if its centre is. This bounds the work where a large part of the picture shrinks into one pixel.
+const MAX_TRIANGLES: usize = 4096;
 
 /// Draws coverage in bands of rows; every division into bands gives the same bytes.
 #[derive(Debug)]
@@ -112,12 +113,12 @@ impl Coverage {
                     }
                 }
             });
-            if is_covered || triangles.len() > MOST { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if is_covered || triangles.len() > MAX_TRIANGLES { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
-        match (is_covered, triangles.len() > MOST) {
+        match (is_covered, triangles.len() > MAX_TRIANGLES) {
             (true, _) => Some(1.0),
             (_, true) => None,
-            _ => Some(union(triangles)),
+            _ => Some(area_of_union(triangles)),
         }
     }
 
@@ -125,7 +126,7 @@ impl Coverage {
         Point::new((p.x - self.origin.x) * self.scale[0], (p.y - self.origin.y) * self.scale[1])
     }
 
-    /// The posed cell at an index, or the smaller ones that it is drawn as: corners 00, 10, 11, 01.
+    /// Calls `quad` for the posed cell at an index, or for the smaller cells that it is divided into: corners 00, 10, 11, 01.
     fn quads(&self, cell: usize, mut quad: impl FnMut([Point; 4])) {
         let columns = self.mesh.grid().columns() as usize - 1;
         #[expect(clippy::cast_possible_truncation, reason = "columns and rows of a grid are u32")]
@@ -182,7 +183,7 @@ impl Coverage {
     }
 }
 
-/// Passes every pixel of the rows that a line passes, or almost.
+/// Calls `pixel` for every pixel of the rows that is at most [`NEAR`] from a line segment, and perhaps for some neighbours.
 fn pixels_near([a, b]: &[Point; 2], rows: &Range<u32>, width: u32, mut pixel: impl FnMut(u32, u32)) {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
     let before = |at: f64, most: u32| (at.floor().max(-1.0) + 1.0).min(f64::from(most)) as u32;
@@ -199,7 +200,7 @@ fn pixels_near([a, b]: &[Point; 2], rows: &Range<u32>, width: u32, mut pixel: im
     }
 }
 
-/// The triangles that a cell of any shape is drawn as; a convex one may be divided anyhow.
+/// Divides a cell of any shape into the two triangles that it is drawn as; for a convex cell, either diagonal gives the same area.
 fn halves([a, b, c, d]: [Point; 4]) -> [[Point; 3]; 2] {
     let turn = |a: Point, b: Point, c: Point| (b - a).cross(c - a);
     if turn(a, b, c) * turn(a, c, d) < 0.0 && turn(a, b, d) * turn(b, c, d) >= 0.0 {
@@ -226,12 +227,12 @@ fn meets_pixel(triangle: &[Point; 3]) -> bool {
     meets(|p| p.x) && meets(|p| p.y)
 }
 
-/// The area of the union of triangles in the pixel from 0 to 1. Between two neighbouring heights of corners, and of crossings with the
-/// pixel's sides, the covered length is linear unless triangles overlap.
-fn union(triangles: &[[Point; 3]]) -> f64 {
+/// The area of the union of triangles in the pixel from 0 to 1. Between two consecutive heights of corners and of crossings with the pixel's
+/// sides, the covered length is a linear function of the height, unless triangles overlap.
+fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
     let sides = |[a, b, c]: &[Point; 3]| [(*a, *b), (*b, *c), (*c, *a)];
     let mut heights = vec![0.0, 1.0];
-    if triangles.len() <= FEW {
+    if triangles.len() <= MAX_EXACT {
         for (a, b) in triangles.iter().flat_map(sides) {
             heights.push(a.y);
             for x in [0.0, 1.0] {

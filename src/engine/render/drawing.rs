@@ -19,7 +19,7 @@ use super::{Filter, Outside, RenderOptions};
 use crate::pixmap::{Channels, Extent};
 
 /// Rows whose coordinates are computed together.
-const STRIP: u32 = 32;
+pub(crate) const STRIP: u32 = 32;
 /// Pixels behind the end of a row that kernels may write.
 const SLACK: usize = LANES;
 /// A prepared mesh.

@@ -49,7 +49,7 @@ impl InverseMap {
         } else {
             let (kernel, placement) = (Kernel::new(level), Placement::new(canvas, target));
             let options =
-                RenderOptions { target, canvas: Some(canvas), filter: Filter::Nearest, outside: Outside::Transparent, alpha: false };
+                RenderOptions { target, canvas: Some(canvas), filter: Filter::Nearest, outside: Outside::Transparent, force_alpha: false };
             let draw = |window: Window| {
                 let lattice = Lattice::new(mesh, extent, 0, Filter::Nearest, (placement.scale, window.origin), kernel);
                 Drawing::new((lattice, None), window, placement.source(grid), options, 0, kernel)

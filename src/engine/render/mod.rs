@@ -56,9 +56,10 @@ mod steps;
 #[forbid(unsafe_code)]
 mod tests;
 
-pub use blend::{WHOLE, blend};
+pub use blend::{FULL_WEIGHT, blend};
 pub use canvas::{Canvas, window_count};
 pub use coverage::Coverage;
+pub(crate) use drawing::STRIP;
 pub use inverse_map::InverseMap;
 pub use source::Source;
 
@@ -116,8 +117,8 @@ pub struct RenderOptions {
     pub filter: Filter,
     /// What fills target pixels that the posed picture does not cover.
     pub outside: Outside,
-    /// Whether the target has alpha also where the posed picture covers it.
-    pub alpha: bool,
+    /// Whether the target has alpha even if every pixel is opaque.
+    pub force_alpha: bool,
 }
 
 /// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same bytes.
@@ -178,7 +179,7 @@ impl Renderer {
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge | Outside::Reflect => false,
         };
-        let channels = if clear || options.alpha { Channels::Rgba } else { pixmap.channels() };
+        let channels = if clear || options.force_alpha { Channels::Rgba } else { pixmap.channels() };
         Self { source, options, channels, level: kernel.level(), work }
     }
 
@@ -252,6 +253,11 @@ impl Renderer {
             }
         }
     }
+}
+
+/// The rows of a band in which about `pixels` source positions are computed, `width` per row: a multiple of [`STRIP`], which is drawn at once.
+pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
+    (pixels / width.max(1)).next_multiple_of(STRIP).max(STRIP)
 }
 
 /// Upper bound of the pixels whose source positions are computed to draw a row.

@@ -1,5 +1,5 @@
-//! Coordinate maps: for every pixel of a canvas a position, as arrays of f32 that other programs read. A file is written in bands of rows,
-//! each of which depends on the warp alone, so that no more than one is in memory.
+//! Coordinate maps: an array of f32 with a position for every pixel of a canvas, for other programs. A file is computed in bands of rows that
+//! do not depend on one another, so that only one needs to be in memory.
 
 use std::ops::Range;
 
@@ -9,12 +9,10 @@ use super::{CanvasSpec, Digest, Limits, OutputSpec, Posed, Target, WarpError};
 use crate::codec::FloatTiff;
 use crate::geometry::{Mesh, PIXEL_CENTER, Point};
 use crate::pixmap::Extent;
-use crate::render::{Canvas, InverseMap};
+use crate::render::{Canvas, InverseMap, band_rows};
 
 /// Positions that are computed for a band.
 const BAND: u32 = 1 << 16;
-/// A band has a whole number of rows that are drawn together.
-const BAND_ROWS: u32 = 32;
 /// Bytes of a position: two f32.
 const POSITION: u64 = 8;
 /// Samples of a pixel: x and y.
@@ -22,7 +20,7 @@ const SAMPLES: u16 = 2;
 
 /// Which positions a map has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Direction {
+pub enum MapDirection {
     /// For each pixel of the posed plane, the source position that is drawn there; NaN where nothing is.
     #[default]
     Inverse,
@@ -58,7 +56,7 @@ impl MapFormat {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MapSpec {
     /// Which positions it has.
-    pub direction: Direction,
+    pub direction: MapDirection,
     /// The part of the plane that it covers.
     pub canvas: CanvasSpec,
     /// Pixels in a row; default the canvas's width.
@@ -119,14 +117,14 @@ impl CoordinateMap {
     /// Too large for the format.
     pub fn new(spec: &MapSpec, posed: &Posed, target: Target) -> Result<Self, WarpError> {
         let (positions, computed) = match spec.direction {
-            Direction::Inverse => {
+            MapDirection::Inverse => {
                 let inverse = InverseMap::new(posed.mesh(), target.extent, target.canvas);
                 let computed = inverse.computed_width();
                 (Positions::Inverse(inverse), computed)
             }
-            Direction::Forward => (Positions::Forward { mesh: posed.mesh().clone(), canvas: target.canvas }, target.extent.width()),
+            MapDirection::Forward => (Positions::Forward { mesh: posed.mesh().clone(), canvas: target.canvas }, target.extent.width()),
         };
-        let band_rows = (BAND / computed.max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+        let band_rows = band_rows(BAND, computed);
         let tiff = match spec.format {
             MapFormat::Npy => None,
             MapFormat::Tiff => {
@@ -180,7 +178,7 @@ impl CoordinateMap {
         band * self.band_rows..((band + 1) * self.band_rows).min(self.target.extent.height())
     }
 
-    /// The bytes of a band of the file; the head is before the first one, the tail behind the last.
+    /// The bytes of a band; those of the first begin with the head of the file, those of the last end with its tail.
     ///
     /// # Panics
     /// If there is no such band.
@@ -219,7 +217,7 @@ impl CoordinateMap {
 }
 
 fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent, .. }: Target) -> Digest {
-    let kind = [spec.direction == Direction::Forward, spec.format == MapFormat::Tiff, canvas.is_some()].map(u8::from);
+    let kind = [spec.direction == MapDirection::Forward, spec.format == MapFormat::Tiff, canvas.is_some()].map(u8::from);
     let Canvas { x, y, extent: shown } = canvas.unwrap_or(Canvas::of(extent));
     let digest = Collector::new("mlswarp map 1").bytes(&posed.digest().0).bytes(&kind).bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes());
     let sides = [extent.width(), extent.height(), shown.width(), shown.height()];

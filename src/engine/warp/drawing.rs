@@ -111,7 +111,7 @@ impl Warp {
     }
 }
 
-fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, alpha }: Target) -> Digest {
+fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, force_alpha }: Target) -> Digest {
     let encoding = match output.encoding() {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
@@ -141,7 +141,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         .bytes(&outside)
         .integer(extent.width().into())
         .integer(extent.height().into());
-    let digest = if alpha { digest.bytes(b"alpha") } else { digest };
+    let digest = if force_alpha { digest.bytes(b"alpha") } else { digest };
     let digest = match (posed.region(), output.holes) {
         (None, _) => digest,
         (Some(region), Holes::Keep) => digest.integer(0).bytes(&region.digest().0),

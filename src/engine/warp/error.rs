@@ -66,7 +66,7 @@ pub enum WarpError {
     #[error("{0}")]
     BadGrid(String),
     /// Labels in a format that would change them.
-    #[error("labels are not written as {}: its colours are not exact, or not one number per pixel; use PNG or TIFF", format.name())]
+    #[error("labels cannot be written as {}, which would change them; use PNG or TIFF", format.name())]
     LabelFormat {
         /// The format.
         format: Format,

@@ -28,7 +28,7 @@ mod tests;
 mod transform;
 
 pub use self::batch::{Easing, Jitter};
-pub use self::coordinate_map::{CoordinateMap, Direction, MapFormat, MapSpec};
+pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
 pub use self::error::{Warning, WarpError};

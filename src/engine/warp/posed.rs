@@ -10,7 +10,7 @@ use crate::render::Canvas;
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
 
-/// The report of a warp, known before its first pixel.
+/// Warnings and figures of a warp, known before its first pixel. A [`Quality`](super::Quality) has the figures that take longer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// In the order of [`Warning`].

@@ -1,10 +1,10 @@
-//! Figures that describe a pose: how near the drawn picture takes the handles, where it folds, how much it distorts, what it covers, and
-//! how well the inverse returns. Distances are in px. The work is that of posing a grid, and a bounded number of positions.
+//! Figures that describe a pose: how close the drawn picture takes the handles to their posed positions, where it folds, how much it distorts,
+//! what it covers, and the error of the round trip through the inverse. Distances are in px. Cost: O(cells), and a bounded number of positions.
 
 use super::setup::to_px;
 use super::{Posed, Setup, Target, WarpError};
 use crate::deform::{Contradiction, Handle, IsCancelled, MAX_COORDINATE, Pose};
-use crate::geometry::{Distortion, FoldRegions, Mesh, Point, Spread};
+use crate::geometry::{Distortion, FoldRegions, Mesh, Point, Summary};
 use crate::pixmap::Extent;
 use crate::render::{Canvas, InverseMap};
 
@@ -16,7 +16,7 @@ const MOST_REGIONS: usize = 100;
 const LATTICE: u32 = 32;
 /// f is the same at two positions if its values are nearer than this, px.
 const SAME: f64 = 1e-6;
-/// Positions with the same f that are farther from each other than this are on two sides of a fold, px.
+/// Positions with the same f that are farther apart than this are on two sides of a fold, px.
 const APART: f64 = 1.0 / 16.0;
 /// The covered share is counted on at most this many pixels of a side.
 const COUNTED_SIDE: u32 = 1024;
@@ -63,14 +63,14 @@ pub struct RoundTrip {
     /// Positions whose images have no inverse.
     pub missing: u64,
     /// The distances.
-    pub distance: Option<Spread>,
+    pub distance: Option<Summary>,
 }
 
 impl Quality {
     /// Memory for measuring a pose beside that of its grid, bytes.
     #[must_use]
     pub fn bytes(posed: &Posed, canvas: Option<Canvas>) -> u64 {
-        canvas.map_or(0, |canvas| Target { canvas: Some(canvas), extent: counted(canvas), alpha: false }.window_bytes(posed))
+        canvas.map_or(0, |canvas| Target { canvas: Some(canvas), extent: counted(canvas), force_alpha: false }.window_bytes(posed))
     }
 
     /// Measures a pose. `q` and `pose`: the same handles. CPU work, in parallel on the current rayon pool; stops when `cancelled` returns
@@ -177,6 +177,6 @@ fn round_trip(setup: &Setup, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_
         }
     }
     trip.positions = distances.len() as u64;
-    trip.distance = Spread::of(&mut distances);
+    trip.distance = Summary::of(&mut distances);
     Ok(trip)
 }

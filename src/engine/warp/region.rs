@@ -28,7 +28,7 @@ use std::sync::Arc;
 use super::{Digest, Image};
 use crate::geometry::Mesh;
 use crate::pixmap::{Depth, Extent, Samples};
-use crate::render::{Outside, RenderOptions, Renderer, Source, WHOLE};
+use crate::render::{FULL_WEIGHT, Outside, RenderOptions, Renderer, Source};
 
 /// Pixels of the mask around a cell that a filter may add to it.
 const FILTER_REACH: f64 = 2.0;
@@ -49,7 +49,7 @@ enum MaskChannel {
 }
 
 impl MaskChannel {
-    /// The value of a pixel, 0 to [`WHOLE`].
+    /// The value of a pixel, 0 to [`FULL_WEIGHT`].
     fn weight(self, pixel: &[u16]) -> u16 {
         match self {
             Self::Alpha => pixel[3],
@@ -122,7 +122,7 @@ impl Region {
         let pixmap = self.mask.pixmap();
         let count = pixmap.channels().count();
         let start = (y * pixmap.extent().width() as usize + x) * count;
-        let mut pixel = [WHOLE; 4];
+        let mut pixel = [FULL_WEIGHT; 4];
         for (k, value) in pixel.iter_mut().enumerate().take(count) {
             *value = match pixmap.samples() {
                 Samples::Eight(samples) => widened(samples[start + k]),
@@ -135,7 +135,7 @@ impl Region {
     /// The mask through a mesh, 0 outside.
     pub(super) fn drawer(&self, mesh: &Mesh, options: RenderOptions) -> MaskDrawer {
         let alpha = if self.channel == MaskChannel::Alpha { 0 } else { u8::MAX };
-        let options = RenderOptions { outside: Outside::Colour([0, 0, 0, alpha]), alpha: false, ..options };
+        let options = RenderOptions { outside: Outside::Colour([0, 0, 0, alpha]), force_alpha: false, ..options };
         MaskDrawer { renderer: Renderer::new(Arc::clone(&self.mask), mesh, options), channel: self.channel }
     }
 }
@@ -163,14 +163,14 @@ impl MaskDrawer {
         self.renderer.computed_width()
     }
 
-    /// The weights of the pixels of target rows, 0 to [`WHOLE`].
+    /// The weights of the pixels of target rows, 0 to [`FULL_WEIGHT`].
     pub(super) fn weights(&self, rows: Range<u32>) -> Vec<u16> {
         let (count, depth) = (self.renderer.channels().count(), self.renderer.depth());
         let mut samples = vec![0; rows.len() * self.renderer.target().width() as usize * count * depth.bytes()];
         self.renderer.band(rows, &mut samples);
         let pixels = samples.chunks_exact(count * depth.bytes());
         let weight = |pixel: &[u8]| {
-            let mut values = [WHOLE; 4];
+            let mut values = [FULL_WEIGHT; 4];
             match depth {
                 Depth::Eight => values.iter_mut().zip(pixel).for_each(|(value, sample)| *value = widened(*sample)),
                 Depth::Sixteen => {

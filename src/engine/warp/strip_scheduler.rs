@@ -8,14 +8,13 @@ use std::sync::{Mutex, PoisonError};
 
 use super::Warp;
 use crate::codec::{StripChecksum, Writer};
+use crate::render::band_rows;
 
 /// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take half of it.
 const KEPT: usize = 2 << 20;
 
 /// Pixels that are computed between two checks of `is_wanted`; a strip of PNG has fewer.
 const BAND: u32 = 1 << 18;
-/// A band has a whole number of rows that are drawn together.
-const BAND_ROWS: u32 = 32;
 
 /// A step of writing that an observer can measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,7 +92,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let step = (BAND / drawer.computed_width().max(1)).next_multiple_of(BAND_ROWS).max(BAND_ROWS);
+            let step = band_rows(BAND, drawer.computed_width());
             let bands = (rows.start..rows.end).step_by(step as usize).zip(samples.chunks_mut(step as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {

@@ -75,8 +75,8 @@ impl Subject<'_> {
     }
 
     pub(super) fn drawer(self, target: Target, posed: &Posed, output: &OutputSpec) -> Drawer {
-        let Target { canvas, extent, alpha } = target;
-        let options = RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, alpha };
+        let Target { canvas, extent, force_alpha } = target;
+        let options = RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, force_alpha };
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
             Some(region) if !matches!(self, Self::Holes(_)) => {

@@ -61,8 +61,8 @@ pub struct Target {
     pub canvas: Option<Canvas>,
     /// The size of the picture, px.
     pub extent: Extent,
-    /// Whether the picture has alpha also if the posed picture covers it: all pictures of a batch have, or none.
-    pub alpha: bool,
+    /// Whether the picture has alpha even if every pixel is opaque: either all pictures of a batch have alpha, or none has.
+    pub force_alpha: bool,
 }
 
 impl Target {
@@ -100,7 +100,7 @@ impl OutputSpec {
             CanvasSpec::Box(canvas) => canvas,
         };
         let extent = self.extent_of(canvas, source, limits)?;
-        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, alpha: false })
+        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, force_alpha: false })
     }
 
     /// The size of the target: `width` with the height that keeps the proportions, max(1, round(H w / W)).

@@ -78,8 +78,8 @@ pub(crate) struct DrawJob {
     pub(crate) output: OutputSpec,
     /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its tolerance.
     pub(crate) preview: Option<u32>,
-    /// Whether the picture has alpha also where the posed picture covers it: all pictures of a batch have, or none.
-    pub(crate) alpha: bool,
+    /// See [`Target::force_alpha`].
+    pub(crate) force_alpha: bool,
     /// The client's quota of memory for responses.
     pub(crate) quota: ClientQuota,
 }
@@ -101,7 +101,7 @@ impl DrawJob {
             Some(width) if width < target.extent.width() => OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits)?,
             _ => target,
         };
-        Ok((posed, Target { alpha: self.alpha, ..target }))
+        Ok((posed, Target { force_alpha: self.force_alpha, ..target }))
     }
 }
 

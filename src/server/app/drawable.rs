@@ -300,12 +300,13 @@ pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, Stor
     })
 }
 
-/// A layer has the size of its session's picture.
+/// Checks that a layer or region has the size of its picture.
 pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Problem> {
     if found == expected {
         return Ok(());
     }
     let [found, expected] = [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
-    let detail = format!("the layer is {found} px after EXIF orientation; it must have the size of the session's picture, {expected} px");
+    let detail =
+        format!("the file has {found} px after EXIF orientation; a layer or region must have the size of the picture, {expected} px");
     Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }

@@ -105,7 +105,7 @@ impl App {
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
         let q = record.rest.posed_at(drag.strength, drag.q);
-        self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, alpha: false, quota }).await
+        self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.

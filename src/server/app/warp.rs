@@ -121,7 +121,7 @@ impl App {
             folds,
             output,
             preview: None,
-            alpha: false,
+            force_alpha: false,
             quota: self.response_quota(client),
         };
         Ok((self.draw(ticket, job).await?, prepared))

@@ -101,7 +101,8 @@ impl Layer {
         let Some((name, file)) = text.split_once('=') else {
             let name = text.to_owned();
             let built_in = text.starts_with('@').then_some(Self { name, kind: LayerKind::Image, file: None });
-            return built_in.ok_or_else(|| Failure::Local(format!("--layer {text:?}: expected NAME=FILE, NAME=FILE:labels or @coverage")));
+            return built_in
+                .ok_or_else(|| Failure::Local(format!("--layer {text:?}: expected NAME=FILE, NAME=FILE:labels, @coverage or @holes")));
         };
         let (file, kind) = file.strip_suffix(":labels").map_or((file, LayerKind::Image), |file| (file, LayerKind::Labels));
         Ok(Self { name: name.to_owned(), kind, file: Some(file.into()) })

@@ -21,14 +21,14 @@ pub enum Command {
     /// Draw many frames of one image without a server: the zip archive or animated PNG of POST /sessions/{id}/batch.
     #[command(after_help = BATCH_EXAMPLE)]
     Batch(BatchArgs),
-    /// Measure a pose without a server (residuals, folds, stretch, tolerance): the JSON of POST /report.
+    /// Measure a pose without a server (residuals, folds, distortion, tolerance): the JSON of POST /report.
     #[command(after_help = REPORT_EXAMPLE)]
     Report(ReportArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
 
-/// The handles and what belongs to them; `-` is standard input.
+/// The files that the handles come from: a warp object, landmark files, or both.
 #[derive(Args, Clone, Debug)]
 pub struct WarpInput {
     /// Warp object (JSON); `-` reads standard input. With --landmarks it has no p and q, and may be left out.
@@ -49,7 +49,7 @@ pub struct WarpInput {
     pub extent_q: Option<String>,
 }
 
-/// The size of the image, where no picture is drawn.
+/// The size of the image, for commands that do not read its pixels.
 #[derive(Args, Clone, Debug)]
 #[group(multiple = false)]
 pub struct ExtentInput {
@@ -64,14 +64,14 @@ pub struct ExtentInput {
 /// What `mlswarp warp` draws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum WarpKind {
-    /// The picture.
+    /// The image.
     #[default]
     Image,
-    /// Labels, as of a layer of a session with `kind=labels`.
+    /// The image as labels: values are copied, not interpolated; depth and palette are kept.
     Labels,
-    /// The layer `@coverage`.
+    /// How much of each pixel the posed image covers, 0 to 255. Only the size of the image is read.
     Coverage,
-    /// The layer `@holes`.
+    /// Where content of the region moved away and nothing covers the place, 0 to 255. Only the size of the image is read.
     Holes,
 }
 
@@ -87,9 +87,7 @@ pub struct WarpArgs {
     /// file with transparent pixels, the opaque ones move.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
-    /// What is drawn. image: the picture; labels: a mask whose every label stays as it is, with its depth and palette; coverage: how much of
-    /// each pixel the posed picture covers; holes: what a region moves away from and nothing covers. The last two take only the size of the
-    /// image.
+    /// What is drawn.
     #[arg(long, value_enum, default_value_t, display_order = 4)]
     pub kind: WarpKind,
     /// The part of the posed plane that the output shows: `same` (that of the image), `fit` (the whole result), or a box in pixels. Takes
@@ -109,8 +107,8 @@ pub struct PointsArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they stand in the
-    /// warp object, as in the body of POST /points.
+    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they are read from
+    /// the warp object, as in the body of POST /points.
     pub annotations: Option<PathBuf>,
     /// The size of the image.
     #[command(flatten)]
@@ -168,8 +166,8 @@ pub struct BatchArgs {
     /// file with transparent pixels, the opaque ones move.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
-    /// A layer that is drawn in each frame, into files of its own: an image file of the same size, a label mask, or @coverage or @holes. It
-    /// may be given several times.
+    /// Layer to draw in each frame, into a separate file: NAME=FILE (an image of the same size), NAME=FILE:labels (a label image),
+    /// @coverage or @holes. The option may be repeated.
     #[arg(long = "layer", value_name = "NAME=FILE[:labels]", display_order = 4)]
     pub layers: Vec<String>,
     /// Show no progress on a terminal.
@@ -205,10 +203,10 @@ const REPORT_EXAMPLE: &str = r#"Examples:
 const BATCH_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   echo '{"steps": 24, "easing": "ease-in-out"}' | mlswarp batch cat.png warp.json - -o cat.apng
-  echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "boxes": [[150, 90, 330, 150]]}' > batch.json
+  echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "points": [[240, 250]]}' > batch.json
   mlswarp batch cat.png warp.json batch.json --layer mask=cat-labels.png:labels -o cats.zip"#;
 
-/// The limits of what is computed, with the help texts that fit a command.
+/// The options that limit the work of a subcommand. An empty help text stands for that of the server.
 const LIMITS: [(&str, &str); 8] = [
     ("workers", "Number of compute threads. auto = number of cores"),
     ("max-body-bytes", "Maximum size of the image file, and of a landmark file"),
@@ -220,9 +218,9 @@ const LIMITS: [(&str, &str); 8] = [
     ("max-plan-bytes", ""),
 ];
 
-/// Beside [`LIMITS`], of the commands that compute as the server does.
 const MEMORY: (&str, &str) =
     ("memory-bytes", "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the control group");
+/// [`LIMITS`] and [`MEMORY`]: the options of the subcommands that run the use cases of the server, which reserve memory.
 const SERVICE: [(&str, &str); 9] = {
     let mut options = [MEMORY; 9];
     let (limits, _) = options.split_at_mut(LIMITS.len());
@@ -230,7 +228,7 @@ const SERVICE: [(&str, &str); 9] = {
     options
 };
 
-/// The options that have an effect on a subcommand other than `serve`, and another help text where that of the server does not fit.
+/// The options that have an effect on each subcommand other than `serve`, with their help texts, as in [`LIMITS`].
 pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 6] = [
     ("warp", &LIMITS),
     ("points", &SERVICE),
@@ -248,7 +246,7 @@ pub(super) const EFFECTIVE: [(&str, &[(&str, &str)]); 6] = [
     ),
 ];
 
-/// The other help text of an option, or none in words; `None` if the option has no effect.
+/// The help text of an option, as in [`LIMITS`]; `None` if the option has no effect.
 pub(super) fn help_of(effective: &[(&str, &'static str)], option: &Arg) -> Option<&'static str> {
     effective.iter().find(|(flag, _)| option.get_long() == Some(flag)).map(|(_, help)| *help)
 }

@@ -4,7 +4,7 @@
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Easing, Folds, Holes, Method, Units};
+use mlswarp::warp::{Easing, Folds, Holes, MapDirection, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -111,7 +111,7 @@ enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "t
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
-enum_names!(Direction, unsupported [], Direction::Inverse = "inverse", Direction::Forward = "forward");
+enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

@@ -2,7 +2,7 @@
 
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Direction, MapFormat, MapSpec, OutputSpec};
+use mlswarp::warp::{MapDirection, MapFormat, MapSpec, OutputSpec};
 
 use super::enum_name::enum_name;
 use super::handles::handles;
@@ -21,7 +21,7 @@ pub struct MapObject {
     pub q: Vec<Handle>,
     /// How much of the way from p to q the handles are moved.
     pub strength: f64,
-    direction: Direction,
+    direction: MapDirection,
     canvas: Option<mlswarp::warp::CanvasSpec>,
     width: Option<u32>,
 }

@@ -1,6 +1,6 @@
 //! `POST /report` and `/sessions/{id}/report`: the request without an image, and the response.
 
-use mlswarp::geometry::{FoldRegions, Spread};
+use mlswarp::geometry::{FoldRegions, Summary};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -79,9 +79,9 @@ impl Serialize for AsJson<&FoldRegions> {
     }
 }
 
-impl Serialize for AsJson<Spread> {
+impl Serialize for AsJson<Summary> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Spread { min, median, max } = self.0;
+        let Summary { min, median, max } = self.0;
         let mut object = s.serialize_map(Some(3))?;
         object.serialize_entry("min", &min)?;
         object.serialize_entry("median", &median)?;

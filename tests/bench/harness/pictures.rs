@@ -178,7 +178,7 @@ fn posed(extent: Extent, strength: f64) -> Mesh {
 
 /// Bilinear, transparent outside, at the size of the source: what all benchmarks draw.
 pub fn options(extent: Extent) -> RenderOptions {
-    RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, alpha: false }
+    RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false }
 }
 
 /// A picture bent by the smooth mesh: alpha 0 or 255 when it is RGBA.

@@ -129,7 +129,7 @@ fn positions_are_those_that_the_nearest_filter_samples() {
             let (_, drawn) = draw(
                 &source,
                 &mesh,
-                RenderOptions { target, canvas, filter: Filter::Nearest, outside: Outside::Transparent, alpha: false },
+                RenderOptions { target, canvas, filter: Filter::Nearest, outside: Outside::Transparent, force_alpha: false },
             );
             let map = positions(&mesh, target, canvas, 50);
             for (k, (pixel, [x, y])) in drawn.as_chunks::<8>().0.iter().zip(&map).enumerate() {

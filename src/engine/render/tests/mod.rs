@@ -26,7 +26,7 @@ fn extent(width: u32, height: u32) -> Extent {
 
 /// Options for a target, bilinear on transparent.
 fn options(target: Extent) -> RenderOptions {
-    RenderOptions { target, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, alpha: false }
+    RenderOptions { target, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false }
 }
 
 /// A generator of numbers in [0, 2^32), the same on every run.

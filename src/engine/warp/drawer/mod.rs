@@ -1,4 +1,4 @@
-//! Draws the rows of a subject: one kind for each subject. Every division into bands gives the same bytes.
+//! Draws the rows of a subject; each kind of subject has its variant. Every division into bands gives the same bytes.
 
 pub(super) mod region;
 
@@ -26,14 +26,14 @@ pub(super) enum Drawer {
     Labels { inverse: InverseMap, labels: Arc<Labels> },
     /// Coverage.
     Coverage(Box<Coverage>),
-    /// Any of these, of which a region moves.
+    /// A picture, labels or coverage, of which only the content of a region moves.
     Region(Box<RegionDrawer>),
     /// The holes that a region leaves.
     Holes(Box<HolesDrawer>),
 }
 
 impl Drawer {
-    /// The whole of a subject through a mesh.
+    /// Draws a subject through a mesh, without a region.
     pub(super) fn new(subject: Subject<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
         match subject {
             Subject::Image(image) => Self::image(image, mesh, options),

@@ -8,11 +8,9 @@ use super::Drawer;
 use crate::codec::{Encoding, PngShape, Writer};
 use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Extent};
-use crate::render::{Outside, RenderOptions, WHOLE, blend};
+use crate::render::{FULL_WEIGHT, Outside, RenderOptions, STRIP, blend};
 
-/// Rows that are mixed at a time: what the renderer draws together.
-const STRIP: u32 = 32;
-const HALF: u16 = WHOLE / 2;
+const HALF: u16 = FULL_WEIGHT / 2;
 
 /// Memory for mixing, bytes, of each thread.
 pub(super) fn work_bytes(target: Extent) -> u64 {
@@ -21,13 +19,13 @@ pub(super) fn work_bytes(target: Extent) -> u64 {
     u64::from(STRIP) * u64::from(target.width()) * PIXEL
 }
 
-/// Draws a subject of which a region moves.
+/// Draws a subject of which only the content of a region moves.
 #[derive(Debug)]
 pub(in super::super) struct RegionDrawer {
     background: Drawer,
     moved: Drawer,
     weights: Weights,
-    /// Of a picture.
+    /// Those of the result, if the subject is a picture.
     channels: Channels,
 }
 
@@ -35,8 +33,9 @@ impl RegionDrawer {
     pub(in super::super) fn new(subject: Subject<'_>, region: &Region, mesh: &Mesh, options: RenderOptions, holes: Holes) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
         let background = Drawer::new(subject, &at_rest, options);
-        // What is outside of the moved part is not seen: the mask is 0 there.
-        let moved = Drawer::new(subject, mesh, RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), alpha: false, ..options });
+        // What is outside the moved part is not visible: the mask is 0 there.
+        let moved =
+            Drawer::new(subject, mesh, RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), force_alpha: false, ..options });
         let weights = Weights {
             mask: region.drawer(mesh, options),
             mask_at_rest: (holes == Holes::Transparent).then(|| region.drawer(&at_rest, options)),
@@ -100,7 +99,7 @@ impl RegionDrawer {
                 for ((out, moved), [m, k]) in out.chunks_exact_mut(pixel).zip(samples.chunks_exact(pixel)).zip(weights) {
                     if m > HALF {
                         out.copy_from_slice(moved);
-                    } else if WHOLE - m - k > HALF {
+                    } else if FULL_WEIGHT - m - k > HALF {
                         out.fill(0);
                     }
                 }
@@ -129,11 +128,11 @@ impl RegionDrawer {
     }
 }
 
-/// A mean of two samples, whose weights sum up to at most [`WHOLE`].
+/// The weighted sum of two samples; the weights add up to at most [`FULL_WEIGHT`].
 fn mixed(a: u8, b: u8, [w, v]: [u16; 2]) -> u8 {
     let sum = u32::from(a) * u32::from(w) + u32::from(b) * u32::from(v);
     #[expect(clippy::cast_possible_truncation, reason = "a mean of 8-bit numbers")]
-    let mean = ((sum + u32::from(HALF)) / u32::from(WHOLE)) as u8;
+    let mean = ((sum + u32::from(HALF)) / u32::from(FULL_WEIGHT)) as u8;
     mean
 }
 
@@ -146,7 +145,7 @@ struct Weights {
 }
 
 impl Weights {
-    /// Of each pixel of target rows; `None` if all of them show the background alone.
+    /// The weights of the moved part and of the background for each pixel of target rows; `None` if all pixels show the background alone.
     fn of(&self, rows: Range<u32>) -> Option<Vec<[u16; 2]>> {
         let moved = self.mask.weights(rows.clone());
         let at_rest = self.mask_at_rest.as_ref().map(|mask| mask.weights(rows));
@@ -155,8 +154,8 @@ impl Weights {
             return None;
         }
         Some(match at_rest {
-            None => moved.into_iter().map(|m| [m, WHOLE - m]).collect(),
-            Some(at_rest) => moved.into_iter().zip(at_rest).map(|(m, r)| [m, WHOLE - m.max(r)]).collect(),
+            None => moved.into_iter().map(|m| [m, FULL_WEIGHT - m]).collect(),
+            Some(at_rest) => moved.into_iter().zip(at_rest).map(|(m, r)| [m, FULL_WEIGHT - m.max(r)]).collect(),
         })
     }
 }

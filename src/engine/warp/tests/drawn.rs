@@ -44,7 +44,8 @@ fn coordinates(extent: Extent) -> Arc<Source> {
 
 /// The position of the source that every pixel of a drawn picture shows, if it is covered.
 pub(super) fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
-    let options = RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, alpha: false };
+    let options =
+        RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false };
     let mut renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
     // A mean over what a pixel shows is no position.
     renderer.sample_points();

@@ -11,7 +11,8 @@ use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::{Canvas, InverseMap};
 use crate::warp::{
-    CanvasSpec, CoordinateMap, Direction, Folds, LabelImage, Limits, MapFormat, MapSpec, OutputSpec, Posed, Setup, Subject, Warp, WarpError,
+    CanvasSpec, CoordinateMap, Folds, LabelImage, Limits, MapDirection, MapFormat, MapSpec, OutputSpec, Posed, Setup, Subject, Warp,
+    WarpError,
 };
 
 /// Discs and stripes of 16-bit labels.
@@ -164,7 +165,7 @@ fn maps_have_the_positions_that_are_drawn() {
                     |(a, b): (&[f32; 2], &[f32; 2])| a[0].is_nan() && b[0].is_nan() || (a[0] - b[0]).abs() + (a[1] - b[1]).abs() < 1e-4;
                 assert!(got.iter().zip(&want).all(is_same), "{}, {spec:?}", case.name);
 
-                let (posed, forward) = map(case, &MapSpec { direction: Direction::Forward, ..spec });
+                let (posed, forward) = map(case, &MapSpec { direction: MapDirection::Forward, ..spec });
                 assert_ne!(forward.etag(), inverse.etag());
                 let [left, top, ..] = target.canvas.unwrap_or(Canvas::of(size)).edges();
                 let scale = width.map_or(1.0, |width| 160.0 / f64::from(width));

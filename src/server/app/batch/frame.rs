@@ -47,8 +47,8 @@ pub(crate) struct BatchJob {
     pub(crate) annotations: Annotations,
     pub(crate) output: OutputSpec,
     pub(crate) form: BatchForm,
-    /// Whether the pictures have alpha where the posed picture covers them.
-    pub(crate) alpha: bool,
+    /// See [`mlswarp::warp::Target::force_alpha`].
+    pub(crate) force_alpha: bool,
 }
 
 /// What the frames that have been posed have in common.
@@ -91,7 +91,7 @@ impl BatchJob {
         let (quota, folds) = (self.quota.clone(), self.record.folds);
         let is_kept = content.is_picture() || self.output.format == Format::Tiff;
         let output = OutputSpec { format: if is_kept { self.output.format } else { Format::Png }, ..self.output };
-        DrawJob { content: content.clone(), planned, q, folds, output, preview: None, alpha: self.alpha, quota }
+        DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
     }
 
     /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
@@ -124,7 +124,7 @@ impl BatchJob {
             let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
             let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
-            self.alpha |= warp.adds_alpha();
+            self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
                 survey.has_one_canvas &= survey.canvas.is_none_or(|canvas| canvas == shown);
                 survey.canvas = Some(survey.canvas.map_or(shown, |canvas| canvas.union(shown)));
@@ -139,7 +139,7 @@ impl BatchJob {
 
     /// Whether no more frames need to be posed.
     pub(crate) fn is_surveyed(&self, survey: &Survey) -> bool {
-        survey.posed == self.count() || !survey.may_be_refused && (self.alpha || !survey.needs_alpha)
+        survey.posed == self.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
     }
 
     /// Decides on the canvas of all pictures of an animation.
@@ -150,7 +150,7 @@ impl BatchJob {
             self.output.canvas = CanvasSpec::Box(canvas);
             self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
-            self.alpha |= survey.needs_alpha && !survey.has_one_canvas;
+            self.force_alpha |= survey.needs_alpha && !survey.has_one_canvas;
         }
         Ok(())
     }

@@ -85,7 +85,7 @@ impl App {
             annotations,
             output,
             form,
-            alpha: false,
+            force_alpha: false,
         };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut survey;

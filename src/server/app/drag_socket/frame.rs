@@ -103,7 +103,7 @@ async fn try_draw_frame(
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, request.width);
             let AdmittedPlan { ticket, planned } = plan;
-            let job = DrawJob { content, planned, q, folds: record.folds, output, preview, alpha: false, quota };
+            let job = DrawJob { content, planned, q, folds: record.folds, output, preview, force_alpha: false, quota };
             let drawn = app.draw(ticket, job).await?;
             let Drawn { report, target, timing, picture, .. } = drawn;
             let (pieces, cost) = collect(picture).await?;
@@ -116,7 +116,7 @@ async fn try_draw_frame(
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let shape = plan.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
-            let target = Target { canvas: None, extent: record.extent, alpha: false };
+            let target = Target { canvas: None, extent: record.extent, force_alpha: false };
             let report = report_json(seq, target, true, &report, timing, Cost::default());
             Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }

@@ -4,7 +4,7 @@
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Direction, Easing, Holes, Method, Units};
+use mlswarp::warp::{Easing, Holes, MapDirection, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -196,7 +196,7 @@ fn enums_list_what_this_version_has() {
     words::<Folds>("/Folds");
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
-    words::<Direction>("/Direction");
+    words::<MapDirection>("/Direction");
     words::<Holes>("/Holes");
     words::<Format>("/Output/properties/format");
     words::<Easing>("/Easing");

@@ -429,14 +429,14 @@ fn points_and_maps_begin_with_the_fields_of_the_warp() {
 
 #[test]
 fn maps_have_the_canvas_of_the_output_unless_they_have_their_own() {
-    use mlswarp::warp::{Direction, MapFormat};
+    use mlswarp::warp::{MapDirection, MapFormat};
     let fit = OutputSpec { canvas: CanvasSpec::Fit, width: Some(70), ..OutputSpec::default() };
     let spec = |text: &[u8]| MapObject::parse_posed(text).unwrap().spec(&fit, MapFormat::Tiff);
     let of_output = spec(b"{\"q\": [], \"canvas\": null, \"width\": null, \"direction\": null}");
     assert_eq!((of_output.canvas, of_output.width), (CanvasSpec::Fit, Some(70)));
-    assert_eq!((of_output.direction, of_output.format), (Direction::Inverse, MapFormat::Tiff));
+    assert_eq!((of_output.direction, of_output.format), (MapDirection::Inverse, MapFormat::Tiff));
     let own = spec(b"{\"q\": [], \"canvas\": \"same\", \"direction\": \"forward\"}");
-    assert_eq!((own.canvas, own.width, own.direction), (CanvasSpec::Same, None, Direction::Forward));
+    assert_eq!((own.canvas, own.width, own.direction), (CanvasSpec::Same, None, MapDirection::Forward));
     assert_eq!(spec(b"{\"q\": [], \"width\": 9}").width, Some(9));
     use Code::{BadValue as B, UnknownField as U};
     check(

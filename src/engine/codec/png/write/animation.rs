@@ -7,7 +7,7 @@ use crate::codec::CodecError;
 /// Milliseconds of a second.
 const SECOND: u16 = 1000;
 
-/// An animation that is being written; it is repeated for ever.
+/// An animation that is being written; viewers repeat it without end.
 #[derive(Debug)]
 pub struct Animation {
     frames: u32,
@@ -39,7 +39,7 @@ impl Animation {
                     self.header = payload.to_vec();
                     out.extend_from_slice(&SIGNATURE);
                     out.extend_from_slice(chunk);
-                    // The number of plays; 0 is for ever.
+                    // The number of plays; 0 is without end.
                     chunk::write(out, *b"acTL", &[self.frames.to_be_bytes(), [0; 4]].concat());
                     // Before IDAT, in any order.
                     self.control(out);
