@@ -48,7 +48,7 @@ impl fmt::Display for LayerName {
 pub enum LayerRef {
     /// `@coverage`: how much of each pixel the posed picture covers.
     Coverage,
-    /// `@holes`: what the region moves away from and nothing covers.
+    /// `@holes`: where content of the region moved away and nothing covers the place.
     Holes,
     /// A stored layer.
     Stored(LayerName),
@@ -83,7 +83,7 @@ pub enum LayerKind {
     /// A picture: its colours are interpolated.
     #[default]
     Image,
-    /// Labels: each pixel of the result is the nearest one.
+    /// Labels: the nearest one is copied, never interpolated.
     Labels,
 }
 

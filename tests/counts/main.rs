@@ -180,7 +180,8 @@ fn mesh() -> Mesh {
 
 /// All rows in bands of 64.
 fn draw(source: &Arc<Source>, mesh: &Mesh, samples: &mut Vec<u8>) -> Channels {
-    let options = RenderOptions { target: extent(), canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false };
+    let options =
+        RenderOptions { target: extent(), canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false };
     let renderer = Renderer::new(Arc::clone(source), mesh, options);
     let row = SIDE as usize * renderer.channels().count();
     samples.resize(SIDE as usize * row, 0);

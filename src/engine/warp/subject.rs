@@ -13,12 +13,12 @@ use crate::render::{Coverage, RenderOptions};
 pub enum Subject<'a> {
     /// A picture.
     Image(&'a Image),
-    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. The filter and what is
-    /// outside are ignored, except that the mask of a region is filtered.
+    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. `filter` and `outside` have
+    /// no effect on labels; the filter applies to the mask of a region.
     Labels(&'a LabelImage),
     /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and opaque.
     Coverage(Extent),
-    /// What a region moves away from and nothing covers, 0 to 255; grey and opaque.
+    /// Where content of a region moved away and nothing covers the place, 0 to 255; grey and opaque.
     Holes(&'a Region),
 }
 

@@ -1,5 +1,7 @@
-//! What is drawn: the picture of a session, one of its layers, or what a plan covers. Files are fetched from the store and decoded where
-//! they are not cached.
+//! What a request draws: the picture of a session, one of its layers, the coverage or the holes; and the mask of the region that moves.
+//!
+//! It is made in two steps, so that a slow store blocks no worker: [`App::fetch_sources`] reads the files whose decoded form is not cached,
+//! without a ticket, and [`App::decode_content`] decodes them on the pool.
 
 use std::sync::Arc;
 
@@ -19,16 +21,12 @@ use crate::problem::words::{list, quote};
 use crate::problem::{Code, Problem};
 use crate::store::{Record, StoredLayer};
 
-/// What a request draws.
+/// A [`Subject`] that owns what it is drawn from.
 #[derive(Clone, Debug)]
 pub(crate) enum Drawable {
-    /// A picture, or a layer of that kind.
     Image(Arc<CacheEntry<Image>>),
-    /// A layer of labels.
     Labels(Arc<CacheEntry<LabelImage>>),
-    /// How much of each pixel the posed picture of this size covers.
     Coverage(Extent),
-    /// What a region moves away from and nothing covers.
     Holes(Mask),
 }
 
@@ -91,23 +89,23 @@ impl Content {
     }
 }
 
-/// What a request draws, or its file where the cache has evicted it.
-enum Source {
+/// A drawable, or the file that it has to be decoded from.
+enum DrawableSource {
     Decoded(Drawable),
     File { kind: LayerKind, digest: Digest, file: Arc<CacheEntry<Bytes>> },
 }
 
 /// The sources of a [`Content`].
-pub(crate) struct Sources {
+pub(crate) struct ContentSources {
     /// `None`: the holes of the region.
-    drawn: Option<Source>,
-    region: Option<Source>,
+    drawn: Option<DrawableSource>,
+    region: Option<DrawableSource>,
 }
 
-impl Sources {
-    /// Whether nothing is to be decoded.
+impl ContentSources {
+    /// Whether nothing has to be decoded.
     pub(crate) fn is_decoded(&self) -> bool {
-        [&self.drawn, &self.region].into_iter().flatten().all(|source| matches!(source, Source::Decoded(_)))
+        [&self.drawn, &self.region].into_iter().flatten().all(|source| matches!(source, DrawableSource::Decoded(_)))
     }
 }
 
@@ -121,14 +119,13 @@ impl AsRef<[u8]> for CachedFile {
 }
 
 impl App {
-    /// The sources of a session's picture, or of a layer, and of its region. The store is read here, without a ticket, so that a slow store
-    /// blocks no worker.
+    /// The sources of a session's picture or of a layer, and those of its region.
     /// Errors: There is no such layer; holes without a region; too little capacity.
-    pub(crate) async fn sources(&self, client: Client, record: &Record, layer: Option<&LayerRef>) -> Result<Sources, Problem> {
+    pub(crate) async fn fetch_sources(&self, client: Client, record: &Record, layer: Option<&LayerRef>) -> Result<ContentSources, Problem> {
         let region = record.layers.get(&LayerName::region());
         let drawn = match layer {
-            None => Some(self.source(client, record, LayerKind::Image, record.image).await?),
-            Some(LayerRef::Coverage) => Some(Source::Decoded(Drawable::Coverage(record.extent))),
+            None => Some(self.fetch_source(client, record, LayerKind::Image, record.image).await?),
+            Some(LayerRef::Coverage) => Some(DrawableSource::Decoded(Drawable::Coverage(record.extent))),
             Some(LayerRef::Holes) if region.is_none() => {
                 let detail = "`@holes` needs a region; store its mask with PUT /sessions/{id}/layers/region";
                 return Err(Problem::new(Code::BadValue, detail).pointer("/layer"));
@@ -136,31 +133,31 @@ impl App {
             Some(LayerRef::Holes) => None,
             Some(LayerRef::Stored(name)) => {
                 let (_, layer) = find_layer(record, name.as_str()).map_err(|problem| problem.pointer("/layer"))?;
-                Some(self.source(client, record, layer.kind, layer.digest).await?)
+                Some(self.fetch_source(client, record, layer.kind, layer.digest).await?)
             }
         };
         let region = match region {
-            Some(region) => Some(self.source(client, record, LayerKind::Image, region.digest).await?),
+            Some(region) => Some(self.fetch_source(client, record, LayerKind::Image, region.digest).await?),
             None => None,
         };
-        Ok(Sources { drawn, region })
+        Ok(ContentSources { drawn, region })
     }
 
-    /// The source of a file of a session.
-    async fn source(&self, client: Client, record: &Record, kind: LayerKind, digest: Digest) -> Result<Source, Problem> {
+    /// A file of a session in decoded form, if that is cached, or its bytes.
+    async fn fetch_source(&self, client: Client, record: &Record, kind: LayerKind, digest: Digest) -> Result<DrawableSource, Problem> {
         let key = Key::new(record.id.owner(), digest);
         let cached = match kind {
             LayerKind::Image => self.0.images.peek(key).map(Drawable::Image),
             LayerKind::Labels => self.0.labels.peek(key).map(Drawable::Labels),
         };
         if let Some(drawable) = cached {
-            return Ok(Source::Decoded(drawable));
+            return Ok(DrawableSource::Decoded(drawable));
         }
-        Ok(Source::File { kind, digest, file: self.session_file(client, record, digest).await? })
+        Ok(DrawableSource::File { kind, digest, file: self.fetch_file(client, record, digest).await? })
     }
 
-    /// A file of a session.
-    async fn session_file(&self, client: Client, record: &Record, digest: Digest) -> Result<Arc<CacheEntry<Bytes>>, Problem> {
+    /// The bytes of a file of a session.
+    async fn fetch_file(&self, client: Client, record: &Record, digest: Digest) -> Result<Arc<CacheEntry<Bytes>>, Problem> {
         let (app, id) = (self.clone(), record.id);
         let fetch = async move {
             let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
@@ -174,32 +171,32 @@ impl App {
         Ok(self.0.files.get(key, fetch, build_aborted).await?.value)
     }
 
-    /// Decodes what has not been decoded.
-    pub(crate) async fn content(&self, owner: Owner, ticket: &Ticket, sources: Sources) -> Result<Content, Problem> {
+    /// Decodes what is not decoded yet.
+    pub(crate) async fn decode_content(&self, owner: Owner, ticket: &Ticket, sources: ContentSources) -> Result<Content, Problem> {
         let mask = match sources.region {
-            Some(source) => match self.decoded(owner, ticket, source).await? {
+            Some(source) => match self.decode_source(owner, ticket, source).await? {
                 Drawable::Image(image) => Some(Mask::new(image)),
                 _ => None,
             },
             None => None,
         };
         let drawable = match (sources.drawn, &mask) {
-            (Some(source), _) => self.decoded(owner, ticket, source).await?,
+            (Some(source), _) => self.decode_source(owner, ticket, source).await?,
             (None, Some(mask)) => Drawable::Holes(mask.clone()),
-            (None, None) => return Err(Problem::new(Code::Internal, "internal error")),
+            (None, None) => return Err(Problem::new(Code::Internal, "holes without a region")),
         };
         Ok(Content { drawable, mask })
     }
 
-    async fn decoded(&self, owner: Owner, ticket: &Ticket, source: Source) -> Result<Drawable, Problem> {
+    async fn decode_source(&self, owner: Owner, ticket: &Ticket, source: DrawableSource) -> Result<Drawable, Problem> {
         match source {
-            Source::Decoded(drawable) => Ok(drawable),
-            Source::File { kind, digest, file } => self.drawable(owner, ticket, kind, digest, CachedFile(file)).await,
+            DrawableSource::Decoded(drawable) => Ok(drawable),
+            DrawableSource::File { kind, digest, file } => self.decode_file(owner, ticket, kind, digest, CachedFile(file)).await,
         }
     }
 
-    /// Checks the size of a layer's file by its header, and then decodes it; returns its digest too.
-    pub(super) async fn layer(
+    /// Decodes the file of a layer after its header has shown that it has the size `expected`; returns its digest, too.
+    pub(super) async fn decode_layer(
         &self,
         owner: Owner,
         ticket: &Ticket,
@@ -215,13 +212,13 @@ impl App {
             Ok::<_, Problem>(Digest::of(&header))
         };
         let digest = self.0.pool.run(ticket, open).await??;
-        let drawable = self.drawable(owner, ticket, kind, digest, file).await?;
+        let drawable = self.decode_file(owner, ticket, kind, digest, file).await?;
         check_extent(drawable.subject().extent(), expected)?;
         Ok((digest, drawable))
     }
 
-    /// The decoded file of a picture or layer, from the cache or decoded now.
-    pub(super) async fn drawable(
+    /// The file of a picture or layer in decoded form, from the cache or decoded now.
+    pub(super) async fn decode_file(
         &self,
         owner: Owner,
         ticket: &Ticket,
@@ -230,7 +227,7 @@ impl App {
         file: impl AsRef<[u8]> + Send + 'static,
     ) -> Result<Drawable, Problem> {
         match kind {
-            LayerKind::Image => Ok(Drawable::Image(self.image(owner, ticket, digest, file).await?.value)),
+            LayerKind::Image => Ok(Drawable::Image(self.decode_image(owner, ticket, digest, file).await?.value)),
             LayerKind::Labels => {
                 let limits = self.0.config.limits().image;
                 let decode = move |app: &Self, cancel: &Cancel| {
@@ -248,8 +245,8 @@ impl App {
         }
     }
 
-    /// The decoded image of a file, from the cache or decoded now.
-    pub(super) async fn image(
+    /// The image of a file, from the cache or decoded now.
+    pub(super) async fn decode_image(
         &self,
         owner: Owner,
         ticket: &Ticket,

@@ -31,7 +31,7 @@ pub struct LayerPut {
 }
 
 impl App {
-    /// Stores a layer, or replaces the one of that name. The file is decoded before.
+    /// Stores a layer, or replaces the one of that name, after its file has been decoded.
     /// Errors: Unknown session, a wrong file, another size than the session's picture, too many layers, or too little capacity.
     pub async fn put_layer(
         &self,
@@ -47,7 +47,7 @@ impl App {
             check_count(&old, name)?;
             let setup = self.session_setup(client, &old).await?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-            let (digest, _) = self.layer(id.owner(), &ticket, kind, file.clone(), old.extent).await?;
+            let (digest, _) = self.decode_layer(id.owner(), &ticket, kind, file.clone(), old.extent).await?;
             // The ticket is not held while the store works.
             drop(ticket);
             let mut layers = old.layers.clone();
@@ -104,7 +104,7 @@ impl App {
         Ok(reservation.attach(file))
     }
 
-    /// Replaces the layers of a record, counted for its client. `None`: another revision is there.
+    /// Replaces the layers of a record; they count for its client. `None`: the session has another revision by now.
     async fn revise_layers(
         &self,
         client: Client,

@@ -103,7 +103,7 @@ struct MapJob {
 impl App {
     /// The map of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
     /// Errors: Wrong handles, a map over the limits, or too little capacity.
-    pub async fn coordinate_map_once(&self, client: Client, json: Bytes, format: MapFormat) -> Result<(MapFile, Option<String>), Problem> {
+    pub async fn map_once(&self, client: Client, json: Bytes, format: MapFormat) -> Result<(MapFile, Option<String>), Problem> {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let mut object = self.0.pool.run(&ticket, move |_| MapObject::parse(&json)).await??;
@@ -124,13 +124,7 @@ impl App {
 
     /// The map of a session.
     /// Errors: Unknown session, wrong handles, a map over the limits, or too little capacity.
-    pub async fn coordinate_map_of_session(
-        &self,
-        client: Client,
-        id: SessionId,
-        json: Bytes,
-        format: MapFormat,
-    ) -> Result<MapFile, Problem> {
+    pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes, format: MapFormat) -> Result<MapFile, Problem> {
         let record = self.touch(id, None).await?.record;
         let setup = self.session_setup(client, &record).await?;
         let key = QueueKey::session(client, id);

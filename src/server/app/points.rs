@@ -28,7 +28,7 @@ type MappedPoints = (Bytes, Vec<Warning>);
 impl App {
     /// Maps points. The second result: the method that was chosen if that was requested, as a header shows it.
     /// Errors: Wrong handles, or too little capacity.
-    pub async fn map_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
+    pub async fn points_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let length = json.len();
         let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
@@ -43,13 +43,13 @@ impl App {
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let job = MapJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL };
+        let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL };
         Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
     }
 
     /// Maps points by the deformation of a session.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn map_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedPoints, Problem> {
+    pub async fn points_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedPoints, Problem> {
         let session = self.touch(id, None).await?;
         let setup = self.session_setup(client, &session.record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
@@ -61,11 +61,11 @@ impl App {
             Ok::<_, Problem>(object)
         };
         let object = self.0.pool.run(&ticket, parse).await??;
-        self.map(&ticket, self.response_quota(client), MapJob { owner: id.owner(), setup, object, is_long }).await
+        self.map(&ticket, self.response_quota(client), PointsJob { owner: id.owner(), setup, object, is_long }).await
     }
 
-    async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: MapJob) -> Result<MappedPoints, Problem> {
-        let MapJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long } = job;
+    async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: PointsJob) -> Result<MappedPoints, Problem> {
+        let PointsJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long } = job;
         if annotations.is_inverse {
             setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
         }
@@ -102,7 +102,7 @@ impl App {
 }
 
 /// Annotations and the deformation by which they are mapped.
-struct MapJob {
+struct PointsJob {
     owner: Owner,
     setup: Arc<Setup>,
     object: PointsObject,

@@ -69,7 +69,7 @@ impl App {
         let limits = self.0.config.limits();
         let (extent, quota) = (record.extent, self.response_quota(client));
         let parse = move |_: &_| {
-            let DragObject { q, strength, output, .. } = DragObject::parse_unnumbered(&json)?;
+            let DragObject { q, strength, output, .. } = DragObject::parse_for_report(&json)?;
             let canvas = output.merge_onto(&record.output).canvas;
             OutputSpec { canvas, ..OutputSpec::default() }.check(extent, &limits)?;
             Ok::<_, Problem>((record.rest.posed_at(strength, q), canvas))

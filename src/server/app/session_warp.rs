@@ -117,7 +117,7 @@ impl App {
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// The image and plan of a session, or a layer and its plan. If the session was replaced while this waited, its old file is gone: then those of the current
+    /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the current
     /// session.
     pub(crate) async fn admit_newest(
         &self,
@@ -148,11 +148,11 @@ impl App {
         layer: Option<&LayerRef>,
     ) -> Result<(Content, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
-        let sources = self.sources(client, record, layer).await?;
+        let sources = self.fetch_sources(client, record, layer).await?;
         let ticket = self.admit_step(client, record, &setup, sources.is_decoded()).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let content = self.content(record.id.owner(), &ticket, sources).await?;
+        let content = self.decode_content(record.id.owner(), &ticket, sources).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
         let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;

@@ -175,14 +175,14 @@ impl App {
                 None => drop(object.posed()?),
             }
         }
-        let Fetched { value: image, built } = self.image(owner, ticket, digest, file.clone()).await?;
+        let Fetched { value: image, built } = self.decode_image(owner, ticket, digest, file.clone()).await?;
         if formats.is_some() && built {
             // An image that is warped once is evicted before those of sessions.
             self.0.images.demote(Key::new(owner, digest));
         }
         let region = match region {
             Some(bytes) => {
-                match self.layer(owner, ticket, LayerKind::Image, bytes.clone(), image.extent()).await.map_err(in_part_region)? {
+                match self.decode_layer(owner, ticket, LayerKind::Image, bytes.clone(), image.extent()).await.map_err(in_part_region)? {
                     (digest, Drawable::Image(mask)) => Some((NamedFile { digest, bytes }, mask)),
                     _ => None,
                 }

@@ -17,8 +17,7 @@ use crate::app::layers::bad_name;
 use crate::app::warp::Upload;
 use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
-use crate::problem::words::quote;
-use crate::problem::{Code, Problem};
+use crate::problem::Problem;
 use crate::wire::{merged, split_batch};
 
 /// Characters of the progress bar.
@@ -149,16 +148,11 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
     if is_stdio(out) || out.exists() && !out.is_file() && !is_directory {
         return Ok(Out::File(BatchForm::Zip));
     }
-    let Some(extension) = out.extension().filter(|_| !is_directory) else { return Ok(Out::Directory) };
-    match extension.to_string_lossy().to_ascii_lowercase().as_str() {
-        "zip" => Ok(Out::File(BatchForm::Zip)),
-        "png" | "apng" => Ok(Out::File(BatchForm::Apng)),
-        other => {
-            let extension = quote(&format!(".{other}"));
-            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .zip, .png, .apng, or a directory");
-            Err(Problem::new(Code::UnsupportedFormat, detail))
-        }
+    if is_directory {
+        return Ok(Out::Directory);
     }
+    let known = [("zip", BatchForm::Zip), ("png", BatchForm::Apng), ("apng", BatchForm::Apng)];
+    Ok(output::by_extension(out, &known, ", or a directory")?.map_or(Out::Directory, Out::File))
 }
 
 /// A bar on the terminal.

@@ -9,9 +9,9 @@ use crate::problem::Problem;
 /// Why a subcommand failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// A server would answer this: `code: detail (pointer)`.
+    /// A problem that a server would respond with; printed as `code: detail (pointer)`.
     Problem(Problem),
-    /// Files and threads of this machine: `error: ...`.
+    /// A problem with files or threads of this machine; printed as `error: ...`.
     Local(String),
 }
 

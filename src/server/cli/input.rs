@@ -128,7 +128,7 @@ impl Body {
     }
 }
 
-/// As the server resolves a request: places the handles of landmark files, applies the strength and chooses the method.
+/// Resolves a warp object as the server does: places the handles of landmark files, applies the strength and chooses the method.
 /// Errors: Wrong handles.
 pub(super) fn resolve(config: &Config, object: &mut WarpObject, landmarks: Option<Landmarks>, extent: Extent) -> Result<Setup, Failure> {
     if let Some(landmarks) = landmarks {

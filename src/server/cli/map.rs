@@ -1,7 +1,5 @@
 //! `mlswarp map WARP.json --extent WIDTH,HEIGHT -o OUT.npy`: `POST /map` without a server.
 
-use std::path::Path;
-
 use mlswarp::warp::MapFormat;
 use serde_json::json;
 
@@ -10,20 +8,19 @@ use super::input::Body;
 use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, MapArgs};
-use crate::problem::words::quote;
-use crate::problem::{Code, Problem};
 
 /// Writes a coordinate map. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
     let MapArgs { input, extent, direction, out } = args;
     input.require_one_stdin(&[extent.image.as_ref()])?;
-    let format = format_of(out)?;
+    let known = [("npy", MapFormat::Npy), ("tif", MapFormat::Tiff), ("tiff", MapFormat::Tiff)];
+    let format = output::by_extension(out, &known, "")?.unwrap_or_default();
     output::require_directory(out)?;
     let direction = direction.as_ref().map(|direction| json!({"direction": direction}).to_string().into_bytes());
     let body = Body::read(config, input, extent, direction.as_deref())?;
     let service = Service::start(config)?;
-    let (mut map, method) = service.wait(service.app.coordinate_map_once(service.client, body.json.clone(), format))?;
+    let (mut map, method) = service.wait(service.app.map_once(service.client, body.json.clone(), format))?;
     output::write(out, |sink| {
         sink.put(&map.first)?;
         while let Some(bytes) = service.next(map.rest.next())? {
@@ -32,17 +29,4 @@ pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
         Ok(())
     })?;
     Ok(summary(method, &map.report.warnings, body.has_unmatched))
-}
-
-fn format_of(out: &Path) -> Result<MapFormat, Problem> {
-    let Some(extension) = out.extension() else { return Ok(MapFormat::default()) };
-    match extension.to_string_lossy().to_ascii_lowercase().as_str() {
-        "npy" => Ok(MapFormat::Npy),
-        "tif" | "tiff" => Ok(MapFormat::Tiff),
-        other => {
-            let extension = quote(&format!(".{other}"));
-            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .npy, .tif, .tiff");
-            Err(Problem::new(Code::UnsupportedFormat, detail))
-        }
-    }
 }

@@ -1,4 +1,4 @@
-//! What the subcommands write. A file appears under its name when it is complete, also if the program is interrupted before.
+//! The output files of the subcommands. A file appears under its name only when it is complete; an interrupted program leaves none.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal as _, Write};
@@ -8,6 +8,8 @@ use std::sync::{Mutex, Once, PoisonError};
 use super::failure::Failure;
 use super::input::is_stdio;
 use crate::http::connection::signals::Signals;
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
 
 /// The exit code of an interrupted program.
 const INTERRUPTED: i32 = 130;
@@ -22,6 +24,20 @@ pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+/// The value of the file's extension in `known`; `None` without an extension.
+/// Errors: An extension that is not known; `more` is appended to the list of those that are.
+pub(super) fn by_extension<T: Copy>(out: &Path, known: &[(&str, T)], more: &str) -> Result<Option<T>, Problem> {
+    let Some(extension) = out.extension() else { return Ok(None) };
+    let extension = extension.to_string_lossy().to_ascii_lowercase();
+    if let Some((_, value)) = known.iter().find(|(name, _)| *name == extension) {
+        return Ok(Some(*value));
+    }
+    let extensions: Vec<String> = known.iter().map(|(name, _)| format!(".{name}")).collect();
+    let extension = quote(&format!(".{extension}"));
+    let detail = format!("cannot write {out:?}: {extension} is not supported; supported: {}{more}", extensions.join(", "));
+    Err(Problem::new(Code::UnsupportedFormat, detail))
 }
 
 /// A file or standard output that is being written.

@@ -15,7 +15,7 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
     let annotations = annotations.as_deref().map(|path| input::read("annotations", path, config.max_warp_json_bytes)).transpose()?;
     let body = Body::read(config, input, extent, annotations.as_deref())?;
     let service = Service::start(config)?;
-    let ((json, warnings), method) = service.wait(service.app.map_once(service.client, body.json.clone()))?;
+    let ((json, warnings), method) = service.wait(service.app.points_once(service.client, body.json.clone()))?;
     output::write_text(out, &json)?;
     Ok(summary(method, &warnings, body.has_unmatched))
 }

@@ -1,4 +1,4 @@
-//! The use cases of the service in this process, without a listener: a subcommand then has the bytes of its route.
+//! The use cases of the service in this process, without a listener: so a subcommand writes the same bytes as its route.
 
 use std::future::Future;
 

@@ -11,8 +11,7 @@ use super::failure::Failure;
 use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, WarpArgs, WarpKind};
-use crate::problem::words::quote;
-use crate::problem::{Code, Problem};
+use crate::problem::Problem;
 use crate::wire::landmarks::{Landmarks, UNMATCHED};
 use crate::wire::{WarpObject, WarpPatch};
 use crate::wire::{canvas_from_text, canvas_text, method_text};
@@ -100,16 +99,7 @@ fn render(
 }
 
 fn format_of(out: &Path) -> Result<Format, Problem> {
-    let Some(extension) = out.extension() else { return Ok(Format::default()) };
-    match extension.to_string_lossy().to_ascii_lowercase().as_str() {
-        "png" => Ok(Format::Png),
-        "jpg" | "jpeg" => Ok(Format::Jpeg),
-        "webp" => Ok(Format::WebP),
-        "tif" | "tiff" => Ok(Format::Tiff),
-        other => {
-            let extension = quote(&format!(".{other}"));
-            let detail = format!("cannot write {out:?}: {extension} is not supported; supported: .png, .jpg, .jpeg, .webp, .tif, .tiff");
-            Err(Problem::new(Code::UnsupportedFormat, detail))
-        }
-    }
+    let (jpeg, tiff) = (Format::Jpeg, Format::Tiff);
+    let known = [("png", Format::Png), ("jpg", jpeg), ("jpeg", jpeg), ("webp", Format::WebP), ("tif", tiff), ("tiff", tiff)];
+    Ok(output::by_extension(out, &known, "")?.unwrap_or_default())
 }

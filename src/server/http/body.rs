@@ -177,6 +177,11 @@ pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, wh
     raw(caller, request, purpose, what, limit).await
 }
 
+/// Reads the JSON body of a request without an image that has the size of a warp object.
+pub(crate) async fn warp_json(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
+    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
+}
+
 /// Reads a body of any type, of at most `limit` bytes.
 pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     Ok(buffered(caller, request, purpose, what, limit).await?.finish())

@@ -1,5 +1,5 @@
-//! `POST /sessions/{id}/batch`: the poses of a batch in one of three forms, and the index of its result. Frames stay text until each is
-//! drawn.
+//! `POST /sessions/{id}/batch`: the body, with the poses of the frames in one of three forms, and the JSON files of the result. The objects in
+//! `frames` stay text, each of which is parsed when its frame is checked and drawn: 10,000 sets of handles are never in memory together.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -37,9 +37,9 @@ const MOST_DELAY: u16 = 60_000;
 pub struct BatchObject {
     /// The poses of the frames.
     pub poses: BatchPoses,
-    /// Drawn with every picture, each once.
+    /// The layers that are drawn in every frame, each once.
     pub layers: Vec<LayerRef>,
-    /// Mapped in every frame.
+    /// The annotations that are mapped in every frame.
     pub annotations: Annotations,
     /// Replaces fields of the session's output.
     pub(crate) output: OutputPatch,

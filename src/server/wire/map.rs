@@ -56,7 +56,7 @@ impl MapObject {
         Ok(Self { warp, q, strength, direction, canvas: optional(canvas_, canvas)?, width: optional(width_, width)? })
     }
 
-    /// The map beside pictures of `output`.
+    /// The parameters of the map; the canvas and the width of `output` where the request has none.
     #[must_use]
     pub fn spec(&self, output: &OutputSpec, format: MapFormat) -> MapSpec {
         MapSpec {
@@ -69,7 +69,7 @@ impl MapObject {
     }
 }
 
-/// Locates an error in the body of a request for a map.
+/// Corrects the pointer of a problem for a request of a map, whose canvas and width are not in `output`.
 pub(crate) fn in_map(mut problem: Problem) -> Problem {
     if matches!(problem.what, Some("map_side" | "map_pixels")) {
         return problem.pointer("/extent");

@@ -1,4 +1,4 @@
-//! One JSON object made of several texts. Offline, the handles, the annotations and the size of the image may come from different files.
+//! The bodies of requests, put together by the subcommands from several JSON files: handles, annotations, the size of the image.
 
 use mlswarp::pixmap::Extent;
 
@@ -6,7 +6,7 @@ use super::json::{self, optional};
 use super::{fields, size};
 use crate::problem::Problem;
 
-/// An object with the fields of all objects; a field of two of them is then one that is given twice.
+/// An object with the fields of all objects. A field of two of them is kept twice, which its parser reports.
 /// Errors: A text that is not a JSON object.
 pub(crate) fn merged(objects: &[&[u8]]) -> Result<Vec<u8>, Problem> {
     let mut fields = Vec::new();
@@ -19,7 +19,7 @@ pub(crate) fn merged(objects: &[&[u8]]) -> Result<Vec<u8>, Problem> {
     Ok(format!("{{{}}}", fields.join(",")).into_bytes())
 }
 
-/// The warp object of a session, and the body of a batch of it, from an object with the fields of both. `q` and `strength` are in both.
+/// Splits an object with the fields of both into the warp object of a session and the body of a batch. `q` and `strength` go into both.
 /// Errors: Not a JSON object.
 pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
     let root = json::root(object)?;

@@ -164,8 +164,8 @@ impl DragObject {
         Self::read(&root, [q, strength, seq, None, None])
     }
 
-    /// Reads the object of a request for a report: `q`, `strength` and `output`.
-    pub fn parse_unnumbered(json: &[u8]) -> Result<Self, Problem> {
+    /// Reads the body of `/sessions/{id}/report`: `q`, `strength` and `output`.
+    pub fn parse_for_report(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
         Self::read(&root, [q, strength, None, None, output])

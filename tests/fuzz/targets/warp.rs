@@ -36,7 +36,7 @@ pub(super) fn parse(bytes: &[u8]) {
         7 => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
         8 => as_with_nulls("Batch", json, batch).err(),
         9 => as_with_nulls("Report", json, ReportObject::parse).and_then(|object| measured(&object)).err(),
-        _ => as_with_nulls("PosedReport", json, DragObject::parse_unnumbered).err(),
+        _ => as_with_nulls("PosedReport", json, DragObject::parse_for_report).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));

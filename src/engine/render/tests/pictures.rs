@@ -122,7 +122,7 @@ fn requested_alpha_is_opaque_where_the_picture_covers() {
         let source = Arc::new(Source::new(noise(extent, Channels::Rgb, depth)));
         for mesh in [&Mesh::identity(grid), &grown] {
             let (without, rgb) = draw(&source, mesh, options(extent));
-            let (with, rgba) = draw(&source, mesh, RenderOptions { alpha: true, ..options(extent) });
+            let (with, rgba) = draw(&source, mesh, RenderOptions { force_alpha: true, ..options(extent) });
             assert_eq!((without.channels(), with.channels()), (Channels::Rgb, Channels::Rgba));
             assert_eq!((without.adds_alpha(), with.adds_alpha()), (false, true));
             let bytes = depth.bytes();

@@ -39,7 +39,7 @@ pub(crate) struct BatchJob {
     pub(crate) quota: ClientQuota,
     pub(crate) record: Arc<Record>,
     pub(crate) content: Content,
-    /// With their names.
+    /// The layers that are drawn, by name.
     pub(crate) layers: Vec<(LayerRef, Content)>,
     pub(crate) setup: Arc<Setup>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
@@ -85,7 +85,7 @@ impl BatchJob {
         !self.annotations.kinds.is_empty() || matches!(self.poses, BatchPoses::Jitter { .. })
     }
 
-    /// The job of drawing the picture or a layer. What JPEG and WebP would change, labels and coverage, is PNG.
+    /// The job of drawing the picture or a layer. Labels and coverage, which JPEG and WebP would change, are drawn as PNG.
     fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
@@ -116,10 +116,10 @@ impl BatchJob {
     /// Errors: Those of a frame.
     pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
         let began = Instant::now();
-        // Only what may gain alpha shows whether it must.
+        // Any content that may gain alpha shows whether a frame needs it.
         let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
         while !self.is_surveyed(survey) {
-            // The last in-between moves the most.
+            // The last in-between first: it moves the most, and is the likeliest to need alpha.
             let frame = if survey.posed == 0 { self.count() - 1 } else { survey.posed - 1 };
             let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
@@ -204,7 +204,7 @@ impl BatchJob {
             exceeded: (report.exceeded > 0).then_some(report.exceeded),
         };
         let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(layer_files).chain(annotations).collect();
-        // A copy of each, and then the bytes of the file that is sent.
+        // The packed copy of each file, and then the bytes that are sent.
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
         let held = self.app.reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
         Ok(Frame { packed: self.form.pack(files)?, entry, held })
@@ -217,7 +217,7 @@ impl BatchJob {
         let pose = self.setup.pose(q)?;
         let mapped = self.annotations.clone().map(&self.setup.transform(&pose), &|| cancel.is_cancelled())?;
         let text = mapped.text_bytes();
-        // Outlines may have more vertices now.
+        // Refined outlines have more vertices than those of the request.
         self.app.reserve_more(&mut reservation, text as u64)?;
         let q = matches!(position, FramePosition::Jitter { .. }).then_some(AsJson(q));
         let mut body = json_unless(cancel, &FrameAnnotations { q, mapped }, text)?;

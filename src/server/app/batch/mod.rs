@@ -1,5 +1,5 @@
-//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is sent while it is made. A frame is drawn by one thread,
-//! and several are drawn at the same time: that takes less than dividing each.
+//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is streamed while it is made. Each frame is drawn by one
+//! thread, and several frames at the same time: that is faster than several threads for each frame.
 
 mod frame;
 pub(crate) mod package;
@@ -65,7 +65,7 @@ impl App {
         let (record, content, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record, None).await?;
         drop(ticket);
         let BatchObject { poses, layers: names, annotations, output, delay } = object;
-        let layers = self.layers(client, &record, names).await?;
+        let layers = self.decode_layers(client, &record, names).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
@@ -111,21 +111,21 @@ impl App {
 impl App {
     /// The layers of these names, decoded.
     /// Errors: An unknown layer, or too little capacity.
-    async fn layers(&self, client: Client, record: &Arc<Record>, names: Vec<LayerRef>) -> Result<Vec<(LayerRef, Content)>, Problem> {
+    async fn decode_layers(&self, client: Client, record: &Arc<Record>, names: Vec<LayerRef>) -> Result<Vec<(LayerRef, Content)>, Problem> {
         let mut layers = Vec::with_capacity(names.len());
         for (k, name) in names.into_iter().enumerate() {
-            let sources = self.sources(client, record, Some(&name)).await.map_err(|mut problem| {
+            let sources = self.fetch_sources(client, record, Some(&name)).await.map_err(|mut problem| {
                 problem.pointer = problem.pointer.map(|_| format!("/layers/{k}"));
                 problem
             })?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            layers.push((name, self.content(record.id.owner(), &ticket, sources).await?));
+            layers.push((name, self.decode_content(record.id.owner(), &ticket, sources).await?));
         }
         Ok(layers)
     }
 }
 
-/// Errors: What the kind of file does not have.
+/// Errors: A field that does not apply to the kind of file.
 fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
     let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {

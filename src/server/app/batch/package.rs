@@ -1,5 +1,4 @@
-//! The file of a batch: a zip archive or an animated PNG, written frame by frame into memory that the caller takes away. Neither HTTP nor
-//! threads are known here; the offline tool uses it, too.
+//! The file of a batch: a zip archive or an animated PNG, written frame by frame into memory.
 
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -131,7 +130,7 @@ fn not_written(error: &ZipError) -> Problem {
     Problem::new(Code::Internal, format!("the archive could not be written: {error}"))
 }
 
-/// The bytes that an archive's writer has written and nobody has taken yet.
+/// The bytes that an archive's writer has written and that have not been taken yet.
 #[derive(Clone, Default)]
 struct Written(Arc<Mutex<Vec<u8>>>);
 

@@ -31,8 +31,8 @@ pub(crate) fn pose_of(poses: &BatchPoses, rest: &RestSpec, setup: &Setup, frame:
     })
 }
 
-/// Checks the poses of all frames. Those of in-betweens and of jitter lie between few, which are checked for all.
-/// Errors: The first wrong one.
+/// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
+/// Errors: The first invalid pose.
 pub(crate) fn check(poses: &BatchPoses, rest: &RestSpec, setup: &Setup, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
     match poses {
         BatchPoses::Frames(_) => {

@@ -1,5 +1,5 @@
-//! The frames of a batch in order. Some are made ahead of the reader, each in a task of its own, so that none holds a worker while the reader
-//! takes nothing; no more are begun than the reader takes. When the stream is dropped, their work is cancelled.
+//! The frames of a batch in order. A few are made ahead of the reader, each in its own task, so that no frame holds a worker while it waits
+//! for the reader. When the stream is dropped, the tasks are cancelled.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -19,9 +19,9 @@ use crate::wire::{BatchFrame, BatchIndex};
 
 /// Frames that are made ahead beyond the number of workers, so that none waits while the reader takes one.
 const SPARE: usize = 2;
-/// Most frames that are made ahead.
+/// The most frames that are made ahead.
 const MOST_AHEAD: usize = 8;
-/// Pause before a frame is tried again for which there was no worker or no memory.
+/// The pause before a frame that found no worker or no memory is made again.
 const RETRY: Duration = Duration::from_millis(50);
 
 /// The bytes of a batch's file, frame by frame.
@@ -36,7 +36,7 @@ pub(crate) struct BatchStream {
     entries: Vec<BatchFrame>,
     /// `None` after the end.
     package: Option<Package>,
-    /// Of the package's directory and the index.
+    /// The memory of the package's directory and of the index.
     held: Option<Reservation>,
 }
 
@@ -135,7 +135,7 @@ fn most_ahead(job: &BatchJob) -> usize {
     (job.app.pool().workers() + SPARE).min(MOST_AHEAD)
 }
 
-/// Makes a frame on a worker. All frames of a client's batches wait in one lane, behind nothing that takes milliseconds.
+/// Makes a frame on a worker. The batches of a client wait in the queue like one request of the client.
 async fn make(job: Arc<BatchJob>, frame: u32) -> Result<Frame, Problem> {
     let pool = job.app.pool().clone();
     let ticket = pool.admit(WorkClass::Upload, QueueKey::client(job.client)).await?;

@@ -2,27 +2,21 @@
 
 use axum::extract::{Path, Request};
 use axum::response::Response;
-use bytes::Bytes;
 
 use super::sessions::session_id;
-use crate::http::body::json;
+use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::json_text;
-use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = read(&caller, request).await?;
+    let body = warp_json(&caller, request).await?;
     Ok(json_text(caller.app.fit_once(caller.client, body).await?))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
-    let body = read(&caller, request).await?;
+    let body = warp_json(&caller, request).await?;
     Ok(json_text(caller.app.fit_session(caller.client, id, body).await?))
-}
-
-async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }

@@ -2,21 +2,19 @@
 
 use axum::extract::{Path, Request};
 use axum::response::Response;
-use bytes::Bytes;
 use mlswarp::warp::MapFormat;
 
 use super::sessions::session_id;
 use crate::http::accept;
-use crate::http::body::json;
+use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{map, with_method};
-use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
     let format = format(&request)?;
-    let body = read(&caller, request).await?;
-    let (file, method) = caller.app.coordinate_map_once(caller.client, body, format).await?;
+    let body = warp_json(&caller, request).await?;
+    let (file, method) = caller.app.map_once(caller.client, body, format).await?;
     Ok(with_method(map(file), method))
 }
 
@@ -24,14 +22,10 @@ pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: 
     let format = format(&request)?;
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
-    let body = read(&caller, request).await?;
-    Ok(map(caller.app.coordinate_map_of_session(caller.client, id, body, format).await?))
+    let body = warp_json(&caller, request).await?;
+    Ok(map(caller.app.map_session(caller.client, id, body, format).await?))
 }
 
 fn format(request: &Request) -> Result<MapFormat, Problem> {
     Ok(MapFormat::ALL[accept::choose(request.headers(), MapFormat::ALL.map(MapFormat::media_type))?])
-}
-
-async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }

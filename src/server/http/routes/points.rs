@@ -2,29 +2,23 @@
 
 use axum::extract::{Path, Request};
 use axum::response::Response;
-use bytes::Bytes;
 
 use super::sessions::session_id;
-use crate::http::body::json;
+use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{json_text, with_method, with_warnings};
-use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = read(&caller, request).await?;
-    let ((json, warnings), method) = caller.app.map_once(caller.client, body).await?;
+    let body = warp_json(&caller, request).await?;
+    let ((json, warnings), method) = caller.app.points_once(caller.client, body).await?;
     Ok(with_method(with_warnings(json_text(json), &warnings), method))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
-    let body = read(&caller, request).await?;
-    let (json, warnings) = caller.app.map_session(caller.client, id, body).await?;
+    let body = warp_json(&caller, request).await?;
+    let (json, warnings) = caller.app.points_session(caller.client, id, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
-}
-
-async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }

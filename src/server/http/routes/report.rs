@@ -2,18 +2,16 @@
 
 use axum::extract::{Path, Request};
 use axum::response::Response;
-use bytes::Bytes;
 
 use super::sessions::session_id;
 use crate::app::report::QualityReport;
-use crate::http::body::json;
+use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{self, with_method};
-use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = read(&caller, request).await?;
+    let body = warp_json(&caller, request).await?;
     let (report, method) = caller.app.report_once(caller.client, body).await?;
     Ok(with_method(answer(report), method))
 }
@@ -21,12 +19,8 @@ pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, P
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
-    let body = read(&caller, request).await?;
+    let body = warp_json(&caller, request).await?;
     Ok(answer(caller.app.report_session(caller.client, id, body).await?))
-}
-
-async fn read(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }
 
 fn answer(QualityReport { report, timing, plan_built, body }: QualityReport) -> Response {

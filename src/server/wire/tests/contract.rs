@@ -231,7 +231,7 @@ fn schemas_and_parsers_agree_on_a_table() {
         ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("Report", |b| ReportObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedReport", |b| DragObject::parse_unnumbered(b).is_ok(), "\"q\": []"),
+        ("PosedReport", |b| DragObject::parse_for_report(b).is_ok(), "\"q\": []"),
     ];
     let fields = [
         "p: []",

@@ -592,7 +592,7 @@ fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
         DragObject::parse(text).err(),
         PointsObject::parse(text).err(),
         ReportObject::parse(text).err(),
-        DragObject::parse_unnumbered(text).err(),
+        DragObject::parse_for_report(text).err(),
         PointsObject::parse_posed(text).err(),
         MapObject::parse(text).err(),
         MapObject::parse_posed(text).err(),
