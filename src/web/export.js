@@ -1,7 +1,7 @@
 // The export dialog: format, size, quality, compression and background of the file. The file is prepared while the dialog is open, so that
-// its size is known; "Download" and "Copy curl" give these bytes. An animation is made when it is downloaded (animation.js).
+// its size is known; "Download" and "Copy curl" give these bytes. An animation is made when it is downloaded (animationexport.js).
 
-import { AnimationExport } from "./animation.js";
+import { AnimationExport } from "./animationexport.js";
 import * as api from "./api.js";
 import { outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";

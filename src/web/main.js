@@ -2,7 +2,7 @@
 
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
 import { Actions } from "./actions.js";
-import { Player } from "./animate.js";
+import { Player } from "./player.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
 import { filterOf, outsideOf, takesPinsOnly } from "./edits.js";
 import { ExportDialog } from "./export.js";

@@ -1,5 +1,5 @@
-// The region: the part of the picture that moves. The document has it as a list of parts, each drawn over those before it, and a feather;
-// the server gets it as a picture, white where content moves. Without parts the whole picture moves. Positions are those at rest.
+// The region: the part of the picture that moves. In the document it is a list of parts, drawn one over the other, and a feather; the server
+// gets it as a mask, white where content moves. Without parts the whole picture moves. Positions are those at rest.
 //
 // A part is { kind: "lasso", removes, places }, { kind: "brush", removes, places, size }, { kind: "invert" } or, from a session that
 // another page has made, { kind: "mask", png (base64) }.
@@ -14,7 +14,7 @@ export const regionOf = ({ region, feather }) => ({ parts: region ?? NONE, feath
 /** Whether two regions are the same one: parts are never changed, only replaced. */
 export const sameRegion = (a, b) => (!a.parts.length && !b.parts.length) || (a.parts === b.parts && a.feather === b.feather);
 
-/** The document with one more part. If the whole picture moves, a part that is removed leaves the rest of it. */
+/** The document with one more part. If the whole picture moves, a part that removes begins with the whole picture. */
 export function withPart(document, part) {
   const { parts } = regionOf(document);
   const before = !parts.length && (part.removes || part.kind === "invert") ? [{ kind: "invert" }] : parts;
@@ -26,7 +26,7 @@ export const withoutRegion = (document) => ({ ...document, region: NONE });
 /** The size of the brush, px of the picture. */
 export const brushSizeOf = ({ brush, picture }) => brush ?? (picture ? Math.max(4, Math.round((picture.width + picture.height) / 20)) : 1);
 
-/** The part that the lasso or the brush has drawn along these places; null if it has no area. */
+/** The part that the lasso or the brush has drawn along a path; null if it has no area. `most`: the tolerance of its simplification, px. */
 export function partOf(state, places, most = 0) {
   const { tool, removes } = state;
   if (tool === "lasso" && isFlat(places, most)) return null;
@@ -44,7 +44,7 @@ function isFlat(places, most) {
 
 const tenth = (x) => Math.round(10 * x) / 10;
 
-/** A path without places that are within `most` px of the path without them (Ramer, Douglas and Peucker), rounded to a tenth. */
+/** Simplifies a path within a tolerance of `most` px (Ramer, Douglas and Peucker), and rounds it to a tenth. */
 export function simplified(places, most) {
   const keep = new Set([0, places.length - 1]);
   const open = [[0, places.length - 1]];

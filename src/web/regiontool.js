@@ -4,7 +4,7 @@ import { decodeParts, brushSizeOf, isDecoded, isRegionTool, maskOf, partOf, regi
 import { holesOf } from "./edits.js";
 import { HOLES, REGION } from "./words.js";
 
-/** Pixels of the mask on the screen and in the live preview; the server gets one of the picture's size. */
+/** Most pixels of the mask on the screen and in the live preview; the server gets one of the picture's size. */
 const PIXELS = 1.5e6;
 /** What covers the part that stays. */
 const SHADE = "rgb(30 50 160 / .5)";

@@ -42,7 +42,7 @@ const initialState = () => ({
   removes: false, // whether lasso and brush take away from the region
   brush: null, // size of the brush, px; null: by the size of the picture
   regionShown: false,
-  playing: null, // "preparing", or the strength that is shown while the animation plays (animate.js)
+  playing: null, // "preparing", or the strength that is shown while the animation plays (player.js)
   animation: { easing: "ease-in-out", back: true, frames: 24, file: "apng" },
 });
 

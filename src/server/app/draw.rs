@@ -317,16 +317,27 @@ impl App {
         Ok(DrawnFile { report, target: warp.target(), bytes })
     }
 
+    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most bytes of halved cells, reserved until the
+    /// pose is known, and not in the client's quota: a client that reads slowly cannot hold them.
+    pub(super) fn reserve_and_pose<T: Send>(
+        &self,
+        setup: &Setup,
+        quota: &ClientQuota,
+        most_halved: u64,
+        pose: impl FnOnce() -> Result<T, WarpError> + Send,
+    ) -> Result<(T, Reservation), Problem> {
+        let reservation = self.reserve_for(Purpose::Frame, quota, setup.posed_bytes())?;
+        let _halved = (most_halved > 0).then(|| self.reserve(Purpose::Frame, most_halved)).transpose()?;
+        let posed = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
+        Ok((posed, reservation))
+    }
+
     /// Poses, and reserves the memory of the picture.
     pub(super) fn prepare_drawing(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<Prepared, Problem> {
         let (setup, limits) = (&job.planned.setup, self.config().limits());
-        let mut reservation = self.reserve_for(Purpose::Frame, &job.quota, setup.posed_bytes())?;
-        // Not in the client's quota: it is given back before the client may read slowly.
-        let halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
-        let halved = (halved > 0).then(|| self.reserve(Purpose::Frame, halved)).transpose()?;
+        let most_halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
         let pose = || job.pose(&limits, is_cancelled);
-        let (posed, target) = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
-        drop(halved);
+        let ((posed, target), mut reservation) = self.reserve_and_pose(setup, &job.quota, most_halved, pose)?;
         let subject = job.content.subject();
         let bytes = posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
         self.reserve_more(&mut reservation, bytes)?;

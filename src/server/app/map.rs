@@ -145,12 +145,8 @@ impl App {
         let app = self.clone();
         let prepare = move |cancel: &Cancel| {
             let (began, is_cancelled, limits) = (Instant::now(), || cancel.is_cancelled(), app.0.config.limits());
-            let mut held = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
-            let halved = setup.most_halved_bytes();
-            let halved = (halved > 0).then(|| app.reserve(Purpose::Frame, halved)).transpose()?;
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
-            let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
-            drop(halved);
+            let (posed, mut held) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
             let target = spec.target(&posed, source, &limits).map_err(|error| in_map(error.into()))?;
             app.reserve_more(&mut held, posed.halved_bytes() + target.window_bytes(&posed))?;
             let map = CoordinateMap::new(&spec, &posed, target)?;

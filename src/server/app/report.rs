@@ -14,7 +14,6 @@ use super::json_text::json_unless;
 use super::warp::Resolved;
 use crate::client::{Client, Owner};
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -85,17 +84,13 @@ impl App {
         let app = self.clone();
         let measure = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
-            let _halved = app.reserve(Purpose::Frame, setup.most_halved_bytes())?;
-            let measure = || {
-                let pose = setup.pose(&q)?;
-                let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
-                let canvas = canvas.of(extent, &posed);
-                app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas))?;
-                let quality = Quality::of(&setup, &q, &pose, &posed, canvas, &is_cancelled)?;
-                Ok::<_, Problem>((quality, posed.into_report(canvas, &is_cancelled)?))
-            };
-            let (quality, report) = app.0.pool.run_parallel(measure)?;
+            let pose = setup.pose(&q)?;
+            let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+            let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
+            let canvas = canvas.of(extent, &posed);
+            app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas))?;
+            let quality = app.0.pool.run_parallel(|| Quality::of(&setup, &q, &pose, &posed, canvas, &is_cancelled))?;
+            let report = posed.into_report(canvas, &is_cancelled)?;
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);

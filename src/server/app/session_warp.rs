@@ -20,7 +20,6 @@ use crate::cache::Key;
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
 use crate::observe::scope::{in_stage, stage};
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -190,9 +189,8 @@ impl App {
         let pose = move |cancel: &Cancel| {
             let began = Instant::now();
             let is_cancelled = || cancel.is_cancelled();
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, setup.posed_bytes())?;
             let pose = || Posed::coarse(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
-            let posed = if setup.is_wide() { app.0.pool.run_parallel(pose) } else { pose() }?;
+            let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, 0, pose)?;
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);

@@ -1,19 +1,19 @@
 // The export as an animation: its rows in the export dialog, the request, which is streamed, and its progress.
 
 import * as api from "./api.js";
-import { EASINGS, MOST_FRAMES, TIME } from "./animate.js";
+import { EASINGS, MOST_FRAMES, TIME } from "./player.js";
 import { wire } from "./edits.js";
 import { posesOf } from "./strength.js";
 import { ANIMATION, bytes } from "./words.js";
 
-/** Media type, and what begins each frame in the file: the chunk with its place, or the header of its file. */
+/** Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, or the header of a zip entry. */
 const FILES = { apng: { media: "image/apng", mark: "fcTL" }, zip: { media: "application/zip", mark: "PK\x03\x04" } };
 /** The shortest display of a frame that browsers observe, ms. */
 const LEAST_DELAY = 20;
 
 const find = (id) => document.getElementById(`export-${id}`);
 
-/** The body of the request. `frames` is the number of those from rest to the pose; the way back has neither of these again. */
+/** The body of the request. `frames` counts those from rest to the pose; the way back repeats neither of the two. */
 function batchOf(document, { frames, easing, back, file }, output) {
   const { at } = posesOf(document);
   const delay = file === "apng" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};

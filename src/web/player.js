@@ -8,13 +8,13 @@ import { Mesh } from "./mesh.js";
 import { posesOf } from "./strength.js";
 import { PLAY } from "./words.js";
 
-/** The easings of the server: share of the way as a function of the share of the time. */
+/** The easings of the server: the share of the way as a function of the share of the time. */
 export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
-/** Parts of the way between fetched meshes. */
+/** The number of equal parts of the way, at whose ends meshes are fetched. */
 const PARTS = 8;
 /** Time of one way, ms. */
 export const TIME = 1500;
-/** The most time between two frames, ms: a slow browser plays more slowly, and shows what lies between. */
+/** The longest step of time between two frames, ms: a slow browser plays more slowly instead of skipping frames. */
 const LONGEST = 200;
 /** Stills that replace the motion of one way if the user prefers reduced motion. */
 const STILLS = 5;
@@ -30,13 +30,13 @@ function storedSettings() {
     frames: (v) => Number.isInteger(v) && v >= 2 && v <= MOST_FRAMES,
     file: (v) => v === "apng" || v === "zip",
   };
-  let told = {};
+  let stored = {};
   try {
-    told = JSON.parse(setting(STORED)) ?? {};
+    stored = JSON.parse(setting(STORED)) ?? {};
   } catch {
     // Damaged: the defaults apply.
   }
-  return Object.fromEntries(Object.entries(told).filter(([name, value]) => valid[name]?.(value)));
+  return Object.fromEntries(Object.entries(stored).filter(([name, value]) => valid[name]?.(value)));
 }
 
 const find = (id) => document.getElementById(id);
