@@ -204,7 +204,7 @@ async fn batches_are_the_files_that_the_server_answers() {
         ("a/b=mask.png", "error: cannot read the layer "),
         ("@coverage=-", "error: standard input can be one of the input files only"),
         ("@holes", "error: --layer @holes needs a --region"),
-        (&*format!("mask={wide}"), "bad_value: --layer mask: the layer is 81x60 px"),
+        (&*format!("mask={wide}"), "bad_value: --layer mask: the file has 81x60 px"),
     ] {
         let said = failed(&["batch", &image, &handles, "-", "-o", "-", "--layer", layer], r#"{"steps": 2}"#);
         assert!(said.starts_with(sentence), "{layer}: {said}");
