@@ -98,6 +98,7 @@ export class AnimationExport {
     const { media, mark } = FILES[this.file];
     this.#progress(0, this.count, 0);
     find("progress-row").hidden = false;
+    if (document.activeElement === find("save")) find("cancel").focus();
     find("save").disabled = true;
     try {
       const response = await this.sync.ask((id) => api.batch(id, this.body(output), media, signal));
@@ -112,8 +113,10 @@ export class AnimationExport {
       }
       return new Blob(parts, { type: media });
     } finally {
+      const hasFocus = document.activeElement === find("cancel");
       find("progress-row").hidden = true;
       find("save").disabled = false;
+      if (hasFocus) find("save").focus();
     }
   }
 

@@ -81,8 +81,9 @@ export class Keys {
     return true;
   }
 
+  /** The focused handle; none while a tool for the region hides the handles. */
   #focused(event) {
-    return this.handles.named(event.target);
+    return isRegionTool(this.store.state.tool) ? null : this.handles.named(event.target);
   }
 
   /** Selects the focused handle, unless the selection contains it: arrow keys move the focused handle. */

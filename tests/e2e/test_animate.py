@@ -305,11 +305,14 @@ def test_cancelling_stops_it(visits, picture):
     visit = bend(visits(), picture)
     saved = []
     visit.page.on("download", lambda download: saved.append(download))
+    focused = "document.activeElement.id"
     for cancels in (cancels_by_closing, cancels_by_button):
         before = made(visit)
         slow(visit)
+        assert visit.page.evaluate(focused) == "export-cancel"
         cancels(visit)
         visit.page.wait_for_selector("#export-progress-row", state="hidden")
+        assert cancels is cancels_by_closing or visit.page.evaluate(focused) == "export-save"
         assert not visit.page.locator("#export-save").is_disabled() and not visit.page.locator("#export-problem").is_visible()
         # The server stops too.
         last = None

@@ -248,6 +248,11 @@ def test_a_stroke_that_is_cancelled_leaves_nothing(bent):
     for line in ((RED, (300, 100)), (RED, (300, 100), RED), ((200, 100), RED, (300, 100))):
         bent.drag(*line)
         assert bent["region"] == "0" and bent["undo"] == undo and bent.text("says") == "The lasso encloses nothing"
+    # Keys do not reach a handle that the tool hides.
+    bent.page.click("label:has(#tool-point)")
+    bent.page.focus("#handle-0")
+    bent.keys("4", "ArrowUp", "Enter", "Delete", "Escape")
+    assert (bent["tool"], bent["undo"], bent["handles"]) == ("lasso", undo, "3")
     # Selecting handles leaves the tool, which hides them.
     assert not bent.page.locator("#handle-0").is_visible()
     bent.page.click("#select-all")
