@@ -292,8 +292,9 @@ fn canvases_are_crops_and_bands_do_not_matter() {
 /// The box of the cells that have a pixel of the mask within two pixels.
 #[test]
 fn a_box_contains_the_cells_that_have_some_of_the_mask() {
+    type IsMasked<'a> = &'a dyn Fn(u32, u32) -> bool;
     let size = extent(SIDE.0, SIDE.1);
-    let masks: [(&str, &dyn Fn(u32, u32) -> bool); 5] = [
+    let masks: [(&str, IsMasked<'_>); 5] = [
         ("nothing", &|_, _| false),
         ("everything", &|_, _| true),
         ("a disc", &|x, y| HARD.value(Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5)) > 0.0),
