@@ -28,8 +28,8 @@ use crate::store::Record;
 use crate::wire::annotations::Annotations;
 use crate::wire::{AsJson, BatchFrame, BatchPoses, FrameAnnotations, FramePosition, in_frame};
 
-/// Time after which other clients have their turn while frames are surveyed.
-const TURN: Duration = Duration::from_millis(20);
+/// Time after which a survey gives its worker back, so that other clients do not wait for all of its frames.
+const MAX_SURVEY_TIME: Duration = Duration::from_millis(20);
 
 /// Everything that the frames of a batch have in common.
 #[derive(Debug)]
@@ -112,7 +112,7 @@ impl BatchJob {
     }
 
     /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an animation: none if nothing depends on
-    /// it, all of them if one of them may be refused. It ends earlier after [`TURN`], so that other clients have their turn.
+    /// it, all of them if one of them may be refused. It ends earlier after [`MAX_SURVEY_TIME`].
     /// Errors: Those of a frame.
     pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
         let began = Instant::now();
@@ -130,7 +130,7 @@ impl BatchJob {
                 survey.canvas = Some(survey.canvas.map_or(shown, |canvas| canvas.union(shown)));
             }
             survey.posed += 1;
-            if began.elapsed() >= TURN {
+            if began.elapsed() >= MAX_SURVEY_TIME {
                 return Ok(());
             }
         }
