@@ -67,6 +67,10 @@ async fn a_session_has_the_report_of_its_warp_object() {
     let want = with(&warp, json!({"extent": EXTENT, "strength": 0.5, "output": {"canvas": "same"}}));
     assert_eq!(half, report(&server, "/report", &want).await);
     assert_ne!(half["covered"], once["covered"]);
+    // On a grid whose cells are too large for the inverse, the round trip is that of a finer one.
+    let large = report(&server, "/report", &with(&warp, json!({"extent": EXTENT, "grid": {"columns": 2, "rows": 2}}))).await;
+    assert_eq!(large["round_trip"], once["round_trip"]);
+    assert_ne!(large["residuals"], once["residuals"]);
     // Folds are what is asked for, not refused.
     let crossed = json!({"q": [[500, 90], [120, 80], [300, 300], [900, 100]]});
     let folded = report(&server, &path, &crossed).await;

@@ -73,8 +73,8 @@ impl Quality {
         canvas.map_or(0, |canvas| Target { canvas: Some(canvas), extent: counted(canvas), force_alpha: false }.window_bytes(posed))
     }
 
-    /// Measures a pose. `q` and `pose`: the same handles. CPU work, in parallel on the current rayon pool; stops when `cancelled` returns
-    /// true.
+    /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of [`Setup::to_invert`], in which the
+    /// inverse of the round trip is sought. CPU work, in parallel on the current rayon pool; stops when `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.
@@ -83,6 +83,7 @@ impl Quality {
         q: &[Handle],
         pose: &Pose,
         posed: &Posed,
+        to_invert: &Posed,
         canvas: Option<Canvas>,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
@@ -95,7 +96,7 @@ impl Quality {
             covered: canvas.map_or(Ok(0.0), |canvas| covered(mesh, canvas, cancelled))?,
             tolerance: setup.tolerance().map(|px| ToleranceQuality { px, exceeded: posed.report().exceeded }),
             coincident: pose.contradictions().listed.clone(),
-            round_trip: round_trip(setup, pose, mesh, cancelled)?,
+            round_trip: round_trip(setup, pose, to_invert.mesh(), cancelled)?,
         })
     }
 }

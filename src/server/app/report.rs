@@ -81,6 +81,13 @@ impl App {
         let ReportJob { owner, setup, q, extent, canvas, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
+        // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
+        let to_invert = Arc::new(setup.to_invert(&self.0.config.limits())?);
+        let to_invert = if to_invert.plan_key() == setup.plan_key() {
+            None
+        } else {
+            Some(self.plan(owner, ticket, &to_invert, Timing::default()).await?)
+        };
         let app = self.clone();
         let measure = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
@@ -88,8 +95,13 @@ impl App {
             let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
             let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
             let canvas = canvas.of(extent, &posed);
-            app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas))?;
-            let quality = app.0.pool.run_parallel(|| Quality::of(&setup, &q, &pose, &posed, canvas, &is_cancelled))?;
+            let inverse_bytes = to_invert.as_ref().map_or(0, |planned| planned.setup.posed_bytes());
+            app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes)?;
+            let quality = app.0.pool.run_parallel(|| {
+                let coarse = |planned: &Planned| Posed::coarse(&planned.setup, &planned.plan, &pose, Folds::Report, &is_cancelled);
+                let inverse = to_invert.as_ref().map(coarse).transpose()?;
+                Quality::of(&setup, &q, &pose, &posed, inverse.as_ref().unwrap_or(&posed), canvas, &is_cancelled)
+            })?;
             let report = posed.into_report(canvas, &is_cancelled)?;
             timing.deform = began.elapsed();
             stage("deform", began);

@@ -77,7 +77,7 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     let pose = setup.pose(q)?;
     warp.output.check(extent, &LIMITS)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
-    let quality = Quality::of(&setup, q, &pose, &posed, warp.output.canvas.of(extent, &posed), &never)?;
+    let quality = Quality::of(&setup, q, &pose, &posed, &posed, warp.output.canvas.of(extent, &posed), &never)?;
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
     assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
     let answer = ReportAnswer(&quality);
