@@ -2,11 +2,12 @@
 //! which position of the source is drawn at each pixel.
 
 use mlswarp::geometry::Point;
+use mlswarp_server::limits::memory::Purpose;
 use serde_json::{Value, json};
 
-use crate::support::Server;
 use crate::support::picture::{decoded, png_of};
 use crate::support::server::{form, png, problem};
+use crate::support::{Server, eventually, photo};
 
 const SIDE: (u32, u32) = (160, 120);
 
@@ -171,6 +172,27 @@ async fn every_kind_is_returned_under_its_name_in_the_order_of_the_request() {
 ] }},"polygons":[[[5.0,2.0],[9.0,2.0],[5.0,6.0]]],"points":[[12.0,10.0]]}}"#
     );
     assert_eq!(text, expected);
+}
+
+/// Empty lists take many times their text: memory is reserved before they are read.
+#[tokio::test]
+async fn memory_for_reading_is_reserved() {
+    let server = Server::start(&["--memory-bytes", "64MiB"]).await;
+    let lists = format!("[{}]", vec!["[]"; 1 << 20].join(","));
+    let body = format!(
+        r#"{{"extent": [9, 9], "geojson": {{"type": "FeatureCollection", "features": [
+            {{"type": "Feature", "geometry": {{"type": "MultiLineString", "coordinates": {lists}}}, "properties": null}}]}}}}"#
+    );
+    let id = server.session(&photo(16, 12), &json!({})).await;
+    let before = server.app.budget().taken_for(Purpose::Upload);
+    for path in ["/points", &format!("/sessions/{id}/points")] {
+        let body = if path == "/points" { body.clone() } else { body.replace(r#""extent": [9, 9]"#, r#""q": []"#) };
+        let response = server.post(path).header("content-type", "application/json").body(body).send().await.unwrap();
+        let refused = problem(response, 413, "too_large").await;
+        assert!(refused["actual"].as_u64() > Some(140 << 20), "{refused}");
+    }
+    eventually("the memory is given back", || server.app.budget().taken_for(Purpose::Upload) == before).await;
+    server.is_well().await;
 }
 
 #[tokio::test]

@@ -74,6 +74,24 @@ async fn landmark_files_have_a_strength_too() {
 }
 
 #[tokio::test]
+async fn a_strength_without_a_pose_is_refused() {
+    let server = Server::start(&[]).await;
+    let image = photo(SIZE.0, SIZE.1);
+    let refused = async |response| {
+        let refused = problem(response, 422, "bad_value").await;
+        assert_eq!(refused["pointer"], "/strength", "{refused}");
+    };
+    let warp = json!({"p": rest(), "strength": 0.5});
+    refused(server.post("/sessions").multipart(form(&image, warp.to_string())).send().await.unwrap()).await;
+    let landmarks = form(&image, json!({"strength": 0.5}).to_string()).text("landmarks", "x,y\n10,10\n40,30\n");
+    refused(server.post("/sessions").multipart(landmarks).send().await.unwrap()).await;
+    let id = server.session(&image, &json!({"p": rest(), "strength": 1})).await;
+    let put = async |body: Value| server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send().await.unwrap();
+    refused(put(json!({"alpha": 2, "strength": 2})).await).await;
+    assert_eq!(put(json!({"q": posed(), "strength": 2})).await.status(), 200);
+}
+
+#[tokio::test]
 async fn a_strength_out_of_range_is_named() {
     let server = Server::start(&[]).await;
     for strength in [json!(10.5), json!(-11), json!("1"), json!([1])] {

@@ -11,13 +11,13 @@ use super::json_text::json_unless;
 use super::warp::Resolved;
 use crate::client::{Client, Owner};
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{PointsObject, method_text};
+use crate::wire::{PointsObject, method_text, reading_bytes};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
@@ -31,7 +31,7 @@ impl App {
     pub async fn points_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let length = json.len();
-        let mut object = self.0.pool.run(&ticket, move |_| PointsObject::parse(&json)).await??;
+        let (mut object, reading) = self.read_points(client, &ticket, json, PointsObject::parse).await?;
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         if !object.annotations.is_inverse {
             // The exact deformation needs no grid; this one is within all limits.
@@ -43,7 +43,7 @@ impl App {
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL };
+        let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL, reading };
         Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
     }
 
@@ -55,17 +55,33 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let is_long = json.len() > MAX_SEQUENTIAL;
         let record = session.record;
-        let parse = move |_: &_| {
-            let mut object = PointsObject::parse_posed(&json)?;
+        let parse = move |json: &[u8]| {
+            let mut object = PointsObject::parse_posed(json)?;
             object.q = record.rest.posed_at(object.strength, object.q);
-            Ok::<_, Problem>(object)
+            Ok(object)
         };
-        let object = self.0.pool.run(&ticket, parse).await??;
-        self.map(&ticket, self.response_quota(client), PointsJob { owner: id.owner(), setup, object, is_long }).await
+        let (object, reading) = self.read_points(client, &ticket, json, parse).await?;
+        self.map(&ticket, self.response_quota(client), PointsJob { owner: id.owner(), setup, object, is_long, reading }).await
+    }
+
+    /// Reads a request into memory that is reserved before.
+    async fn read_points(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        json: Bytes,
+        parse: impl FnOnce(&[u8]) -> Result<PointsObject, Problem> + Send + 'static,
+    ) -> Result<(PointsObject, Reservation), Problem> {
+        let (app, quota) = (self.clone(), self.request_quota(client));
+        let read = move |_: &_| {
+            let reading = app.reserve_for(Purpose::Upload, &quota, reading_bytes(&json))?;
+            Ok((parse(&json)?, reading))
+        };
+        self.0.pool.run(ticket, read).await?
     }
 
     async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: PointsJob) -> Result<MappedPoints, Problem> {
-        let PointsJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long } = job;
+        let PointsJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long, reading } = job;
         if annotations.is_inverse {
             setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
         }
@@ -73,6 +89,7 @@ impl App {
         let planned = if annotations.is_inverse { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
         let app = self.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
+            let _reading = reading;
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
             let posed_bytes = planned.as_ref().map_or(0, |_| setup.posed_bytes());
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, annotations.least_mapped_bytes() + posed_bytes)?;
@@ -107,4 +124,6 @@ struct PointsJob {
     setup: Arc<Setup>,
     object: PointsObject,
     is_long: bool,
+    /// The memory of the annotations.
+    reading: Reservation,
 }

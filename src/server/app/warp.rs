@@ -98,7 +98,7 @@ impl App {
     /// Errors: Wrong handles, or too little memory.
     pub(crate) fn resolve(&self, mut object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
         object.output.check(extent, &self.0.config.limits())?;
-        object.apply_strength();
+        object.apply_strength()?;
         self.choose_method(&mut object, extent, cancel)?;
         let bytes = object.rest.field_bytes();
         let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;

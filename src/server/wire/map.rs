@@ -32,7 +32,7 @@ impl MapObject {
         let root = json::root(json)?;
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength();
+        warp.apply_strength()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let q = warp.posed()?.to_vec();
         Self::read(Some((warp, extent)), q, 1.0, [direction, canvas, width])

@@ -32,7 +32,7 @@ pub(crate) mod tests;
 use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-pub use annotations::{Annotation, Annotations, MappedAnnotations};
+pub use annotations::{Annotation, Annotations, MappedAnnotations, reading_bytes};
 pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
@@ -115,9 +115,16 @@ impl WarpObject {
     }
 
     /// Moves the posed handles to where the strength has them, once.
-    pub fn apply_strength(&mut self) {
+    /// Errors: `bad_value` at `/strength` if there is no `q` that it could apply to.
+    pub fn apply_strength(&mut self) -> Result<(), Problem> {
+        #[expect(clippy::float_cmp, reason = "the default")]
+        if self.q.is_none() && self.strength != 1.0 {
+            let detail = "`strength` applies to `q`, which is missing; a session keeps no strength: send it with each `q`";
+            return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
+        }
         let strength = std::mem::replace(&mut self.strength, 1.0);
         self.q = self.q.take().map(|q| self.rest.posed_at(strength, q));
+        Ok(())
     }
 
     /// The posed handles; none if there are none at rest.
@@ -214,7 +221,7 @@ impl PointsObject {
         let root = json::root(json)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength();
+        warp.apply_strength()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         let annotations = Annotations::read([a, b, c, d, e, f])?;
         let q = warp.posed()?.to_vec();

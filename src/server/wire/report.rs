@@ -28,7 +28,7 @@ impl ReportObject {
         let root = json::root(json)?;
         let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength();
+        warp.apply_strength()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
         warp.posed()?;
         Ok(Self { warp, extent })

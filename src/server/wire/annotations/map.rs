@@ -17,6 +17,8 @@ const OUTLINE_WITHIN: f64 = 0.1;
 const BOX_WITHIN: f64 = 0.01;
 /// Longest text of a mapped position, bytes: two numbers of 24 characters, brackets, commas.
 const PLACE_TEXT: usize = 52;
+/// The outline of a box, at rest and mapped, bytes.
+const BOX_OUTLINES: usize = 256;
 /// The text around a list, bytes.
 const LIST_TEXT: usize = 16;
 
@@ -72,7 +74,7 @@ impl Annotations {
         let kind = |kind: &Annotation| match kind {
             Annotation::Points(points) => list(points.len()),
             Annotation::Polygons(polygons) => polygons.iter().map(|ring| list(ring.len())).sum(),
-            Annotation::Boxes(boxes) => boxes.len() * list(2),
+            Annotation::Boxes(boxes) => boxes.len() * (list(2) + BOX_OUTLINES),
             Annotation::GeoJson(features) => features.most_bytes(),
         };
         self.kinds.iter().map(|annotation| kind(annotation) as u64 + LIST_TEXT as u64).sum()

@@ -57,6 +57,14 @@ impl Annotation {
     }
 }
 
+/// Upper bound of the memory in which annotations are read from a JSON text, bytes. Positions of GeoJSON take many times their text.
+#[must_use]
+pub fn reading_bytes(json: &[u8]) -> u64 {
+    /// A list of a list while that grows; a feature and its geometry; a number.
+    const WEIGHTS: [(u8, u64); 3] = [(b'[', 144), (b'{', 256), (b',', 32)];
+    json.iter().map(|byte| WEIGHTS.iter().find(|(mark, _)| mark == byte).map_or(0, |(_, bytes)| *bytes)).sum()
+}
+
 impl Annotations {
     /// Reads the fields in the order of `fields::ANNOTATIONS`.
     pub(super) fn read([points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6]) -> Result<Self, Problem> {
