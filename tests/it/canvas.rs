@@ -117,6 +117,12 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         "output": {"canvas": "fit", "width": 100}});
     let refused = problem(server.upload("/warp", &image, &beyond).await, 413, "too_large").await;
     assert!(refused["actual"].as_f64().unwrap() > 1e10, "{refused}");
+    let shifted = json!({"p": [[10, 10]], "q": [[999_990, 10]], "output": {"canvas": "fit"}});
+    let refused = problem(server.upload("/warp", &image, &shifted).await, 413, "too_large").await;
+    assert_eq!(
+        (&refused["limit_name"], &refused["limit"], &refused["actual"]),
+        (&json!("canvas_edge"), &json!(1_000_000), &json!(1_000_180))
+    );
     // A zoom at which single cells would be longer than the rasteriser's numbers.
     let pixel = json!({"x": 3, "y": 3, "width": 1, "height": 1});
     let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": pixel, "width": width}});

@@ -35,7 +35,7 @@ pub enum WarpError {
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`, `outline_samples`.
+        /// `output_pixels`, `canvas_side`, `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`, `outline_samples`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -150,6 +150,7 @@ fn measured(what: &str, actual: u64) -> String {
         "map_side" => format!("the longer side of the map would be {actual} px"),
         "map_pixels" => format!("the map would have {actual} pixels"),
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
+        "canvas_edge" => format!("the canvas would reach {actual} px from the corner of the image"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => format!("{what}: {actual}"),
     }

@@ -44,8 +44,7 @@ fn fit(posed: &Posed) -> Result<Canvas, WarpError> {
     let farthest = [left, top, right, bottom].into_iter().fold(0.0, |far: f64, edge| far.max(edge.abs()));
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
     if farthest > f64::from(FARTHEST) {
-        let longest = (right - left).max(bottom - top).ceil() as u64;
-        return Err(WarpError::TooLarge { what: "canvas_side", limit: 2 * u64::from(FARTHEST.unsigned_abs()), actual: longest });
+        return Err(WarpError::TooLarge { what: "canvas_edge", limit: FARTHEST.unsigned_abs().into(), actual: farthest.ceil() as u64 });
     }
     #[expect(clippy::cast_possible_truncation, reason = "at most the farthest edge")]
     let (x, y) = (left.floor() as i32, top.floor() as i32);
