@@ -53,6 +53,37 @@ async fn frames_are_the_pictures_of_requests() {
     assert_eq!(server.app.counters().sockets_open, 2);
 }
 
+/// A region that is stored, replaced and removed during a drag: each frame is the picture of a request.
+#[tokio::test]
+async fn frames_have_the_region_of_the_session() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let region = server.url(&format!("/sessions/{id}/layers/region"));
+    let mask = |edge: u32| {
+        let mask = image::GrayImage::from_fn(128, 96, |x, _| image::Luma([if x < edge { 255 } else { 0 }]));
+        let mut file = std::io::Cursor::new(Vec::new());
+        mask.write_to(&mut file, image::ImageFormat::Png).unwrap();
+        file.into_inner()
+    };
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    let mut frames = Vec::new();
+    for (seq, edge) in [(1, None), (2, Some(64)), (3, Some(20)), (4, None)] {
+        let changed = match edge {
+            Some(edge) => server.client.put(&region).body(mask(edge)).send().await.unwrap().status().as_u16(),
+            None if seq > 1 => server.client.delete(&region).send().await.unwrap().status().as_u16(),
+            None => 0,
+        };
+        assert!(matches!((seq, changed), (1, 0) | (2, 201) | (3, 200) | (4, 204)), "{seq}: {changed}");
+        drag.pose(seq, &posed(4)).await;
+        let (of, frame) = drag.frame().await;
+        assert_eq!(of, seq);
+        assert!(frame == requested(&server, &id, &posed(4), &json!({})).await, "seq {seq}");
+        drag.ack(seq).await;
+        frames.push(frame);
+    }
+    assert!(frames[0] == frames[3] && frames[0] != frames[1] && frames[1] != frames[2] && frames[0] != frames[2]);
+}
+
 #[tokio::test]
 async fn frames_are_of_the_format_that_the_socket_asks_for_or_of_the_sessions() {
     let server = Server::start(&[]).await;
