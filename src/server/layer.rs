@@ -7,7 +7,8 @@ pub const MAX_LAYERS: usize = 16;
 /// Longest name of a layer, bytes.
 const MAX_NAME: usize = 64;
 
-/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`. Names that begin with `@` are built-in.
+/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`, not only dots. Names that begin with `@` are
+/// built-in. Clients and proxies remove `.` and `..` from paths: a request for `layers/..` would be one for the session.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct LayerName(String);
 
@@ -18,7 +19,8 @@ impl LayerName {
     /// Checks a name.
     pub fn parse(text: &str) -> Option<Self> {
         let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-');
-        ((1..=MAX_NAME).contains(&text.len()) && text.bytes().all(is_allowed)).then(|| Self(text.to_owned()))
+        let is_name = (1..=MAX_NAME).contains(&text.len()) && text.bytes().all(is_allowed) && text.bytes().any(|byte| byte != b'.');
+        is_name.then(|| Self(text.to_owned()))
     }
 
     /// The name `region`.
@@ -93,10 +95,10 @@ mod tests {
 
     #[test]
     fn names_are_short_and_plain() {
-        for good in ["a", "depth.v2", "A_b-9", "..", &"x".repeat(64)] {
+        for good in ["a", "depth.v2", "A_b-9", "..a", &"x".repeat(64)] {
             assert_eq!(LayerName::parse(good).as_ref().map(LayerName::as_str), Some(good));
         }
-        for bad in ["", "@coverage", "a b", "a/b", "é", "a\n", &"x".repeat(65)] {
+        for bad in ["", ".", "..", "...", "@coverage", "a b", "a/b", "é", "a\n", &"x".repeat(65)] {
             assert_eq!(LayerName::parse(bad), None, "{bad:?}");
         }
         assert!(

@@ -105,7 +105,7 @@ async fn what_is_no_layer_is_refused_and_stores_nothing() {
     let mut file = file.into_inner();
     file[18..22].copy_from_slice(&20_000_i32.to_le_bytes());
     problem(put(&server, &id, "x", file).await, 413, "too_large").await;
-    for name in ["@coverage", "@holes", "a%20b", "%C3%A9", &"x".repeat(65)] {
+    for name in ["@coverage", "@holes", "a%20b", "%C3%A9", "..%2F..", &"x".repeat(65)] {
         problem(put(&server, &id, name, good.clone()).await, 422, "bad_value").await;
     }
     for (query, status, code) in
@@ -253,7 +253,8 @@ async fn labels_are_not_mixed_and_coverage_is_of_the_pose() {
     let mut file = std::io::Cursor::new(Vec::new());
     labels.write_to(&mut file, image::ImageFormat::Png).unwrap();
     let path = server.url(&format!("/sessions/{id}/layers/parts?kind=labels"));
-    assert_eq!(server.client.put(path).body(file.into_inner()).send().await.unwrap().status(), 201);
+    let label_file = file.into_inner();
+    assert_eq!(server.client.put(path).body(label_file.clone()).send().await.unwrap().status(), 201);
     for output in [json!({}), json!({"width": 40, "filter": "bicubic"}), json!({"format": "tiff", "canvas": "fit"})] {
         let (_, bytes) = drawn(&server, &id, "parts", &output).await;
         let image = image::load_from_memory(&bytes).unwrap();
@@ -264,6 +265,25 @@ async fn labels_are_not_mixed_and_coverage_is_of_the_pose() {
     server.app.clear_caches();
     let jpeg = json!({"q": pose(), "layer": "parts", "output": {"format": "jpeg"}});
     assert_eq!(problem(server.drag(&id, &jpeg).await, 422, "bad_value").await["pointer"], "/output/format");
+    let accepted =
+        server.post(&format!("/sessions/{id}/warp")).header("accept", "image/webp").json(&json!({"q": pose(), "layer": "parts"}));
+    problem(accepted.send().await.unwrap(), 422, "bad_value").await;
+    // The format of the session's pictures does not matter where it cannot hold labels.
+    let (_, png) = drawn(&server, &id, "parts", &json!({"width": 20})).await;
+    for (format, exact) in [("jpeg", "image/png"), ("webp", "image/png"), ("tiff", "image/tiff")] {
+        let warp = json!({"p": rest()["p"], "output": {"format": format, "width": 20}});
+        let id = server.session(&photo(16, 12), &warp).await;
+        let put = server.client.put(server.url(&format!("/sessions/{id}/layers/parts?kind=labels"))).body(label_file.clone());
+        assert_eq!(put.send().await.unwrap().status(), 201);
+        for layer in ["parts", "@coverage"] {
+            let response = server.drag(&id, &json!({"q": pose(), "layer": layer})).await;
+            assert_eq!((response.status().as_u16(), header(&response, "content-type")), (200, exact), "{format}, {layer}");
+            let bytes = response.bytes().await.unwrap();
+            assert!(layer != "parts" || exact != "image/png" || bytes == png);
+        }
+        let requested = json!({"q": pose(), "layer": "parts", "output": {"format": "jpeg"}});
+        assert_eq!(problem(server.drag(&id, &requested).await, 422, "bad_value").await["pointer"], "/output/format");
+    }
     // At rest everything is covered.
     let still = server.drag(&id, &json!({"q": rest()["p"], "layer": "@coverage"})).await;
     let still = image::load_from_memory(&still.bytes().await.unwrap()).unwrap();
@@ -408,8 +428,30 @@ async fn only_the_content_of_a_region_moves() {
     for wrong in ["/warp", "/sessions"] {
         let small = masked(&picture, &json!({"p": p, "q": q}), grey(16, 12, 1));
         let refused = problem(server.post(wrong).multipart(small).send().await.unwrap(), 422, "bad_value").await;
-        assert!(refused["detail"].as_str().unwrap().starts_with("the part `region`: "), "{refused}");
+        assert!(refused["detail"].as_str().unwrap().starts_with("the part `region`: the file has 16x12 px"), "{refused}");
     }
+}
+
+/// A picture that is warped once and its mask are evicted before the pictures of sessions.
+#[tokio::test]
+async fn a_mask_that_is_sent_once_does_not_evict_a_session() {
+    let sizes = [160, 161, 162, 163].map(|width| (width, 120));
+    let one = {
+        let server = Server::start(&[]).await;
+        server.session(&photo(163, 120), &rest()).await;
+        server.app.budget().taken_for(Purpose::Image)
+    };
+    let server = Server::start(&["--image-cache-bytes", &(3 * one + one / 2).to_string()]).await;
+    let id = server.session(&photo(160, 120), &rest()).await;
+    let warp = json!({"p": rest()["p"], "q": rest()["p"]});
+    let once = masked(&photo(161, 120), &warp, grey(161, 120, 9));
+    assert_eq!(server.post("/warp").multipart(once).send().await.unwrap().status(), 200);
+    for (width, height) in &sizes[2..] {
+        server.session(&photo(*width, *height), &rest()).await;
+    }
+    let decoded = server.app.counters().images_decoded;
+    assert_eq!(server.drag(&id, &json!({"q": pose()})).await.status(), 200);
+    assert_eq!(server.app.counters().images_decoded, decoded, "the picture of the session was evicted");
 }
 
 /// Requests for different layers at the same time: each is stored.

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::codec::{self, CodecError, StepCounter};
+use mlswarp::codec::{self, CodecError, Format, StepCounter};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, LabelImage, Region, Subject, WarpError};
 
@@ -78,9 +78,12 @@ impl Content {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
-    /// Whether it is a picture, which any format can hold; labels and coverage need an exact one.
-    pub(crate) fn is_picture(&self) -> bool {
-        matches!(self.drawable, Drawable::Image(_))
+    /// The format where only the format of pictures is known. JPEG and WebP would change labels and coverage: then it is PNG.
+    pub(crate) fn format_beside(&self, pictures: Format) -> Format {
+        match (&self.drawable, pictures) {
+            (Drawable::Image(_), _) | (_, Format::Tiff) => pictures,
+            _ => Format::Png,
+        }
     }
 
     /// Whether alpha is added where nothing is drawn.
@@ -195,26 +198,16 @@ impl App {
         }
     }
 
-    /// Decodes the file of a layer after its header has shown that it has the size `expected`; returns its digest, too.
-    pub(super) async fn decode_layer(
-        &self,
-        owner: Owner,
-        ticket: &Ticket,
-        kind: LayerKind,
-        file: Bytes,
-        expected: Extent,
-    ) -> Result<(Digest, Drawable), Problem> {
-        let (limits, header) = (self.0.config.limits().image, file.clone());
+    /// Checks the size of a layer's file by its header, before it is decoded; returns its digest.
+    pub(super) async fn check_layer(&self, ticket: &Ticket, file: Bytes, expected: Extent) -> Result<Digest, Problem> {
+        let limits = self.0.config.limits().image;
         let open = move |cancel: &Cancel| {
             let is_cancelled = || cancel.is_cancelled();
             let steps = StepCounter::new(&is_cancelled);
-            check_extent(codec::open(&header, &limits, &steps).map_err(WarpError::from)?.header().extent, expected)?;
-            Ok::<_, Problem>(Digest::of(&header))
+            check_extent(codec::open(&file, &limits, &steps).map_err(WarpError::from)?.header().extent, expected)?;
+            Ok::<_, Problem>(Digest::of(&file))
         };
-        let digest = self.0.pool.run(ticket, open).await??;
-        let drawable = self.decode_file(owner, ticket, kind, digest, file).await?;
-        check_extent(drawable.subject().extent(), expected)?;
-        Ok((digest, drawable))
+        self.0.pool.run(ticket, open).await?
     }
 
     /// The file of a picture or layer in decoded form, from the cache or decoded now.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::warp::{Digest, Setup};
 
-use super::drawable::find_layer;
+use super::drawable::{check_extent, find_layer};
 use super::warp::{ATTEMPTS, revision_key};
 use super::{App, MIN_WEIGHT};
 use crate::client::Client;
@@ -47,7 +47,9 @@ impl App {
             check_count(&old, name)?;
             let setup = self.session_setup(client, &old).await?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-            let (digest, _) = self.decode_layer(id.owner(), &ticket, kind, file.clone(), old.extent).await?;
+            let digest = self.check_layer(&ticket, file.clone(), old.extent).await?;
+            let drawable = self.decode_file(id.owner(), &ticket, kind, digest, file.clone()).await?;
+            check_extent(drawable.subject().extent(), old.extent)?;
             // The ticket is not held while the store works.
             drop(ticket);
             let mut layers = old.layers.clone();
@@ -148,7 +150,8 @@ pub(crate) fn bad_name(name: &str) -> Problem {
     let detail = if name.starts_with('@') {
         format!("a layer cannot be stored as {}: names that begin with `@` are built-in", quote(name))
     } else {
-        format!("{} is not the name of a layer: it has 1 to 64 of the characters A-Z, a-z, 0-9, `.`, `_` and `-`", quote(name))
+        let rule = "it has 1 to 64 of the characters A-Z, a-z, 0-9, `.`, `_` and `-`, not only dots";
+        format!("{} is not the name of a layer: {rule}", quote(name))
     };
     Problem::new(Code::BadValue, detail)
 }

@@ -33,7 +33,9 @@ impl App {
     /// Errors: Too little capacity.
     pub async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<Resulting<Session>, Problem> {
         // Undoes the demotion of an image that is warped once.
-        let _ = self.0.images.touch(Key::new(client.owner, prepared.digest));
+        for digest in prepared.files() {
+            let _ = self.0.images.touch(Key::new(client.owner, digest));
+        }
         let (put, setup, method) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = put;
         Ok((session, setup, method))

@@ -10,7 +10,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Image, OutputSpec, Setup};
 
 use super::draw::{DrawJob, Drawn, Planned};
-use super::drawable::{Content, Drawable};
+use super::drawable::{Content, check_extent};
 use super::landmarks::HeldLandmarks;
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
@@ -65,6 +65,11 @@ pub struct PreparedWarp {
 }
 
 impl PreparedWarp {
+    /// The digests of its files.
+    pub(crate) fn files(&self) -> impl Iterator<Item = Digest> {
+        std::iter::once(self.digest).chain(self.region.as_ref().map(|(file, _)| file.digest))
+    }
+
     /// The method that was chosen, if that was requested, as a header shows it.
     pub(crate) fn chosen_method(&self) -> Option<String> {
         self.object.is_auto.then(|| method_text(&self.object.rest))
@@ -177,15 +182,19 @@ impl App {
         }
         let Fetched { value: image, built } = self.decode_image(owner, ticket, digest, file.clone()).await?;
         if formats.is_some() && built {
-            // An image that is warped once is evicted before those of sessions.
+            // An image that is warped once, and its mask, are evicted before those of sessions.
             self.0.images.demote(Key::new(owner, digest));
         }
         let region = match region {
             Some(bytes) => {
-                match self.decode_layer(owner, ticket, LayerKind::Image, bytes.clone(), image.extent()).await.map_err(in_part_region)? {
-                    (digest, Drawable::Image(mask)) => Some((NamedFile { digest, bytes }, mask)),
-                    _ => None,
+                let digest = self.check_layer(ticket, bytes.clone(), image.extent()).await.map_err(in_part_region)?;
+                let Fetched { value: mask, built } =
+                    self.decode_image(owner, ticket, digest, bytes.clone()).await.map_err(in_part_region)?;
+                check_extent(mask.extent(), image.extent()).map_err(in_part_region)?;
+                if formats.is_some() && built {
+                    self.0.images.demote(Key::new(owner, digest));
                 }
+                Some((NamedFile { digest, bytes }, mask))
             }
             None => None,
         };

@@ -85,12 +85,11 @@ impl BatchJob {
         !self.annotations.kinds.is_empty() || matches!(self.poses, BatchPoses::Jitter { .. })
     }
 
-    /// The job of drawing the picture or a layer. Labels and coverage, which JPEG and WebP would change, are drawn as PNG.
+    /// The job of drawing the picture or a layer.
     fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
-        let is_kept = content.is_picture() || self.output.format == Format::Tiff;
-        let output = OutputSpec { format: if is_kept { self.output.format } else { Format::Png }, ..self.output };
+        let output = OutputSpec { format: content.format_beside(self.output.format), ..self.output };
         DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
     }
 
