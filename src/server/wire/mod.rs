@@ -115,10 +115,10 @@ impl WarpObject {
     }
 
     /// Moves the posed handles to where the strength has them, once.
-    /// Errors: `bad_value` at `/strength` if there is no `q` that it could apply to.
+    /// Errors: `bad_value` at `/strength` if there are handles at rest and no `q` that it could apply to.
     pub fn apply_strength(&mut self) -> Result<(), Problem> {
         #[expect(clippy::float_cmp, reason = "the default")]
-        if self.q.is_none() && self.strength != 1.0 {
+        if self.q.is_none() && !self.rest.p.is_empty() && self.strength != 1.0 {
             let detail = "`strength` applies to `q`, which is missing; a session keeps no strength: send it with each `q`";
             return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
         }
