@@ -1,5 +1,5 @@
-// The region: the part of the picture that moves. In the document it is a list of parts, drawn one over the other, and a feather; the server
-// gets it as a mask, white where content moves. Without parts the whole picture moves. Positions are those at rest.
+// The region: the part of the picture that moves. In the document it is a list of parts, drawn one over the other, and a feather; the
+// server gets it as a mask, white where content moves. Without parts the whole picture moves. Positions are those at rest.
 //
 // A part is { kind: "lasso", removes, places }, { kind: "brush", removes, places, size }, { kind: "invert" } or, from a session that
 // another page has made, { kind: "mask", png (base64) }.

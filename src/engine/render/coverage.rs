@@ -1,7 +1,7 @@
-//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if its centre is. For the others, the area of
-//! the union of the cells in them is computed. Outlines are the border of the posed picture and the edges of folded cells: away from these,
-//! either all or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in a pixel, the area is summed over
-//! slices of 1/16 px.
+//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if its centre is. For the others, the area
+//! of the union of the cells in them is computed. Outlines are the border of the posed picture and the edges of folded cells: away from
+//! these, either all or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in a pixel, the area is
+//! summed over slices of 1/16 px.
 
 use std::ops::{ControlFlow, Range};
 
@@ -227,8 +227,8 @@ fn meets_pixel(triangle: &[Point; 3]) -> bool {
     meets(|p| p.x) && meets(|p| p.y)
 }
 
-/// The area of the union of triangles in the pixel from 0 to 1. Between two consecutive heights of corners and of crossings with the pixel's
-/// sides, the covered length is a linear function of the height, unless triangles overlap.
+/// The area of the union of triangles in the pixel from 0 to 1. Between two consecutive heights of corners and of crossings with the
+/// pixel's sides, the covered length is a linear function of the height, unless triangles overlap.
 fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
     let sides = |[a, b, c]: &[Point; 3]| [(*a, *b), (*b, *c), (*c, *a)];
     let mut heights = vec![0.0, 1.0];

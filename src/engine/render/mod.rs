@@ -255,7 +255,8 @@ impl Renderer {
     }
 }
 
-/// The rows of a band in which about `pixels` source positions are computed, `width` per row: a multiple of [`STRIP`], which is drawn at once.
+/// The rows of a band in which about `pixels` source positions are computed, `width` per row: a multiple of [`STRIP`], which is drawn at
+/// once.
 pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
     (pixels / width.max(1)).next_multiple_of(STRIP).max(STRIP)
 }

@@ -1,5 +1,5 @@
-//! Coordinate maps: an array of f32 with a position for every pixel of a canvas, for other programs. A file is computed in bands of rows that
-//! do not depend on one another, so that only one needs to be in memory.
+//! Coordinate maps: an array of f32 with a position for every pixel of a canvas, for other programs. A file is computed in bands of rows
+//! that do not depend on one another, so that only one needs to be in memory.
 
 use std::ops::Range;
 

@@ -1,5 +1,6 @@
-//! Figures that describe a pose: how close the drawn picture takes the handles to their posed positions, where it folds, how much it distorts,
-//! what it covers, and the error of the round trip through the inverse. Distances are in px. Cost: O(cells), and a bounded number of positions.
+//! Figures that describe a pose: how close the drawn picture takes the handles to their posed positions, where it folds, how much it
+//! distorts, what it covers, and the error of the round trip through the inverse. Distances are in px. Cost: O(cells), and a bounded number
+//! of positions.
 
 use super::setup::to_px;
 use super::{Posed, Setup, Target, WarpError};

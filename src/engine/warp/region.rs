@@ -84,8 +84,8 @@ impl Region {
         self.digest
     }
 
-    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: each pixel of
-    /// the mask is read once, whatever the size of the cells.
+    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: each pixel
+    /// of the mask is read once, whatever the size of the cells.
     pub(super) fn bounds(&self, mesh: &Mesh) -> [f64; 4] {
         let grid = mesh.grid();
         let (width, height) = (self.extent().width() as usize, self.extent().height() as usize);

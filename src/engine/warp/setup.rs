@@ -111,7 +111,8 @@ impl Setup {
         Self { field, grid, units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes }
     }
 
-    /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a size.
+    /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a
+    /// size.
     ///
     /// # Errors
     /// The grid exceeds a limit.

@@ -13,8 +13,8 @@ use crate::render::{Coverage, RenderOptions};
 pub enum Subject<'a> {
     /// A picture.
     Image(&'a Image),
-    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. `filter` and `outside` have
-    /// no effect on labels; the filter applies to the mask of a region.
+    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. `filter` and `outside`
+    /// have no effect on labels; the filter applies to the mask of a region.
     Labels(&'a LabelImage),
     /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and opaque.
     Coverage(Extent),

@@ -317,8 +317,8 @@ impl App {
         Ok(DrawnFile { report, target: warp.target(), bytes })
     }
 
-    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most bytes of halved cells, reserved until the
-    /// pose is known, and not in the client's quota: a client that reads slowly cannot hold them.
+    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most bytes of halved cells, reserved until
+    /// the pose is known, and not in the client's quota: a client that reads slowly cannot hold them.
     pub(super) fn reserve_and_pose<T: Send>(
         &self,
         setup: &Setup,

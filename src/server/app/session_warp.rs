@@ -116,8 +116,8 @@ impl App {
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the current
-    /// session.
+    /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the
+    /// current session.
     pub(crate) async fn admit_newest(
         &self,
         client: Client,

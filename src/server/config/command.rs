@@ -107,8 +107,8 @@ pub struct PointsArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they are read from
-    /// the warp object, as in the body of POST /points.
+    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they are read
+    /// from the warp object, as in the body of POST /points.
     pub annotations: Option<PathBuf>,
     /// The size of the image.
     #[command(flatten)]

@@ -1,5 +1,5 @@
-//! `POST /sessions/{id}/batch`: the body, with the poses of the frames in one of three forms, and the JSON files of the result. The objects in
-//! `frames` stay text, each of which is parsed when its frame is checked and drawn: 10,000 sets of handles are never in memory together.
+//! `POST /sessions/{id}/batch`: the body, with the poses of the frames in one of three forms, and the JSON files of the result. The objects
+//! in `frames` stay text, each of which is parsed when its frame is checked and drawn: 10,000 sets of handles are never in memory together.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

@@ -1,5 +1,5 @@
-//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is streamed while it is made. Each frame is drawn by one
-//! thread, and several frames at the same time: that is faster than several threads for each frame.
+//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is streamed while it is made. Each frame is drawn by
+//! one thread, and several frames at the same time: that is faster than several threads for each frame.
 
 mod frame;
 pub(crate) mod package;
