@@ -1,4 +1,4 @@
-"""Fixtures: one browser for the run, one server for a module, one visit for a test."""
+"""Fixtures: one browser for each of the two processes of the run, one server for a module, one visit for a test."""
 
 import os
 
