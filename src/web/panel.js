@@ -17,6 +17,8 @@ const BOX = ["x", "y", "width", "height"];
 
 export class Panel {
   #timing = "";
+  /** The canvas that the fields show. */
+  #canvas = null;
 
   constructor(store, sync, view, actions, does) {
     Object.assign(this, { store, sync, view, actions, does });
@@ -197,9 +199,11 @@ export class Panel {
     if (isBox) {
       for (const name of BOX) {
         const field = find(`canvas-${name}`);
-        if (field !== window.document.activeElement || field.checkValidity()) field.value = canvas[name];
+        // What is being typed stays until the canvas itself changes.
+        if (field !== window.document.activeElement || canvas !== this.#canvas) field.value = canvas[name];
       }
     }
+    this.#canvas = canvas;
     const { size, mesh } = this.view;
     const cut = size && mesh && canvas !== "fit" && !regionOf(document).parts.length ? cutOff(mesh, boxOf(canvas, size, mesh)) : null;
     const words = cut ? cutWords(cut) : "";

@@ -95,6 +95,17 @@ def test_a_box_is_typed_checked_kept_and_exported(shifted):
     assert shifted.warp()["output"]["canvas"] == box
     # The command gives the same file.
     assert json.dumps(box, separators=(",", ":")) in shifted.copied("copy-curl")
+    # What is being typed stays when a picture arrives.
+    with shifted.without_pictures():
+        shifted.page.fill("#canvas-x", "-21")
+        shifted.page.press("#canvas-x", "Tab")
+        shifted.page.fill("#canvas-width", "15")
+    shifted.ready()
+    assert shifted.page.input_value("#canvas-width") == "15"
+    shifted.page.fill("#canvas-x", "-20")
+    shifted.page.fill("#canvas-width", "150")
+    shifted.page.press("#canvas-width", "Tab")
+    shifted.ready()
     # A wrong number changes nothing.
     shifted.page.fill("#canvas-width", "0")
     shifted.page.press("#canvas-width", "Tab")
