@@ -59,6 +59,7 @@ mod tests;
 pub use blend::{FULL_WEIGHT, blend};
 pub use canvas::{Canvas, window_count};
 pub use coverage::Coverage;
+#[cfg(feature = "codec")]
 pub(crate) use drawing::STRIP;
 pub use inverse_map::InverseMap;
 pub use source::Source;
@@ -257,6 +258,7 @@ impl Renderer {
 
 /// The rows of a band in which about `pixels` source positions are computed, `width` per row: a multiple of [`STRIP`], which is drawn at
 /// once.
+#[cfg(feature = "codec")]
 pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
     (pixels / width.max(1)).next_multiple_of(STRIP).max(STRIP)
 }
