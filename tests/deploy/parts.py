@@ -64,4 +64,5 @@ PARTS = {
     "start": start.check_start,
     "again": check_again,
 }
-LONG = () if os.environ.get("MLSWARP_TESTS_FULL") == "1" else ("again",)
+# Parts of the long form: minutes of compilation, and figures that are printed and not checked.
+LONG = () if os.environ.get("MLSWARP_TESTS_FULL") == "1" else ("again", "scaling")
