@@ -7,8 +7,8 @@ pub const MAX_LAYERS: usize = 16;
 /// Longest name of a layer, bytes.
 const MAX_NAME: usize = 64;
 
-/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`, not only dots. Names that begin with `@` are
-/// built-in. Clients and proxies remove `.` and `..` from paths: a request for `layers/..` would be one for the session.
+/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`, not only dots. Names that begin with `@`
+/// are built-in. Clients and proxies remove `.` and `..` from paths: a request for `layers/..` would be one for the session.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct LayerName(String);
 

@@ -35,7 +35,8 @@ pub enum WarpError {
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`, `outline_samples`.
+        /// `output_pixels`, `canvas_side`, `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
+        /// `outline_samples`.
         what: &'static str,
         /// The limit.
         limit: u64,

@@ -18,7 +18,8 @@ use crate::problem::{Code, Problem};
 use crate::wire::{BatchFrame, BatchIndex};
 
 /// Frames that are made ahead beyond the number of workers, so that none waits while the reader takes one.
-/// With two workers, 0, 1, 2, 4 and 6 gave 1.08, 1.21, 1.27, 1.23 and 1.25 times the frames of single requests (`cargo bench --bench batch`).
+/// With two workers, 0, 1, 2, 4 and 6 gave 1.08, 1.21, 1.27, 1.23 and 1.25 times the frames of single requests
+/// (`cargo bench --bench batch`).
 const SPARE: usize = 2;
 /// The most frames that are made ahead.
 const MOST_AHEAD: usize = 8;
