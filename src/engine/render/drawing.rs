@@ -8,7 +8,7 @@ use super::border::{Border, Rows, Search};
 use super::canvas::Window;
 use super::cell;
 use super::edge::Edge;
-use super::footprint::Footprints;
+use super::footprint::{AveragedSamples, Footprints};
 use super::kernel::{Kernel, LANES, NOTES, Raster, Spans, UNCOVERED};
 use super::lattice::{BLOCK, Lattice, row_centre};
 use super::row_split::{DOUBT, RowSplit};
@@ -86,7 +86,10 @@ impl Drawing {
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let pitch = out.len() / rows.len();
         let part = left * pixel..(left + columns.len()) * pixel;
-        self.each_line(rows, |at, line, scratch| self.paint(source, channels, line, scratch, &mut out[at * pitch..][part.clone()]));
+        let mut samples = AveragedSamples::default();
+        self.each_line(rows, |at, line, scratch| {
+            self.paint(source, channels, line, scratch, &mut samples, &mut out[at * pitch..][part.clone()]);
+        });
     }
 
     /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves the others. The filter is
@@ -351,7 +354,15 @@ impl Drawing {
     }
 
     /// Samples a row with known coordinates and fills what is outside.
-    fn paint(&self, source: &Source, channels: Channels, (row, start): (u32, usize), scratch: &Scratch, out: &mut [u8]) {
+    fn paint(
+        &self,
+        source: &Source,
+        channels: Channels,
+        (row, start): (u32, usize),
+        scratch: &Scratch,
+        samples: &mut AveragedSamples,
+        out: &mut [u8],
+    ) {
         let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
@@ -375,9 +386,9 @@ impl Drawing {
                         self.kernel,
                         (source, self.level),
                         self.filter,
-                        (u, v),
                         (row, run.start),
-                        (channels, &mut out[bytes]),
+                        (u, v),
+                        (samples, channels, &mut out[bytes]),
                     );
                 }
             }

@@ -164,11 +164,18 @@ impl Renderer {
             if options.filter != Filter::Nearest {
                 reduced.packed();
             }
-            let shrinking = if options.filter == Filter::Nearest { Vec::new() } else { footprint::shrinking_cells(mesh, kernel) };
+            let shrinking = if options.filter == Filter::Nearest {
+                Vec::new()
+            } else {
+                let (whole, sampled) = (pixmap.extent(), reduced.pixmap().extent());
+                let sampled = [(sampled.width(), whole.width()), (sampled.height(), whole.height())];
+                let sampled = sampled.map(|(sampled, whole)| f64::from(sampled) / f64::from(whole));
+                footprint::shrinking_cells(mesh, sampled, placement.scale, kernel)
+            };
             let draw = |window: Window| {
                 let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
-                let footprints =
-                    (!shrinking.is_empty()).then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, window.rows.end));
+                let size = (window.columns.end, window.rows.end);
+                let footprints = (!shrinking.is_empty()).then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, size));
                 Drawing::new((lattice, footprints), window, placement.source(mesh.grid()), options, k, kernel)
             };
             let drawings: Vec<_> = placement.windows().into_iter().map(draw).collect();

@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use super::Kernel;
 use super::cells::{CellBlock, Raster};
+use super::footprints::{FootprintBatch, FootprintGrid};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
@@ -34,7 +35,8 @@ widened! {
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
-    shrinks(above: &[[f32; 2]], below: &[[f32; 2]], per: [f32; 2], any: &mut bool);
+    shrinks(lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]);
+    footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch);
     classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
 

@@ -15,6 +15,8 @@ mod avx512;
 #[forbid(unsafe_code)]
 mod cells;
 #[forbid(unsafe_code)]
+mod footprints;
+#[forbid(unsafe_code)]
 mod scalar;
 
 use std::ops::Range;
@@ -25,7 +27,8 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
-pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, is_shrinking, jacobian};
+pub(super) use footprints::{Averaged, BATCH, FootprintBatch, FootprintGrid, MOST, one_sample_up_to};
+pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian};
 
 /// The kernels of a level that this machine has.
 #[derive(Clone, Copy, Debug)]
@@ -87,11 +90,16 @@ impl Kernel {
         dispatch!(self, bends(above, below, bends));
     }
 
-    /// Whether any cell between two lines of vertices shrinks the source. `above`, `below`: displacements, px; `per`: cells per px.
-    pub(super) fn shrinks(self, above: &[[f32; 2]], below: &[[f32; 2]], per: [f32; 2]) -> bool {
-        let mut any = false;
-        dispatch!(self, shrinks(above, below, per, &mut any));
-        any
+    /// Whether each cell between two lines of vertices shrinks the source by more than `least`, from its left and upper sides: 1 or 0.
+    /// `lines`: displacements, px; `per`: cells per px of the source.
+    pub(super) fn shrinks(self, lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]) {
+        dispatch!(self, shrinks(lines, per, least, shrinking));
+    }
+
+    /// Appends the positions of the samples of pixels that need several. `first`: index of the first pixel. There must be room for
+    /// [`MOST`] positions of each.
+    pub(super) fn footprints(self, grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
+        dispatch!(self, footprints(grid, u, v, first, batch));
     }
 
     /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is

@@ -10,6 +10,7 @@
 use std::ops::Range;
 
 pub(super) use super::cells::{classify, fill};
+pub(super) use super::footprints::footprints;
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
 use crate::render::source::{FLIP, Packed};
@@ -86,30 +87,22 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// Cells whose vertices shrink the source by less are sampled as points: between them the shrinking hardly exceeds `footprint::LEAST`.
-const SHRINKING: f32 = 1.45;
-
 /// The Jacobian of the posed by the rest position, of differences of the displacement along x and y: x and y along x, x and y along y.
 #[inline(always)]
 pub(in crate::render) fn jacobian(along_x: [f32; 2], along_y: [f32; 2], [per_x, per_y]: [f32; 2]) -> [f32; 4] {
     [1.0 + along_x[0] * per_x, along_x[1] * per_x, along_y[0] * per_y, 1.0 + along_y[1] * per_y]
 }
 
-/// Whether the cell at this column shrinks the source, from its left and upper sides. `per`: cells per px of the source.
 #[inline(always)]
-pub(in crate::render) fn is_shrinking(a: [f32; 2], right: [f32; 2], below: [f32; 2], per: [f32; 2]) -> bool {
-    let [xx, yx, xy, yy] = jacobian([right[0] - a[0], right[1] - a[1]], [below[0] - a[0], below[1] - a[1]], per);
-    let det = xx * yy - xy * yx;
-    let limit = SHRINKING * SHRINKING * det * det;
-    // A side of the parallelogram of the source that a px of the target shows.
-    (yy * yy + yx * yx > limit) | (xx * xx + xy * xy > limit)
-}
-
-/// Whether any cell between two lines of vertices shrinks the source. `above`, `below`: displacements, px.
-#[inline(always)]
-pub(super) fn shrinks(above: &[[f32; 2]], below: &[[f32; 2]], per: [f32; 2], any: &mut bool) {
+pub(super) fn shrinks((above, below): (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]) {
     let cells = above.iter().zip(&above[1..]).zip(below);
-    *any = cells.fold(0, |some, ((a, right), below)| some | u32::from(is_shrinking(*a, *right, *below, per))) != 0;
+    for (shrinking, ((a, right), below)) in shrinking.iter_mut().zip(cells) {
+        let [xx, yx, xy, yy] = jacobian([right[0] - a[0], right[1] - a[1]], [below[0] - a[0], below[1] - a[1]], per);
+        let det = xx * yy - xy * yx;
+        let limit = least * least * det * det;
+        // A side of the parallelogram of the source that a px of the target shows.
+        *shrinking = u8::from((yy * yy + yx * yx > limit) | (xx * xx + xy * xy > limit));
+    }
 }
 
 /// The smallest area of a cell, as a share of its area at rest, at which crossings are used.
