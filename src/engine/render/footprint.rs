@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use super::Filter;
-use super::kernel::{Averaged, BATCH, FootprintBatch, FootprintGrid, Kernel, MOST, jacobian, one_sample_up_to};
+use super::kernel::{Averaged, BATCH, FootprintBatch, FootprintGrid, Kernel, MOST, TOGETHER, jacobian, one_sample_up_to};
 use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
 use super::source::Source;
@@ -18,8 +18,6 @@ use crate::pixmap::{Channels, Depth};
 const MARGIN: f32 = 0.967;
 /// Rows of a target up to which the columns of a cell are kept for each.
 const HIGH: usize = 16;
-/// Pixels that are looked at together: one needs a position for each of its samples.
-const TOGETHER: usize = 64;
 const _: () = assert!(2 * TOGETHER * MOST <= BATCH, "a batch is not passed on for each look");
 
 /// The footprints of a mesh that shrinks the source somewhere.
@@ -233,18 +231,19 @@ impl DrawnColumns {
     }
 }
 
-/// The mean of at most 256 RGBA samples of 8 bit, a power of two of them, if all are opaque.
+/// The mean of 2 to [`MOST`] RGBA samples of 8 bit, a power of two of them, if all are opaque.
 fn mean_of_opaque(samples: &[u8]) -> Option<[u8; 4]> {
-    const EVEN: u32 = 0x00ff_00ff;
-    let samples = samples.as_chunks().0;
-    let (mut least, mut even, mut odd) = (u8::MAX, 0_u32, 0_u32);
-    for sample in samples {
-        least &= sample[3];
-        let sample = u32::from_le_bytes(*sample);
-        (even, odd) = (even + (sample & EVEN), odd + (sample >> 8 & EVEN));
+    const EVEN: u64 = 0x00ff_00ff_00ff_00ff;
+    const ALPHA: u64 = 0xff00_0000_ff00_0000;
+    let (mut all, mut even, mut odd) = (ALPHA, 0, 0);
+    for two in samples.as_chunks().0 {
+        let two = u64::from_le_bytes(*two);
+        (all, even, odd) = (all & two, even + (two & EVEN), odd + (two >> 8 & EVEN));
     }
-    let (shift, half) = (samples.len().ilog2(), 0x0001_0001 * (u32::try_from(samples.len()).expect("at most 256") / 2));
-    (least == u8::MAX).then(|| ((even + half) >> shift & EVEN | ((odd + half) >> shift & EVEN) << 8).to_le_bytes())
+    let shift = (samples.len() / 4).ilog2();
+    let mean = |sums: u64| ((sums + (sums >> 32) + (0x0001_0001 << (shift - 1))) >> shift) & EVEN;
+    #[expect(clippy::cast_possible_truncation, reason = "both halves were added")]
+    (all == ALPHA).then(|| ((mean(even) | mean(odd) << 8) as u32).to_le_bytes())
 }
 
 /// The mean of the pixels in `samples`, which have at least the channels of `out`; colours weighted by alpha.

@@ -3,8 +3,7 @@
 //! per pixel with more samples.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "columns and rows of a grid are exact in f32")]
-#![expect(clippy::cast_possible_wrap, clippy::cast_sign_loss, reason = "binary logarithms and numbers up to 16")]
-#![expect(clippy::needless_range_loop, reason = "lanes of several arrays")]
+#![expect(clippy::cast_possible_wrap, reason = "binary logarithms and numbers up to 16")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
 use super::scalar::ROUND_F32;
@@ -19,8 +18,10 @@ const LONGEST: f32 = 64.0;
 pub(in crate::render) const MOST: usize = 16;
 /// Largest distance of samples, px of the picture from which they are read.
 const APART: f32 = 1.5;
-/// Pixels that are processed together.
+/// Samples that are processed together.
 const LANES: usize = 8;
+/// Pixels that are looked at together.
+pub(in crate::render) const TOGETHER: usize = 64;
 /// Positions that a batch holds.
 pub(in crate::render) const BATCH: usize = 2048;
 
@@ -50,6 +51,8 @@ pub(in crate::render) struct FootprintBatch {
     pub(in crate::render) v: Vec<f32>,
     pub(in crate::render) len: usize,
     pub(in crate::render) pixels: Vec<Averaged>,
+    /// Kept, because zeroing it costs as much as a pass.
+    lanes: Box<Lanes>,
 }
 
 /// A pixel that is the mean of several samples.
@@ -65,7 +68,7 @@ pub(in crate::render) struct Averaged {
 
 impl Default for FootprintBatch {
     fn default() -> Self {
-        Self { u: vec![0.0; BATCH], v: vec![0.0; BATCH], len: 0, pixels: Vec::new() }
+        Self { u: vec![0.0; BATCH], v: vec![0.0; BATCH], len: 0, pixels: Vec::new(), lanes: Box::default() }
     }
 }
 
@@ -76,124 +79,89 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     0.999 * (0.5 * LEAST + (0.25 * LEAST * LEAST + share).sqrt())
 }
 
-/// Appends the positions of the samples of every pixel that needs more than one. `first`: index of the first pixel. There must be room for
-/// [`MOST`] positions of each.
+/// Appends the positions of the samples of every pixel that needs several; at most [`TOGETHER`] pixels, and there must be room for [`MOST`]
+/// positions of each. `first`: index of the first pixel. Passes over arrays, which compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
 pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
-    let ((us, u_rest), (vs, v_rest)) = (u.as_chunks::<LANES>(), v.as_chunks::<LANES>());
-    for (k, (u, v)) in us.iter().zip(vs).enumerate() {
-        group(grid, u, v, (first + k * LANES, LANES), batch);
+    let FootprintBatch { u: us, v: vs, len, pixels: averaged, lanes } = batch;
+    let Lanes { pixels, cells, shares: [s, t], jacobians, several, shapes } = &mut **lanes;
+    cells.fill(0);
+    locate(u, (grid.origin[0], grid.cells[0], grid.columns), 1, cells, s);
+    locate(v, (grid.origin[1], grid.cells[1], grid.rows), grid.columns as u32, cells, t);
+    let mut count = 0;
+    for (k, cell) in cells[..u.len()].iter().enumerate() {
+        pixels[count] = k;
+        count += usize::from(grid.marked[*cell as usize]);
     }
-    if !u_rest.is_empty() {
-        let (mut u, mut v) = ([0.0; LANES], [0.0; LANES]);
-        u[..u_rest.len()].copy_from_slice(u_rest);
-        v[..v_rest.len()].copy_from_slice(v_rest);
-        group(grid, &u, &v, (first + us.len() * LANES, u_rest.len()), batch);
+    for (jacobian, k) in jacobians.iter_mut().zip(&pixels[..count]) {
+        let at = cells[*k] as usize;
+        let top: &[[f32; 4]; 2] = grid.jacobians[at..].first_chunk().expect("a cell has a right side");
+        let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..].first_chunk().expect("a cell has a lower side");
+        *jacobian = mix(&mix(&top[0], &top[1], s[*k]), &mix(&bottom[0], &bottom[1], s[*k]), t[*k]);
     }
-}
-
-/// Cells along one axis, and the positions in them.
-#[inline(always)]
-fn locate(coordinates: &[f32; LANES], origin: f32, cells: f32, lines: usize) -> ([u32; LANES], [f32; LANES]) {
-    let (mut cell, mut share) = ([0; LANES], [0.0; LANES]);
-    let (last, most) = ((lines - 2) as f32, (lines - 1) as f32);
-    for k in 0..LANES {
-        let at = (coordinates[k] - origin) * cells;
-        // NaN becomes 0.
-        let at = if at > 0.0 { at } else { 0.0 };
-        let at = if at < most { at } else { most };
-        // Conversions of floats are not vectorised, because they saturate.
-        let nearest = (at + ROUND_F32) - ROUND_F32;
-        let below = if nearest > at { nearest - 1.0 } else { nearest };
-        let below = if below < last { below } else { last };
-        cell[k] = (below + ROUND_F32).to_bits() & 0x007f_ffff;
-        let inside = at - below;
-        share[k] = if inside < 1.0 { inside } else { 1.0 };
+    for (several, jacobian) in several.iter_mut().zip(&jacobians[..count]) {
+        let (det, [a, b]) = squares(jacobian);
+        let limit = grid.limit * grid.limit * det * det;
+        *several = u8::from((a > limit) | (b > limit));
     }
-    (cell, share)
-}
-
-#[inline(always)]
-fn group(grid: &FootprintGrid, u: &[f32; LANES], v: &[f32; LANES], (first, lanes): (usize, usize), batch: &mut FootprintBatch) {
-    let ((i, s), (j, t)) = (locate(u, grid.origin[0], grid.cells[0], grid.columns), locate(v, grid.origin[1], grid.cells[1], grid.rows));
-    let mut cell = [0_u32; LANES];
-    for k in 0..LANES {
-        cell[k] = j[k] * grid.columns as u32 + i[k];
+    let marked = std::mem::take(&mut count);
+    for k in 0..marked {
+        (jacobians[count], pixels[count]) = (jacobians[k], pixels[k]);
+        count += usize::from(several[k]);
     }
-    let mut marked = 0;
-    for k in 0..LANES {
-        marked |= grid.marked[cell[k] as usize] << k;
-    }
-    marked &= u8::MAX >> (LANES - lanes);
-    if marked == 0 {
-        return;
-    }
-    let [xx, yx, xy, yy] = jacobians(grid, &cell, &s, &t);
-    let (mut det, mut square, mut needed) = ([0.0_f32; LANES], [[0.0_f32; LANES]; 2], [0_u8; LANES]);
-    for k in 0..LANES {
-        let area = (xx[k] * yy[k] - xy[k] * yx[k]).abs();
-        // Where cells have no area, the longest footprint.
-        det[k] = if area > f32::MIN_POSITIVE { area } else { f32::MIN_POSITIVE };
-        square[0][k] = yy[k] * yy[k] + yx[k] * yx[k];
-        square[1][k] = xx[k] * xx[k] + xy[k] * xy[k];
-        let limit = grid.limit * grid.limit * det[k] * det[k];
-        needed[k] = u8::from((square[0][k] > limit) | (square[1][k] > limit));
-    }
-    let needed = (0..LANES).fold(0, |lanes, k| lanes | needed[k] << k) & marked;
-    if needed == 0 {
-        return;
-    }
-    let mut sides = [[yy, yx], [xy, xx]];
-    let mut lengths = [[0.0_f32; LANES]; 2];
-    for (n, signs) in [[1.0, -1.0], [-1.0, 1.0]].into_iter().enumerate() {
-        let ([x, y], scale) = (&mut sides[n], grid.scale[n]);
-        for k in 0..LANES {
-            let raw = square[n][k].sqrt();
-            let own = raw / det[k];
-            let own = if own < LONGEST { own } else { LONGEST };
-            let share = (own - LEAST) * (1.0 / (FULL - LEAST));
-            let share = if share > 0.0 { share } else { 0.0 };
-            let grown = own * if share < 1.0 { share } else { 1.0 };
-            let factor = if raw > 0.0 { grown / raw } else { 0.0 };
-            x[k] = signs[0] * x[k] * factor * scale[0];
-            y[k] = signs[1] * y[k] * factor * scale[1];
-            lengths[n][k] = (x[k] * x[k] + y[k] * y[k]).sqrt() * (1.0 / 128.0);
-        }
-    }
-    let shapes = Shapes::new(&lengths);
-    let mut left = needed;
-    while left != 0 {
-        let k = left.trailing_zeros() as usize;
-        left &= left - 1;
-        let (across, down) = (shapes.across[k] as u32, shapes.down[k] as u32);
+    shapes.fill(&jacobians[..count.min(TOGETHER)], &grid.scale);
+    for (n, k) in pixels[..count].iter().enumerate() {
+        let (across, down) = (shapes.across[n], shapes.down[n]);
         if across + down == 0 {
             continue;
         }
-        let reduction = (0..16_u32).find(|r| shapes.distance[k] <= APART * (1_u32 << r) as f32).unwrap_or(16);
-        let sides = [[sides[0][0][k], sides[0][1][k]], [sides[1][0][k], sides[1][1][k]]];
-        spread((u[k], v[k]), &sides, (across, down), reduction, batch);
-        batch.pixels.push(Averaged { pixel: first + k, count: 1 << (across + down), reduction });
+        let reduction = (0..16_u32).find(|r| shapes.distance[n] <= APART * (1_u32 << r) as f32).unwrap_or(16);
+        let [ax, ay, bx, by] = &shapes.sides;
+        let count = 1_usize << (across + down);
+        let room = *len..*len + count.next_multiple_of(LANES);
+        let (us, vs) = (&mut us[room.clone()], &mut vs[room]);
+        spread((u[*k], v[*k]), [[ax[n], ay[n]], [bx[n], by[n]]], (across, down), reduction, us, vs);
+        *len += count;
+        averaged.push(Averaged { pixel: first + k, count, reduction });
     }
 }
 
-/// The Jacobians in cells.
+/// The arrays of [`footprints`].
+#[derive(Debug)]
+struct Lanes {
+    pixels: [usize; TOGETHER],
+    cells: [u32; TOGETHER],
+    shares: [[f32; TOGETHER]; 2],
+    jacobians: [[f32; 4]; TOGETHER],
+    several: [u8; TOGETHER],
+    shapes: Shapes,
+}
+
+impl Default for Lanes {
+    fn default() -> Self {
+        let shapes = Shapes { sides: [[0.0; TOGETHER]; 4], across: [0; TOGETHER], down: [0; TOGETHER], distance: [0.0; TOGETHER] };
+        let (pixels, cells, several) = ([0; TOGETHER], [0; TOGETHER], [0; TOGETHER]);
+        Self { pixels, cells, shares: [[0.0; TOGETHER]; 2], jacobians: [[0.0; 4]; TOGETHER], several, shapes }
+    }
+}
+
+/// Adds `step` times the cells along one axis to `cells`, and computes the positions in them.
 #[inline(always)]
-fn jacobians(grid: &FootprintGrid, cell: &[u32; LANES], s: &[f32; LANES], t: &[f32; LANES]) -> [[f32; LANES]; 4] {
-    let mut of_pixels = [[0.0_f32; 4]; LANES];
-    for k in 0..LANES {
-        let at = cell[k] as usize;
-        let top: &[[f32; 4]; 2] = grid.jacobians[at..].first_chunk().expect("a cell has a right side");
-        let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..].first_chunk().expect("a cell has a lower side");
-        let (above, below) = (mix(&top[0], &top[1], s[k]), mix(&bottom[0], &bottom[1], s[k]));
-        of_pixels[k] = mix(&above, &below, t[k]);
+fn locate(at: &[f32], (origin, per, lines): (f32, f32, usize), step: u32, cells: &mut [u32], shares: &mut [f32]) {
+    let (last, most) = ((lines - 2) as f32, (lines - 1) as f32);
+    for ((at, cell), share) in at.iter().zip(cells).zip(shares) {
+        let at = (at - origin) * per;
+        // NaN becomes 0.
+        let at = if at > 0.0 { at } else { 0.0 };
+        let at = if at < most { at } else { most };
+        // Conversions of floats to integers are not vectorised, because they saturate.
+        let nearest = (at + ROUND_F32) - ROUND_F32;
+        let below = if nearest > at { nearest - 1.0 } else { nearest };
+        let below = if below < last { below } else { last };
+        *cell += ((below + ROUND_F32).to_bits() & 0x007f_ffff) * step;
+        let inside = at - below;
+        *share = if inside < 1.0 { inside } else { 1.0 };
     }
-    let mut jacobians = [[0.0; LANES]; 4];
-    for (n, values) in jacobians.iter_mut().enumerate() {
-        for k in 0..LANES {
-            values[k] = of_pixels[k][n];
-        }
-    }
-    jacobians
 }
 
 #[inline(always)]
@@ -205,58 +173,86 @@ fn mix(a: &[f32; 4], b: &[f32; 4], share: f32) -> [f32; 4] {
     mixed
 }
 
-/// How the samples of pixels are arranged: binary logarithms of their numbers along both sides, and their distance, px.
+/// The area of a Jacobian, and the squared lengths of the sides of its inverse times the area.
+#[inline(always)]
+fn squares([xx, yx, xy, yy]: &[f32; 4]) -> (f32, [f32; 2]) {
+    let det = (xx * yy - xy * yx).abs();
+    // Where cells have no area, the longest footprint.
+    let det = if det > f32::MIN_POSITIVE { det } else { f32::MIN_POSITIVE };
+    (det, [yy * yy + yx * yx, xx * xx + xy * xy])
+}
+
+/// Footprints: their sides, coordinates of the sampler, and how their samples are arranged: binary logarithms of the numbers along both
+/// sides, and their distance, px.
+#[derive(Debug)]
 struct Shapes {
-    across: [i32; LANES],
-    down: [i32; LANES],
-    distance: [f32; LANES],
+    sides: [[f32; TOGETHER]; 4],
+    across: [u32; TOGETHER],
+    down: [u32; TOGETHER],
+    distance: [f32; TOGETHER],
 }
 
 impl Shapes {
     #[inline(always)]
-    fn new([a, b]: &[[f32; LANES]; 2]) -> Self {
-        let mut shapes = Self { across: [0; LANES], down: [0; LANES], distance: [0.0; LANES] };
-        let steps = |length: f32, powers: [f32; 4]| powers.iter().fold(0, |steps, power| steps + i32::from(length > APART * power));
-        for k in 0..LANES {
-            let is_wide = a[k] >= b[k];
-            let (long, short) = if is_wide { (a[k], b[k]) } else { (b[k], a[k]) };
+    fn fill(&mut self, jacobians: &[[f32; 4]], scale: &[[f32; 2]; 2]) {
+        let [ax, ay, bx, by] = &mut self.sides;
+        for k in 0..jacobians.len().min(TOGETHER) {
+            let (det, [square_a, square_b]) = squares(&jacobians[k]);
+            let [xx, yx, xy, yy] = jacobians[k];
+            let (a_x, a_y, a) = side((yy, -yx), square_a, det, &scale[0]);
+            let (b_x, b_y, b) = side((-xy, xx), square_b, det, &scale[1]);
+            let step = |length: f32, power: f32| u32::from(length > APART * power);
+            let is_wide = a >= b;
+            let (long, short) = (if is_wide { a } else { b }, if is_wide { b } else { a });
             // At most four along the shorter side.
-            let few = steps(short, [1.0, 2.0, f32::INFINITY, f32::INFINITY]);
-            let many = steps(long, [1.0, 2.0, 4.0, 8.0]).min(MOST.ilog2() as i32 - few);
+            let few = step(short, 1.0) + step(short, 2.0);
+            let many = step(long, 1.0) + step(long, 2.0) + step(long, 4.0) + step(long, 8.0);
+            let many = if many < MOST.ilog2() - few { many } else { MOST.ilog2() - few };
             let (apart, beside) = (long * inverse(many), short * inverse(few));
-            shapes.distance[k] = if apart > beside { apart } else { beside };
-            (shapes.across[k], shapes.down[k]) = if is_wide { (many, few) } else { (few, many) };
+            self.distance[k] = if apart > beside { apart } else { beside };
+            self.across[k] = if is_wide { many } else { few };
+            self.down[k] = if is_wide { few } else { many };
+            (ax[k], ay[k], bx[k], by[k]) = (a_x, a_y, b_x, b_y);
         }
-        shapes
     }
+}
+
+/// A side of a footprint and its length, px.
+#[inline(always)]
+fn side((x, y): (f32, f32), square: f32, det: f32, scale: &[f32; 2]) -> (f32, f32, f32) {
+    let raw = square.sqrt();
+    let own = raw / det;
+    let own = if own < LONGEST { own } else { LONGEST };
+    let share = (own - LEAST) * (1.0 / (FULL - LEAST));
+    let share = if share > 0.0 { share } else { 0.0 };
+    let grown = own * if share < 1.0 { share } else { 1.0 };
+    let factor = if raw > 0.0 { grown / raw } else { 0.0 };
+    let (x, y) = (x * factor * scale[0], y * factor * scale[1]);
+    (x, y, (x * x + y * y).sqrt() * (1.0 / 128.0))
 }
 
 /// 2 to the power of `-log`.
 #[inline(always)]
-fn inverse(log: i32) -> f32 {
-    f32::from_bits((127 - log as u32) << 23)
+fn inverse(log: u32) -> f32 {
+    f32::from_bits((127 - log) << 23)
 }
 
-/// Appends the positions of a pixel's samples.
+/// The positions of a pixel's samples, in whole groups.
 #[inline(always)]
-fn spread((u, v): (f32, f32), [a, b]: &[[f32; 2]; 2], (across, down): (u32, u32), reduction: u32, batch: &mut FootprintBatch) {
-    let share = inverse(reduction as i32);
+fn spread((u, v): (f32, f32), [a, b]: [[f32; 2]; 2], (across, down): (u32, u32), reduction: u32, us: &mut [f32], vs: &mut [f32]) {
+    let share = inverse(reduction);
     // 128 times the position, px, is 63.5 larger than the coordinate.
     let reduced = |coordinate: f32| (coordinate + 63.5) * share - 63.5;
-    let (step_x, step_y) = (inverse(across as i32), inverse(down as i32));
-    let count = 1 << (across + down);
-    for from in (0..count).step_by(LANES) {
-        let (mut us, mut vs) = ([0.0; LANES], [0.0; LANES]);
+    let (step_x, step_y) = (inverse(across), inverse(down));
+    for (group, (us, vs)) in us.as_chunks_mut().0.iter_mut().zip(vs.as_chunks_mut().0).enumerate() {
+        let (mut new_us, mut new_vs) = ([0.0; LANES], [0.0; LANES]);
         for k in 0..LANES {
-            let sample = (from + k) as u32;
+            let sample = (group * LANES + k) as u32;
             let x = ((sample & ((1 << across) - 1)) as i32 as f32 + 0.5) * step_x - 0.5;
             let y = ((sample >> across) as i32 as f32 + 0.5) * step_y - 0.5;
-            us[k] = reduced(u + x * a[0] + y * b[0]);
-            vs[k] = reduced(v + x * a[1] + y * b[1]);
+            new_us[k] = reduced(u + x * a[0] + y * b[0]);
+            new_vs[k] = reduced(v + x * a[1] + y * b[1]);
         }
-        let at = batch.len + from;
-        *batch.u[at..].first_chunk_mut().expect("there is room for every sample") = us;
-        *batch.v[at..].first_chunk_mut().expect("there is room for every sample") = vs;
+        (*us, *vs) = (new_us, new_vs);
     }
-    batch.len += count;
 }

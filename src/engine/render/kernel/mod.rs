@@ -27,7 +27,7 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
-pub(super) use footprints::{Averaged, BATCH, FootprintBatch, FootprintGrid, MOST, one_sample_up_to};
+pub(super) use footprints::{Averaged, BATCH, FootprintBatch, FootprintGrid, MOST, TOGETHER, one_sample_up_to};
 pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian};
 
 /// The kernels of a level that this machine has.
