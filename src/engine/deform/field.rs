@@ -10,6 +10,7 @@ use super::falloff::Falloff;
 use super::global_affine::GlobalAffine;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
+use super::incomplete_beta::IncompleteBeta;
 use super::kernel;
 use super::lanes::{Rows, Vertices};
 use super::row::RowInputs;
@@ -47,7 +48,7 @@ pub struct Field {
 #[derive(Clone, Debug)]
 pub(super) enum Model {
     /// A map is fitted at every position.
-    MovingLeastSquares { falloff: Falloff, point_mass: f64 },
+    MovingLeastSquares { falloff: Falloff, point_mass: f64, beta: Option<Arc<IncompleteBeta>> },
     /// One map; no spline is needed for handles at one position.
     ThinPlateSpline { smoothing: f64, spline: Option<Arc<Spline>> },
     /// One affine map; none is needed for handles at one position.
@@ -123,7 +124,8 @@ impl Field {
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        let (model, sources) = (Model::MovingLeastSquares { falloff, point_mass }, Sources::of(&elements));
+        let beta = if handles.has_lines() { IncompleteBeta::new(falloff.alpha()).map(Arc::new) } else { None };
+        let (model, sources) = (Model::MovingLeastSquares { falloff, point_mass, beta }, Sources::of(&elements));
         Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
     }
 
@@ -325,10 +327,10 @@ impl Field {
             Rank::Empty => rows.clear(),
             Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => match &self.model {
-                Model::MovingLeastSquares { falloff, point_mass } => {
+                Model::MovingLeastSquares { falloff, point_mass, beta } => {
                     let (sources, extent, method) = (&self.sources, self.handles.extent(), self.family);
-                    let (falloff, point_mass) = (*falloff, *point_mass);
-                    kernel::rows(&RowInputs { sources, extent, falloff, point_mass, method, exact }, v, scratch, rows);
+                    let (falloff, point_mass, beta) = (*falloff, *point_mass, beta.as_deref());
+                    kernel::rows(&RowInputs { sources, extent, falloff, beta, point_mass, method, exact }, v, scratch, rows);
                 }
                 Model::ThinPlateSpline { spline, .. } => spline.as_ref().expect("has an extent").rows(v, &mut scratch.sides, rows),
                 Model::GlobalAffine { map, .. } => map.as_ref().expect("has an extent").rows(v, rows),

@@ -90,9 +90,9 @@ impl Field {
             rows.wn.resize(d.len(), [0.0]);
             (rows.h[index], rows.wn[index]) = ([[0.0]; 2], [0.0]);
             match &self.model {
-                Model::MovingLeastSquares { falloff, point_mass } => {
+                Model::MovingLeastSquares { falloff, point_mass, .. } => {
                     let (extent, falloff, point_mass) = (self.handles.extent(), *falloff, *point_mass);
-                    let inputs = RowInputs { sources, extent, falloff, point_mass, method: family, exact: true };
+                    let inputs = RowInputs { sources, extent, falloff, beta: None, point_mass, method: family, exact: true };
                     kernel::rows(&inputs, &Vertices::all(place), scratch, rows);
                 }
                 _ => GlobalAffine::new(sources, line).rows(&Vertices::all(place), rows),

@@ -30,6 +30,8 @@ mod groups;
 #[forbid(unsafe_code)]
 mod handles;
 #[forbid(unsafe_code)]
+mod incomplete_beta;
+#[forbid(unsafe_code)]
 mod interpolated;
 #[forbid(unsafe_code)]
 mod inverse;

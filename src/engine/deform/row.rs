@@ -11,6 +11,7 @@ use super::Method;
 use super::columns::{PointSource, Segment, Sources};
 use super::falloff::Falloff;
 use super::fit::fit;
+use super::incomplete_beta::IncompleteBeta;
 use super::lanes::{PointMass, Rows, Vertices};
 use super::segments::{Moments, View};
 use super::span::{Scratch, Span};
@@ -27,6 +28,8 @@ pub(super) struct RowInputs<'a> {
     pub(super) sources: &'a Sources,
     pub(super) extent: f64,
     pub(super) falloff: Falloff,
+    /// The closed form of segments, if alpha has one.
+    pub(super) beta: Option<&'a IncompleteBeta>,
     /// The mass of a point of weight 1, px.
     pub(super) point_mass: f64,
     pub(super) method: Method,
@@ -111,7 +114,7 @@ impl RowInputs<'_> {
             index += 1;
         }
         for (s, Span { view, place, first, second, .. }) in self.sources.segments.iter().zip(&mut scratch.spans) {
-            Moments([place.w, *first, *second]) = view.moments(s, v, self.falloff, r2min, self.exact);
+            Moments([place.w, *first, *second]) = view.moments(s, v, (self.falloff, self.beta), r2min, self.exact);
             anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
             index += 1;
         }

@@ -6,6 +6,7 @@
 
 use super::columns::Segment;
 use super::falloff::{Falloff, Power};
+use super::incomplete_beta::{Along, IncompleteBeta};
 use super::lane_math::angle;
 use super::lanes::Vertices;
 use super::quadrature::Sight;
@@ -13,6 +14,9 @@ use super::quadrature::Sight;
 /// The closed form replaces the nodes for a segment further away than this share of its length: nearer, its second moment cancels by
 /// (L/h)^2.
 const CLOSED_FROM: f64 = 1e-3;
+/// The closed form of other alphas replaces the nodes for a segment nearer than this number of its lengths: further away, its second moment
+/// cancels by (h/L)^3.
+const CLOSED_TO: f64 = 32.0;
 
 /// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
@@ -95,17 +99,44 @@ impl<const N: usize> View<N> {
 
     /// The moments, with weights relative to `r2min`. `exact`: by the nodes, at their full number.
     #[inline(always)]
-    pub(super) fn moments(&self, s: &Segment, v: &Vertices<N>, falloff: Falloff, r2min: &[f64; N], exact: bool) -> Moments<N> {
-        let closed = !exact && falloff.power() == Power::Two;
-        let mut m = if closed { self.moments_alpha_two(s, v, r2min) } else { Moments([[0.0; N]; 3]) };
-        let near = (CLOSED_FROM * s.length) * (CLOSED_FROM * s.length);
+    pub(super) fn moments(
+        &self,
+        s: &Segment,
+        v: &Vertices<N>,
+        (falloff, beta): (Falloff, Option<&IncompleteBeta>),
+        r2min: &[f64; N],
+        exact: bool,
+    ) -> Moments<N> {
+        let square = |lengths: f64| (lengths * s.length) * (lengths * s.length);
+        let (mut m, near, far) = match beta {
+            _ if exact => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
+            _ if falloff.power() == Power::Two => (self.moments_alpha_two(s, v, r2min), square(CLOSED_FROM), f64::INFINITY),
+            Some(beta) => (self.moments_by_beta(s, falloff, beta, r2min), 0.0, square(CLOSED_TO)),
+            None => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
+        };
         for k in 0..N {
-            if !closed || self.r2[k] <= near {
+            if self.r2[k] <= near || self.r2[k] > far {
                 let [m0, m1, m2] = self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);
                 (m.0[0][k], m.0[1][k], m.0[2][k]) = (m0, m1, m2);
             }
         }
         m
+    }
+
+    #[inline(always)]
+    fn moments_by_beta(&self, s: &Segment, falloff: Falloff, beta: &IncompleteBeta, r2min: &[f64; N]) -> Moments<N> {
+        let (mut a, mut b, mut h, mut ratio) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
+        for k in 0..N {
+            a[k] = self.beyond[k] - self.share_b[k];
+            b[k] = self.beyond[k] + self.share_a[k];
+            h[k] = self.off[k].abs() / s.length;
+            ratio[k] = r2min[k] / (s.length * s.length);
+        }
+        let mut m = beta.moments(&Along { ends: [a, b], nearest: &self.beyond, h, ratio }, falloff);
+        for m in m.as_flattened_mut() {
+            *m *= s.weight * s.length;
+        }
+        Moments(m)
     }
 
     #[inline(always)]
@@ -202,7 +233,8 @@ mod tests {
     fn moments(s: &Segment, v: Point, alpha: f64, exact: bool) -> (View<1>, [f64; 3]) {
         let v = Vertices::all(v);
         let view = View::new(s, &v);
-        let Moments([[m0], [m1], [m2]]) = view.moments(s, &v, Falloff::new(alpha, true).unwrap(), &view.r2, exact);
+        let (falloff, beta) = (Falloff::new(alpha, true).unwrap(), IncompleteBeta::new(alpha));
+        let Moments([[m0], [m1], [m2]]) = view.moments(s, &v, (falloff, beta.as_ref()), &view.r2, exact);
         (view, [m0, m1, m2])
     }
 
@@ -244,9 +276,9 @@ mod tests {
 
     /// The fewer nodes of a plan, beside the exact rule: far below what f32 keeps (6e-8).
     #[test]
-    fn plan_nodes_integrate_to_single_precision() {
+    fn plans_integrate_to_single_precision() {
         let s = segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0));
-        for alpha in [0.5, 1.0, 1.3, 2.0, 3.0, 5.5, 8.0] {
+        for alpha in [0.5, 0.501, 0.6, 0.9, 0.999, 1.0, 1.3, 1.501, 2.0, 3.0, 5.5, 8.0] {
             for v in views(&s) {
                 let few = shares(&s, v, alpha, false);
                 let many = shares(&s, v, alpha, true);

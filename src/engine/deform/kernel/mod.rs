@@ -88,6 +88,7 @@ mod tests {
     use super::*;
     use crate::deform::Falloff;
     use crate::deform::columns::{PointSource, Segment, Sources};
+    use crate::deform::incomplete_beta::IncompleteBeta;
     use crate::geometry::Point;
 
     /// Every level gives the bits of the reference, for every family.
@@ -151,8 +152,9 @@ mod tests {
                     (Method::Affine, true),
                     (Method::Rigid, true),
                 ] {
-                    let falloff = Falloff::new(alpha, true).unwrap();
-                    let waist = RowInputs { sources: &sources, extent: 400.0, falloff, point_mass: 1.0, method, exact };
+                    let (falloff, beta) = (Falloff::new(alpha, true).unwrap(), IncompleteBeta::new(alpha));
+                    let waist =
+                        RowInputs { sources: &sources, extent: 400.0, falloff, beta: beta.as_ref(), point_mass: 1.0, method, exact };
                     let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
                         let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
                         all.map(|lanes| lanes[k].to_bits()).collect()
