@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use super::columns::{Element, PointSource, Rank, Segment};
+use super::columns::{Element, Rank, Segment};
 use super::family::{displacement, rotation};
 use super::field::Model;
 use super::kernel::{self, LANES};
@@ -34,23 +34,21 @@ impl Field {
     #[must_use]
     pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
         let spline = self.solved().map(|spline| spline.posed(pose.displacements()));
-        let moments = self.moments(pose).filter(|_| self.prefers_moments());
+        let moments = if self.prefers_moments() { self.moments(pose) } else { None };
         Deformation { field: self, pose, spline, moments }
     }
 
-    /// The moments, if they suffice: points of equal weight, and moving least squares.
+    /// The moments, if they suffice: points alone, and moving least squares.
     pub(super) fn moments<'a>(&'a self, pose: &'a Pose) -> Option<MomentInputs<'a>> {
         let falloff = self.falloff().filter(|_| self.has_moments())?;
-        Some(MomentInputs { points: &self.sources.points, d: pose.displacements(), falloff, method: self.family })
+        Some(MomentInputs::new(&self.sources.points, pose.displacements(), falloff, self.family))
     }
 
     fn has_moments(&self) -> bool {
-        let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
         let most = if self.family == Method::Affine { MOST_AFFINE } else { f64::INFINITY };
         self.falloff().is_some_and(|falloff| falloff.alpha() <= most)
             && self.sources.segments.is_empty()
             && matches!(self.rank, Rank::Collinear | Rank::Full)
-            && self.sources.points.windows(2).all(is_equal)
     }
 
     /// Whether moments take less time than a row that is used once.

@@ -23,6 +23,8 @@ pub(super) enum Power {
 
 /// Largest exponent.
 const MOST: f64 = 8.0;
+/// Powers of smaller squared distances may exceed the numbers, px^2.
+const NO_DISTANCE: f64 = 1e-30;
 /// Below this exponent a line is not interpolated (mathematics section 3.4).
 const LEAST_WITH_LINES: f64 = 0.5;
 
@@ -62,23 +64,57 @@ impl Falloff {
         self.power
     }
 
+    /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no distance.
+    #[inline(always)]
+    pub(super) fn of_squares(self, squares: &mut [f64]) {
+        match self.power {
+            Power::Half => {
+                for r2 in squares {
+                    *r2 = 1.0 / r2.sqrt();
+                }
+            }
+            Power::One => {
+                for r2 in squares {
+                    *r2 = 1.0 / *r2;
+                }
+            }
+            Power::OneAndHalf => {
+                for r2 in squares {
+                    *r2 = 1.0 / (*r2 * r2.sqrt());
+                }
+            }
+            Power::Two => {
+                for r2 in squares {
+                    *r2 = 1.0 / (*r2 * *r2);
+                }
+            }
+            Power::Three => {
+                for r2 in squares {
+                    *r2 = 1.0 / (*r2 * *r2 * *r2);
+                }
+            }
+            Power::Other => {
+                for r2 in squares {
+                    let power = pow(1.0 / *r2, self.alpha);
+                    *r2 = if *r2 < NO_DISTANCE { f64::INFINITY } else { power };
+                }
+            }
+        }
+    }
+
     /// Replaces every ratio in [0, 1] by `ratio^alpha`.
     #[inline(always)]
     pub(super) fn of_lanes<const N: usize>(self, ratios: &mut [f64; N]) {
-        match self.power {
-            Power::Half => each(ratios, f64::sqrt),
-            Power::One => {}
-            Power::OneAndHalf => each(ratios, |r| r * r.sqrt()),
-            Power::Two => each(ratios, |r| r * r),
-            Power::Three => each(ratios, |r| r * r * r),
-            Power::Other => each(ratios, |r| pow(r, self.alpha)),
+        // One loop: a closure per power remained a function of its own, compiled for the reference.
+        for r in ratios {
+            *r = match self.power {
+                Power::Half => r.sqrt(),
+                Power::One => *r,
+                Power::OneAndHalf => *r * r.sqrt(),
+                Power::Two => *r * *r,
+                Power::Three => *r * *r * *r,
+                Power::Other => pow(*r, self.alpha),
+            };
         }
-    }
-}
-
-#[inline(always)]
-fn each<const N: usize>(ratios: &mut [f64; N], power: impl Fn(f64) -> f64) {
-    for r in ratios {
-        *r = power(*r);
     }
 }

@@ -7,8 +7,6 @@
 //! Both arguments are at most 1/2, where the hypergeometric functions F are polynomials to 1e-14, fitted once per alpha. The first and the
 //! second moment follow from powers at the ends. Unit: the length of the segment.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
-
 use super::falloff::Falloff;
 use super::lane_math::pow;
 
@@ -20,7 +18,7 @@ const NODES: [f64; TERMS / 2] = [
     0.965_925_826_289_068_3,
     0.906_307_787_036_649_9,
     0.819_152_044_288_991_8,
-    0.707_106_781_186_547_6,
+    std::f64::consts::FRAC_1_SQRT_2,
     0.573_576_436_351_046,
     0.422_618_261_740_699_44,
     0.258_819_045_102_520_74,

@@ -79,7 +79,7 @@ pub(super) fn moments_at<const N: usize>(level: Level, inputs: &MomentInputs<'_>
         Level::Avx512 if level.is_here() => x86::moments_avx512(inputs, v),
         #[cfg(target_arch = "x86_64")]
         Level::Avx2 if level.is_here() => x86::moments_avx2(inputs, v),
-        _ => inputs.displacements(v),
+        _ => inputs.displacements::<16, N>(v),
     }
 }
 

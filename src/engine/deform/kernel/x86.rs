@@ -46,7 +46,7 @@ pub(super) fn rows_avx512<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>
 pub(super) fn moments_avx2<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
     #[target_feature(enable = "avx2")]
     fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
-        inputs.displacements(v)
+        inputs.displacements::<16, N>(v)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { body(inputs, v) }
@@ -56,7 +56,7 @@ pub(super) fn moments_avx2<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertic
 pub(super) fn moments_avx512<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
-        inputs.displacements(v)
+        inputs.displacements::<8, N>(v)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { body(inputs, v) }
