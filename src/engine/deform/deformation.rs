@@ -2,7 +2,8 @@
 
 use std::cell::RefCell;
 
-use super::columns::{Element, Rank, Segment};
+use super::columns::{Element, PointSource, Rank, Segment};
+use super::falloff::Falloff;
 use super::family::{displacement, rotation};
 use super::field::Model;
 use super::kernel::{self, LANES};
@@ -45,8 +46,10 @@ impl Field {
     }
 
     fn has_moments(&self) -> bool {
-        let most = if self.family == Method::Affine { MOST_AFFINE } else { f64::INFINITY };
-        self.falloff().is_some_and(|falloff| falloff.alpha() <= most)
+        // Affine moments of points on nearly one line are accurate only if none of them is much lighter than the others.
+        let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
+        let is_accurate = |falloff: Falloff| falloff.alpha() <= MOST_AFFINE && self.sources.points.windows(2).all(is_equal);
+        self.falloff().is_some_and(|falloff| self.family != Method::Affine || is_accurate(falloff))
             && self.sources.segments.is_empty()
             && matches!(self.rank, Rank::Collinear | Rank::Full)
     }

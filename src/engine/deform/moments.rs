@@ -312,7 +312,8 @@ mod tests {
         let noise = |k: u32, n: u32| f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
         let place = |k: u32| Point::new((500.0 * noise(k, 0)).round(), 400.0 * noise(k, 1));
         let moved = |k: u32| Handle::Point(place(k) + Vec2::new(30.0 * noise(k, 2), 30.0 * noise(k, 3)));
-        let weights = (seed % 2 == 1).then(|| (0..count).map(|k| 0.001 * 10f64.powf(f64::from(k % 7))).collect());
+        let weights =
+            (method != Method::Affine && seed % 2 == 1).then(|| (0..count).map(|k| 0.001 * 10f64.powf(f64::from(k % 7))).collect());
         let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), weights).unwrap();
         let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
         let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
