@@ -2,9 +2,9 @@
 //! Equations (1) to (8).
 //!
 //! The moments are sums about one origin of the set, so that a vertex and a point take a division and about twenty operations; what does
-//! not depend on the vertex is computed once per pose. Where almost all weight is that of one point, such sums cancel. The vertices at which
-//! they do are computed again, anchored at their heaviest point: its position and displacement are the origin of all others, so every sum
-//! consists of relatively exact terms (mathematics 7.1), at twice the cost.
+//! not depend on the vertex is computed once per pose. Where almost all weight is that of one point, such sums cancel. The vertices at
+//! which they do are computed again, anchored at their heaviest point: its position and displacement are the origin of all others, so every
+//! sum consists of relatively exact terms (mathematics 7.1), at several times the cost.
 
 use super::Method;
 use super::columns::PointSource;
@@ -24,8 +24,8 @@ const AFFINE: usize = 12;
 const SINGULAR: f64 = 1e-14;
 /// Squared distances are at least this, px^2: the heaviest point at no distance has the ratio 1 and not 0/0.
 const TINY: f64 = f64::MIN_POSITIVE;
-/// The largest share of the moment about the origin to that about p*, and the largest product of it and |v - p*|, px, at which the sums about
-/// the origin are used: they are precise to about 1e-15.
+/// The largest ratio of the moment about the origin to that about p*, and the largest product of it and |v - p*|, px, at which the sums
+/// about the origin are used: they are precise to about 1e-15.
 const MOST_CANCELLED: f64 = 1e12;
 const MOST_CANCELLED_PX: f64 = 3e7;
 
