@@ -1,6 +1,6 @@
 //! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks the limits on that header before memory
 //! is allocated for the picture, and [`Opened::decode`] decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a
-//! file, PNG strip by strip in any order.
+//! file, PNG and JPEG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod alloc;
@@ -14,7 +14,6 @@ mod error;
 mod format;
 #[forbid(unsafe_code)]
 mod gif;
-#[forbid(unsafe_code)]
 mod jpeg;
 #[forbid(unsafe_code)]
 mod labels;
@@ -41,6 +40,7 @@ mod write;
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
 pub use format::{Format, SourceFormat};
+pub use jpeg::write::{JpegWriter, Subsampling};
 pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;
 pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};

@@ -1,12 +1,13 @@
-//! Writes a picture in any format: head, strips in any order, tail. PNG has several strips, rendered and encoded in parallel and sent in
-//! order; the other formats are one strip: the encoders of JPEG and WebP need whole pictures. Of grey pixels one sample is written, except
-//! in WebP, which has none.
+//! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several strips, rendered and encoded in parallel and
+//! sent in order; the other formats are one strip: the encoder of WebP needs whole pictures. Of grey pixels one sample is written, except in
+//! WebP, which has none.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
-use super::jpeg::write::WhileWanted;
+use super::jpeg::write::{JpegWriter, Subsampling};
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::{Format, Palette, jpeg, tiff, webp};
+use super::{Format, Palette, tiff, webp};
 use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
@@ -18,6 +19,8 @@ pub enum Encoding {
     Jpeg {
         /// 1 to 100.
         quality: u8,
+        /// Resolution of the colours.
+        subsampling: Subsampling,
         /// The background of transparent pixels.
         ground: [u8; 3],
     },
@@ -51,13 +54,13 @@ pub struct Writer {
 
 #[derive(Clone, Debug)]
 enum Kind {
-    Strips(PngWriter),
+    Png(PngWriter),
+    Jpeg(JpegWriter),
     Whole { coding: Coding, icc: Option<Profile>, palette: Option<Palette> },
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Coding {
-    Jpeg { quality: u8, ground: [u8; 3] },
     WebP,
     Tiff(Compression),
 }
@@ -77,8 +80,10 @@ impl Writer {
         let shape = PngShape { grey, ..shape };
         let whole = |coding| Kind::Whole { coding, icc: icc.cloned(), palette: None };
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Strips(PngWriter::new(shape, compression, icc)),
-            Encoding::Jpeg { quality, ground } => whole(Coding::Jpeg { quality, ground }),
+            Encoding::Png(compression) => Kind::Png(PngWriter::new(shape, compression, icc)),
+            Encoding::Jpeg { quality, subsampling, ground } => {
+                Kind::Jpeg(JpegWriter::new(shape, quality, subsampling, ground, icc.map(Profile::icc)))
+            }
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
         };
@@ -92,7 +97,7 @@ impl Writer {
     #[must_use]
     pub fn of_labels(shape: PngShape, encoding: Encoding, palette: Option<&Palette>) -> Option<Self> {
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Strips(PngWriter::of_labels(shape, compression, palette)),
+            Encoding::Png(compression) => Kind::Png(PngWriter::of_labels(shape, compression, palette)),
             Encoding::Tiff(compression) => Kind::Whole { coding: Coding::Tiff(compression), icc: None, palette: palette.cloned() },
             Encoding::Jpeg { .. } | Encoding::WebP => return None,
         };
@@ -101,9 +106,10 @@ impl Writer {
 
     /// Number of strips.
     #[must_use]
-    pub const fn strips(&self) -> usize {
+    pub fn strips(&self) -> usize {
         match &self.kind {
-            Kind::Strips(png) => png.strips(),
+            Kind::Png(png) => png.strips(),
+            Kind::Jpeg(jpeg) => jpeg.strips(),
             Kind::Whole { .. } => 1,
         }
     }
@@ -115,7 +121,8 @@ impl Writer {
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
         match &self.kind {
-            Kind::Strips(png) => png.rows(strip),
+            Kind::Png(png) => png.rows(strip),
+            Kind::Jpeg(jpeg) => jpeg.rows(strip),
             Kind::Whole { .. } => 0..self.shape.extent.height(),
         }
     }
@@ -125,15 +132,14 @@ impl Writer {
     pub fn max_bytes(&self) -> u64 {
         /// Markers and tables.
         const FRAME: u64 = 64 << 10;
-        /// A JPEG coefficient takes at most 26 bits, each byte of which may need stuffing; a WebP sample takes less.
+        /// A sample of WebP takes less.
         const SAMPLE: u64 = 8;
         match &self.kind {
-            Kind::Strips(png) => png.max_bytes(),
+            Kind::Png(png) => png.max_bytes(),
+            Kind::Jpeg(jpeg) => jpeg.max_bytes(),
             Kind::Whole { icc, .. } => {
                 let shape = self.shape;
-                // Both encoders pad a picture to blocks.
-                let side = |length: u32| u64::from(length).next_multiple_of(16);
-                let samples = side(shape.extent.width()) * side(shape.extent.height()) * shape.channels.count() as u64;
+                let samples = shape.extent.pixels() * shape.channels.count() as u64;
                 samples * SAMPLE + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64 + FRAME
             }
         }
@@ -146,7 +152,8 @@ impl Writer {
         /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's buffers, the file.
         const COPIES: u64 = 4;
         match &self.kind {
-            Kind::Strips(png) => png.max_bytes(),
+            Kind::Png(png) => png.max_bytes(),
+            Kind::Jpeg(jpeg) => jpeg.work_bytes(),
             Kind::Whole { icc, .. } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
@@ -159,13 +166,14 @@ impl Writer {
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         match &self.kind {
-            Kind::Strips(png) => png.head(),
+            Kind::Png(png) => png.head(),
+            Kind::Jpeg(jpeg) => jpeg.head().to_vec(),
             Kind::Whole { .. } => Vec::new(),
         }
     }
 
     /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian; those of a grey picture are
-    /// overwritten. During long strips (a whole JPEG or TIFF) `wanted` is called from time to time, and encoding stops when it returns
+    /// overwritten. During long strips `wanted` is called from time to time, and encoding stops when it returns
     /// false; the output is then incomplete.
     ///
     /// # Panics
@@ -173,25 +181,17 @@ impl Writer {
     pub fn strip_into(&self, index: usize, samples: &mut [u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
         let samples = if self.is_grey_in_colour { first_colour(samples, self.shape) } else { samples };
         match &self.kind {
-            Kind::Strips(png) => png.strip_into(index, samples, out),
+            Kind::Png(png) => png.strip_into(index, samples, out),
+            Kind::Jpeg(jpeg) => {
+                jpeg.strip_into(index, &in_eight(samples, self.shape.depth), out, wanted);
+                StripChecksum::default()
+            }
             Kind::Whole { coding, icc, palette } => {
                 let shape = self.shape;
                 let icc = icc.as_ref().map(Profile::icc);
-                if let Coding::Tiff(compression) = *coding {
-                    tiff::write::write(shape, compression, samples, (icc, palette.as_ref()), out, wanted);
-                    return StripChecksum::default();
-                }
-                let eight = match shape.depth {
-                    Depth::Eight => None,
-                    Depth::Sixteen => Some(to_eight(samples)),
-                };
-                let samples = eight.as_deref().unwrap_or(samples);
                 match *coding {
-                    Coding::Jpeg { quality, ground } => {
-                        let out = WhileWanted::new(out, wanted);
-                        jpeg::write::write(shape, samples, quality, ground, icc, out);
-                    }
-                    Coding::WebP | Coding::Tiff(_) => webp::write::write(shape.extent, shape.channels, samples, icc, out),
+                    Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (icc, palette.as_ref()), out, wanted),
+                    Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), icc, out),
                 }
                 StripChecksum::default()
             }
@@ -202,7 +202,8 @@ impl Writer {
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
         match &self.kind {
-            Kind::Strips(png) => png.tail(checksums),
+            Kind::Png(png) => png.tail(checksums),
+            Kind::Jpeg(_) => JpegWriter::tail().to_vec(),
             Kind::Whole { .. } => Vec::new(),
         }
     }
@@ -230,11 +231,14 @@ fn first_colour(samples: &mut [u8], shape: PngShape) -> &[u8] {
     &samples[..length]
 }
 
-/// Converts 16 bit to the nearest 8 bit: `(s * 255 + 32767) / 65535`.
-fn to_eight(samples: &[u8]) -> Vec<u8> {
+/// Samples of 8 bit: of 16, the nearest `(s * 255 + 32767) / 65535`.
+fn in_eight(samples: &[u8], depth: Depth) -> Cow<'_, [u8]> {
     #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
     let nearest = |s: &[u8]| ((u32::from(u16::from_be_bytes([s[0], s[1]])) * 255 + 32_767) / 65_535) as u8;
-    samples.chunks_exact(2).map(nearest).collect()
+    match depth {
+        Depth::Eight => Cow::Borrowed(samples),
+        Depth::Sixteen => samples.chunks_exact(2).map(nearest).collect(),
+    }
 }
 
 #[cfg(test)]
@@ -262,7 +266,7 @@ mod tests {
         use std::cell::Cell;
         let extent = Extent::new(1500, 1000).unwrap();
         let shape = PngShape { extent, channels: Channels::Rgb, grey: false, depth: Depth::Eight };
-        let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, ground: [0; 3] }, None);
+        let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, subsampling: Subsampling::Full, ground: [0; 3] }, None);
         let noise: Vec<u8> = (0..1500_u32 * 3000).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let write = |looks: u32| {
             let (asked, mut file) = (Cell::new(0), Vec::new());
@@ -309,7 +313,14 @@ mod tests {
         let extent = Extent::new(61, 47).unwrap();
         let samples = waves(extent, Channels::Rgb);
         let worst = |quality| {
-            let back = written(extent, Channels::Rgb, Depth::Eight, &samples, Encoding::Jpeg { quality, ground: [255; 3] }, None);
+            let back = written(
+                extent,
+                Channels::Rgb,
+                Depth::Eight,
+                &samples,
+                Encoding::Jpeg { quality, subsampling: Subsampling::Full, ground: [255; 3] },
+                None,
+            );
             assert_eq!(back.pixmap.extent(), extent);
             eight(&back).iter().zip(&samples).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
         };
@@ -322,7 +333,7 @@ mod tests {
         let extent = Extent::new(24, 16).unwrap();
         for (alpha, want) in [(0, [10, 200, 30]), (255, [250, 0, 90]), (51, [58, 160, 42])] {
             let samples = [250, 0, 90, alpha].repeat(24 * 16);
-            let encoding = Encoding::Jpeg { quality: 100, ground: [10, 200, 30] };
+            let encoding = Encoding::Jpeg { quality: 100, subsampling: Subsampling::Full, ground: [10, 200, 30] };
             let back = written(extent, Channels::Rgba, Depth::Eight, &samples, encoding, None);
             assert_eq!(back.pixmap.channels(), Channels::Rgb);
             for pixel in eight(&back).chunks_exact(3) {
@@ -350,7 +361,12 @@ mod tests {
         profile[16..20].copy_from_slice(b"RGB ");
         profile[36..40].copy_from_slice(b"acsp");
         profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
-        for encoding in [Encoding::Png(Compression::Fast), Encoding::Jpeg { quality: 90, ground: [255; 3] }, Encoding::WebP, TIFF] {
+        for encoding in [
+            Encoding::Png(Compression::Fast),
+            Encoding::Jpeg { quality: 90, subsampling: Subsampling::Full, ground: [255; 3] },
+            Encoding::WebP,
+            TIFF,
+        ] {
             let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
             assert!(back.icc.as_deref() == Some(profile.as_slice()), "{encoding:?}");
         }

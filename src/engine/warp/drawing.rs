@@ -8,7 +8,7 @@ use super::drawer::Drawer;
 use super::posed::Posed;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
 use super::{Digest, Holes, Limits, OutputSpec, Subject, Target, WarpError};
-use crate::codec::{Compression, Encoding, Format, Writer};
+use crate::codec::{Compression, Encoding, Format, Subsampling, Writer};
 use crate::render::{Canvas, Filter, Outside};
 
 /// A prepared warp.
@@ -68,7 +68,7 @@ impl Warp {
 
     /// Whether it is rendered and encoded in one piece.
     #[must_use]
-    pub const fn is_one_piece(&self) -> bool {
+    pub fn is_one_piece(&self) -> bool {
         self.writer.strips() == 1
     }
 
@@ -116,7 +116,8 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
         Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
-        Encoding::Jpeg { quality, ground: [r, g, b] } => [3, quality, r, g, b],
+        Encoding::Jpeg { quality, subsampling: Subsampling::Half, ground: [r, g, b] } => [3, quality, r, g, b],
+        Encoding::Jpeg { quality, subsampling: Subsampling::Full, ground: [r, g, b] } => [8, quality, r, g, b],
         Encoding::WebP => [4, 0, 0, 0, 0],
         Encoding::Tiff(Compression::None) => [5, 0, 0, 0, 0],
         Encoding::Tiff(Compression::Fast) => [6, 0, 0, 0, 0],
@@ -133,7 +134,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
         Outside::Reflect => [3, 0, 0, 0, 0],
     };
-    let digest = Collector::new("mlswarp answer 4")
+    let digest = Collector::new("mlswarp answer 5")
         .bytes(&subject.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::{CanvasSpec, WarpError};
-use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits};
+use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits, Subsampling};
 use crate::deform::{self, Coincident, Handle};
 use crate::geometry::Point;
 use crate::render::{Filter, Outside};
@@ -199,6 +199,8 @@ pub struct OutputSpec {
     pub format: Format,
     /// JPEG quality, 1 to 100.
     pub quality: u8,
+    /// Resolution of a JPEG's colours; default half below quality 90.
+    pub subsampling: Option<Subsampling>,
     /// PNG and TIFF compression.
     pub compression: Compression,
     /// The part of the posed plane that is drawn.
@@ -214,7 +216,9 @@ pub struct OutputSpec {
 }
 
 /// JPEG quality if none is requested.
-const QUALITY: u8 = 90;
+const QUALITY: u8 = 85;
+/// From this quality on, the colours of a JPEG have full resolution if nothing else is requested.
+const FULL_COLOURS: u8 = 90;
 
 impl Default for OutputSpec {
     /// A PNG of the source's size, fast compression, bilinear, transparent outside.
@@ -222,6 +226,7 @@ impl Default for OutputSpec {
         Self {
             format: Format::default(),
             quality: QUALITY,
+            subsampling: None,
             compression: Compression::default(),
             canvas: CanvasSpec::default(),
             width: None,
@@ -243,7 +248,12 @@ impl OutputSpec {
                     Outside::Colour([r, g, b, _]) => [r, g, b],
                     Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
                 };
-                Encoding::Jpeg { quality: self.quality, ground }
+                let subsampling = match self.subsampling {
+                    Some(subsampling) => subsampling,
+                    None if self.quality < FULL_COLOURS => Subsampling::Half,
+                    None => Subsampling::Full,
+                };
+                Encoding::Jpeg { quality: self.quality, subsampling, ground }
             }
             Format::WebP => Encoding::WebP,
             Format::Tiff => Encoding::Tiff(self.compression),

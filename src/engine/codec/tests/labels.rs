@@ -184,7 +184,7 @@ fn labels_survive_being_written() {
                 assert!(image::load_from_memory(&file).is_ok());
             }
         }
-        for encoding in [Encoding::WebP, Encoding::Jpeg { quality: 100, ground: [0; 3] }] {
+        for encoding in [Encoding::WebP, Encoding::Jpeg { quality: 100, subsampling: Subsampling::Half, ground: [0; 3] }] {
             assert!(Writer::of_labels(shape, encoding, None).is_none());
         }
     }

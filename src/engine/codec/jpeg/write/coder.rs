@@ -1,0 +1,206 @@
+//! Huffman coding of quantised blocks: bits are joined in a word and stored eight bytes at a time; a zero follows each byte 255 when a
+//! piece is complete.
+
+use super::tables::{AC, BLOCK, DC};
+
+/// Most bits of a coefficient: a code of 16 and a value of 10.
+const COEFFICIENT_BITS: usize = 26;
+/// Most bytes of a block.
+pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
+/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros.
+const NEAR: i32 = 64;
+const VALUES: usize = 2 * NEAR as usize;
+
+/// The end of a block, and 16 zeros.
+const END: usize = 0x00;
+const ZEROS: usize = 0xf0;
+
+/// A quantised block in the order of a file, and which of its coefficients are not zero, the first in the lowest bit.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(super) struct Block {
+    pub(super) coefficients: [i16; BLOCK],
+    pub(super) nonzero: u64,
+}
+
+impl Block {
+    pub(super) const ZERO: Self = Self { coefficients: [0; BLOCK], nonzero: 0 };
+
+    /// Eight coefficients.
+    #[inline(always)]
+    pub(super) fn group(&mut self, k: usize) -> &mut [i16; 8] {
+        &mut self.coefficients.as_chunks_mut().0[k]
+    }
+}
+
+/// The codes of luminance or chrominance: `bits << 5 | length`.
+pub(super) struct Codes {
+    dc: [u32; 12],
+    ac: [u32; 256],
+    /// By run of zeros and value: the code and the bits of the value.
+    near: [[u32; VALUES]; 16],
+}
+
+impl std::fmt::Debug for Codes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Codes").finish_non_exhaustive()
+    }
+}
+
+/// Joins a code and the bits of a value (T.81, F.1.2.1): those of `value`, or of `value - 1` if it is negative.
+#[inline(always)]
+fn with_value(code: u32, value: i32, size: u32) -> u32 {
+    #[expect(clippy::cast_sign_loss, reason = "the lower bits")]
+    let bits = (value + (value >> 31)) as u32 & ((1 << size) - 1);
+    ((code >> 5) << size | bits) << 5 | ((code & 31) + size)
+}
+
+/// Bits of a value: 0 for 0, and 1 + the logarithm of its amount.
+#[inline(always)]
+const fn size(value: i32) -> u32 {
+    32 - value.unsigned_abs().leading_zeros()
+}
+
+impl Codes {
+    /// Of luminance and chrominance.
+    pub(super) fn of_both() -> [Self; 2] {
+        [0, 1].map(|k| {
+            let code = |(code, length): (u16, u8)| u32::from(code) << 5 | u32::from(length);
+            let (dc, ac) = (DC[k].codes().map(code), AC[k].codes().map(code));
+            let mut near = [[0; VALUES]; 16];
+            for (run, entries) in near.iter_mut().enumerate() {
+                for (value, entry) in (-NEAR..NEAR).zip(entries) {
+                    *entry = with_value(ac[run << 4 | size(value) as usize], value, size(value));
+                }
+            }
+            Self { dc: std::array::from_fn(|size| dc[size]), ac, near }
+        })
+    }
+}
+
+/// Bits that are joined, and whole bytes that wait for their zeros.
+pub(super) struct BitWriter {
+    bytes: Box<[u8; SIZE]>,
+    bits: Bits,
+}
+
+const SIZE: usize = 16 << 10;
+/// Above, the bytes must be taken before the next block.
+const FULL: usize = SIZE - BLOCK_BYTES - 16;
+
+/// The state of a [`BitWriter`] without its bytes, so that it stays in registers while a block is coded.
+#[derive(Clone, Copy)]
+struct Bits {
+    /// Length of the bytes.
+    at: usize,
+    word: u64,
+    /// Bits of the word that are not stored, at most 7 between blocks.
+    waiting: u32,
+}
+
+impl Bits {
+    #[inline(always)]
+    fn put(&mut self, entry: u32) {
+        let length = entry & 31;
+        self.word = self.word << length | u64::from(entry >> 5);
+        self.waiting += length;
+    }
+
+    /// Stores all whole bytes.
+    #[inline(always)]
+    fn store(&mut self, bytes: &mut [u8; SIZE]) {
+        let bits = self.word << (63 - self.waiting) << 1;
+        if let Some(bytes) = bytes.get_mut(self.at..).and_then(<[u8]>::first_chunk_mut) {
+            *bytes = bits.to_be_bytes();
+        }
+        self.at += (self.waiting >> 3) as usize;
+        self.waiting &= 7;
+    }
+}
+
+impl BitWriter {
+    pub(super) fn new() -> Self {
+        Self { bytes: Box::new([0; SIZE]), bits: Bits { at: 0, word: 0, waiting: 0 } }
+    }
+
+    /// Codes a block; `last`: the first coefficient of the component's previous block.
+    #[inline(always)]
+    pub(super) fn block(&mut self, block: &Block, codes: &Codes, last: &mut i16, out: &mut Vec<u8>) {
+        if self.bits.at > FULL {
+            self.take(out);
+        }
+        let (mut bits, bytes) = (self.bits, &mut *self.bytes);
+        let [first, ..] = block.coefficients;
+        let difference = i32::from(first) - i32::from(*last);
+        *last = first;
+        let length = size(difference);
+        bits.put(with_value(codes.dc[length as usize % 12], difference, length));
+        let mut left = block.nonzero & !1;
+        let mut next = 1;
+        while left != 0 {
+            let at = left.trailing_zeros();
+            left &= left - 1;
+            let mut run = at - next;
+            next = at + 1;
+            while run > 15 {
+                bits.store(bytes);
+                bits.put(codes.ac[ZEROS]);
+                run -= 16;
+            }
+            let value = i32::from(block.coefficients[at as usize % BLOCK]);
+            #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
+            let near = (value + NEAR) as usize;
+            let entry = if near < VALUES {
+                codes.near[run as usize % 16][near]
+            } else {
+                with_value(codes.ac[(run << 4 | size(value)) as usize % 256], value, size(value))
+            };
+            bits.store(bytes);
+            bits.put(entry);
+        }
+        bits.store(bytes);
+        if next < 64 {
+            bits.put(codes.ac[END]);
+            bits.store(bytes);
+        }
+        self.bits = bits;
+    }
+
+    /// Moves the bytes to `out`, a zero after each byte 255 (T.81, F.1.2.3).
+    fn take(&mut self, out: &mut Vec<u8>) {
+        const HIGH: u64 = 0x8080_8080_8080_8080;
+        out.reserve(2 * self.bits.at);
+        let mut bytes = &self.bytes[..self.bits.at];
+        while let Some((eight, rest)) = bytes.split_first_chunk::<8>() {
+            let word = u64::from_ne_bytes(*eight);
+            // A byte overflows when one is added to it, and only if it is 255.
+            if word & HIGH & (word & !HIGH).wrapping_add(HIGH / 128) == 0 {
+                out.extend_from_slice(eight);
+            } else {
+                stuff(eight, out);
+            }
+            bytes = rest;
+        }
+        stuff(bytes, out);
+        self.bits.at = 0;
+    }
+
+    /// Fills the last byte with ones and moves everything to `out`.
+    pub(super) fn finish(&mut self, out: &mut Vec<u8>) {
+        if self.bits.waiting > 0 {
+            let length = 8 - self.bits.waiting;
+            self.bits.put(((1 << length) - 1) << 5 | length);
+            self.bits.store(&mut self.bytes);
+        }
+        self.take(out);
+    }
+}
+
+fn stuff(bytes: &[u8], out: &mut Vec<u8>) {
+    for byte in bytes {
+        out.push(*byte);
+        if *byte == u8::MAX {
+            out.push(0);
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! 16 lanes: two blocks side by side.
+
+use std::arch::x86_64::*;
+
+use super::x86::{SHUFFLES, lanes};
+use super::{Lanes, MOST_LANES};
+use crate::codec::jpeg::write::coder::Block;
+use crate::codec::jpeg::write::strip::{self, Job};
+
+/// Must be called where [`crate::level::Level::Avx2`] is here.
+pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+    // SAFETY: the one caller asks `Level::is_here` first.
+    unsafe { wide(job, out, wanted) }
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
+fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+    strip::encode::<Avx2>(job, out, wanted);
+}
+
+/// Made by `wide` only.
+#[derive(Clone, Copy)]
+struct Avx2(__m256i);
+
+impl Avx2 {
+    /// Samples of pixels of four bytes: `first` has the pixels 0 to 3 and 8 to 11, `second` the others.
+    #[inline(always)]
+    unsafe fn channel<const SHIFT: i32>(first: __m256i, second: __m256i) -> Self {
+        // SAFETY: as for `Lanes`.
+        unsafe {
+            let low = _mm256_set1_epi32(255);
+            Self(_mm256_packus_epi32(
+                _mm256_and_si256(_mm256_srli_epi32::<SHIFT>(first), low),
+                _mm256_and_si256(_mm256_srli_epi32::<SHIFT>(second), low),
+            ))
+        }
+    }
+}
+
+/// 16 bytes at a place.
+#[inline(always)]
+unsafe fn sixteen(bytes: &[u8], at: usize) -> __m128i {
+    let bytes: &[u8; 16] = bytes[at..].first_chunk().expect("16 bytes");
+    // SAFETY: as for `Lanes`; the reference has 16 bytes.
+    unsafe { _mm_loadu_si128(bytes.as_ptr().cast()) }
+}
+
+/// 16 bytes at each of two places.
+#[inline(always)]
+unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
+    // SAFETY: as for `Lanes`.
+    unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(sixteen(bytes, first)), sixteen(bytes, second)) }
+}
+
+lanes! {
+    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, zero: _mm256_setzero_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
+    sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
+    or: _mm256_or_si256, shuffle: _mm256_shuffle_epi8, row: _mm256_broadcastsi128_si256,
+    unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32, _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
+    own: {
+        #[inline(always)]
+        fn pixels_1(pixels: &[u8]) -> Self {
+            unsafe { Self(_mm256_cvtepu8_epi16(sixteen(pixels, 0))) }
+        }
+
+        #[inline(always)]
+        fn pixels_2(pixels: &[u8]) -> [Self; 2] {
+            unsafe {
+                let pixels = two(pixels, 0, 16);
+                [Self(_mm256_and_si256(pixels, _mm256_set1_epi16(255))), Self(_mm256_srli_epi16::<8>(pixels))]
+            }
+        }
+
+        #[inline(always)]
+        fn pixels_3(pixels: &[u8]) -> [Self; 3] {
+            unsafe {
+                // To pixels of four bytes. The last 16 bytes begin four before the pixel 12.
+                let apart = _mm256_setr_epi8(
+                    0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, 0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1,
+                );
+                let late = _mm256_setr_epi8(
+                    0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, 4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1,
+                );
+                let first = _mm256_shuffle_epi8(two(pixels, 0, 24), apart);
+                let second = _mm256_shuffle_epi8(two(pixels, 12, 32), late);
+                [Self::channel::<0>(first, second), Self::channel::<8>(first, second), Self::channel::<16>(first, second)]
+            }
+        }
+
+        #[inline(always)]
+        fn pixels_4(pixels: &[u8]) -> [Self; 4] {
+            unsafe {
+                let (first, second) = (two(pixels, 0, 32), two(pixels, 16, 48));
+                [
+                    Self::channel::<0>(first, second),
+                    Self::channel::<8>(first, second),
+                    Self::channel::<16>(first, second),
+                    Self::channel::<24>(first, second),
+                ]
+            }
+        }
+
+        #[inline(always)]
+        fn sums_of_pairs(self, other: Self) -> Self {
+            unsafe { Self(_mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_hadd_epi16(self.0, other.0))) }
+        }
+
+        #[inline(always)]
+        fn store(columns: [Self; 8], blocks: &mut [Block]) {
+            let [first, second, ..] = blocks else { unreachable!("blocks of all lanes") };
+            let groups = Self::in_order(&columns);
+            unsafe {
+                (first.nonzero, second.nonzero) = (0, 0);
+                for half in (0..8).step_by(2) {
+                    let zero = _mm256_setzero_si256();
+                    let is_zero = (_mm256_cmpeq_epi16(groups[half], zero), _mm256_cmpeq_epi16(groups[half + 1], zero));
+                    let bits = !_mm256_movemask_epi8(_mm256_packs_epi16(is_zero.0, is_zero.1)).cast_unsigned();
+                    first.nonzero |= u64::from(bits & 0xffff) << (8 * half);
+                    second.nonzero |= u64::from(bits >> 16) << (8 * half);
+                }
+                for (k, group) in groups.into_iter().enumerate() {
+                    _mm_storeu_si128(first.group(k).as_mut_ptr().cast(), _mm256_castsi256_si128(group));
+                    _mm_storeu_si128(second.group(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(group));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
+
+use super::{Lanes, MOST_LANES};
+use crate::codec::jpeg::write::coder::Block;
+use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
+
+const COUNT: usize = 16;
+
+/// 16 lanes.
+#[derive(Clone, Copy)]
+pub(in crate::codec::jpeg::write) struct Scalar([i16; COUNT]);
+
+impl Scalar {
+    #[inline(always)]
+    fn each(self, other: Self, operation: impl Fn(i16, i16) -> i16) -> Self {
+        let mut lanes = self.0;
+        for (lane, other) in lanes.iter_mut().zip(other.0) {
+            *lane = operation(*lane, other);
+        }
+        Self(lanes)
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap, reason = "lanes of 16 bits wrap")]
+impl Lanes for Scalar {
+    const COUNT: usize = COUNT;
+
+    #[inline(always)]
+    fn all(value: i16) -> Self {
+        Self([value; COUNT])
+    }
+
+    #[inline(always)]
+    fn load(values: &[i16; MOST_LANES]) -> Self {
+        let mut lanes = [0; COUNT];
+        lanes.copy_from_slice(&values[..COUNT]);
+        Self(lanes)
+    }
+
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        self.each(other, i16::wrapping_add)
+    }
+
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        self.each(other, i16::wrapping_sub)
+    }
+
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        self.each(other, |a, b| {
+            // In halves of 16 bits, for which there are instructions.
+            let (high, low) = ((i32::from(a) * i32::from(b) >> 16) as i16, a.wrapping_mul(b).cast_unsigned());
+            high.wrapping_add(high).wrapping_add((((low >> 14) + 1) >> 1).cast_signed())
+        })
+    }
+
+    #[inline(always)]
+    fn plus_saturating(self, other: Self) -> Self {
+        self.each(other, i16::saturating_add)
+    }
+
+    #[inline(always)]
+    fn times_low(self, other: Self) -> Self {
+        self.each(other, i16::wrapping_mul)
+    }
+
+    #[inline(always)]
+    fn shift_left<const BITS: u32>(self) -> Self {
+        self.each(self, |lane, _| lane << BITS)
+    }
+
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self) -> Self {
+        self.each(self, |lane, _| (lane.cast_unsigned() >> BITS).cast_signed())
+    }
+
+    #[inline(always)]
+    fn pixels_1(pixels: &[u8]) -> Self {
+        let [grey] = channels(pixels);
+        grey
+    }
+
+    #[inline(always)]
+    fn pixels_2(pixels: &[u8]) -> [Self; 2] {
+        channels(pixels)
+    }
+
+    #[inline(always)]
+    fn pixels_3(pixels: &[u8]) -> [Self; 3] {
+        channels(pixels)
+    }
+
+    #[inline(always)]
+    fn pixels_4(pixels: &[u8]) -> [Self; 4] {
+        channels(pixels)
+    }
+
+    #[inline(always)]
+    fn sums_of_pairs(self, other: Self) -> Self {
+        let mut lanes = [0; COUNT];
+        for k in 0..COUNT / 2 {
+            lanes[k] = self.0[2 * k].wrapping_add(self.0[2 * k + 1]);
+            lanes[COUNT / 2 + k] = other.0[2 * k].wrapping_add(other.0[2 * k + 1]);
+        }
+        Self(lanes)
+    }
+
+    #[inline(always)]
+    fn transpose(rows: [Self; 8]) -> [Self; 8] {
+        let mut columns = [Self([0; COUNT]); 8];
+        for (x, column) in columns.iter_mut().enumerate() {
+            for (y, row) in rows.iter().enumerate() {
+                for block in (0..COUNT).step_by(SIDE) {
+                    column.0[block + y] = row.0[block + x];
+                }
+            }
+        }
+        columns
+    }
+
+    #[inline(always)]
+    fn store(columns: [Self; 8], blocks: &mut [Block]) {
+        for (block, lanes) in blocks[..COUNT / SIDE].iter_mut().zip((0..).step_by(SIDE)) {
+            for (coefficient, place) in block.coefficients.iter_mut().zip(ZIGZAG) {
+                let (x, y) = (usize::from(place) % SIDE, usize::from(place) / SIDE);
+                *coefficient = columns[x].0[lanes + y];
+            }
+            block.nonzero = 0;
+            for (group, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
+                let mut bits = 0_u16;
+                for (k, coefficient) in group.iter().enumerate() {
+                    bits |= if *coefficient == 0 { 0 } else { 1 << k };
+                }
+                block.nonzero |= u64::from(bits) << at;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn channels<const N: usize>(pixels: &[u8]) -> [Scalar; N] {
+    let mut channels = [Scalar([0; COUNT]); N];
+    for (k, pixel) in pixels.as_chunks::<N>().0[..COUNT].iter().enumerate() {
+        for (channel, sample) in channels.iter_mut().zip(pixel) {
+            channel.0[k] = i16::from(*sample);
+        }
+    }
+    channels
+}

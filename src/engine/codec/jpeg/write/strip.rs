@@ -1,0 +1,318 @@
+//! One strip: pixels to colour, cosine transform, quantisation and coding, a group of macroblocks at a time.
+//!
+//! All arithmetic is on 16-bit integers (`Lanes`). Luminance and chrominance have 4 bits of fraction, more than the 8-bit samples of other
+//! encoders, and a range of +-2048. A transform multiplies by the square root of 8: the first has the same 4 bits, of which 2 are then
+//! rounded away, and coefficients have the unit 1/32. Only the first can leave the range, when all of a block is black: it is 1024 at most
+//! (T.81, A.3.3), all others are 1020.
+
+use super::coder::{BitWriter, Block, Codes};
+use super::kernel::{Lanes, MOST_LANES};
+use super::tables::{BLOCK, SIDE};
+
+/// Most bytes of a pixel.
+const MOST_CHANNELS: usize = 4;
+/// Rows of the tallest macroblock.
+const MOST_ROWS: usize = 2 * SIDE;
+
+/// What the samples of a file are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Components {
+    /// One, luminance.
+    Grey,
+    /// Three of full resolution.
+    Full,
+    /// Three, with chrominance of half the resolution along both axes.
+    Half,
+}
+
+impl Components {
+    /// The side of a macroblock, px.
+    pub(super) const fn side(self) -> usize {
+        match self {
+            Self::Grey | Self::Full => SIDE,
+            Self::Half => 2 * SIDE,
+        }
+    }
+}
+
+/// Divides coefficients by their steps: by row, two factors of [`Lanes::times`], because one has too few bits.
+#[derive(Debug)]
+pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
+
+impl Quantiser {
+    /// `steps` in rows; blocks are transposed when they are quantised.
+    pub(super) fn new(steps: &[u8; BLOCK]) -> Self {
+        Self(std::array::from_fn(|x| {
+            let factors = |lane: usize| {
+                // Coefficients have the unit 1/32. The first factor is 1/2 to 1.
+                let step = 32 * u32::from(steps[lane % SIDE * SIDE + x]);
+                let bits = step.ilog2() - u32::from(step.is_power_of_two());
+                let first = ((1 << (15 + bits)) + step / 2) / step;
+                [first, 1 << (15 - bits)].map(|factor| i16::try_from(factor).expect("less than 1"))
+            };
+            [0, 1].map(|k| std::array::from_fn(|lane| factors(lane)[k]))
+        }))
+    }
+
+    #[inline(always)]
+    fn divide<T: Lanes>(&self, rows: &mut [T; SIDE]) {
+        for (row, [first, second]) in rows.iter_mut().zip(&self.0) {
+            *row = row.times(T::load(first)).times(T::load(second));
+        }
+    }
+}
+
+/// A strip and how it is coded.
+#[derive(Debug)]
+pub(super) struct Job<'a> {
+    /// `[rows][width][channels]`.
+    pub(super) samples: &'a [u8],
+    /// Width of a row, px.
+    pub(super) width: usize,
+    pub(super) channels: usize,
+    pub(super) components: Components,
+    /// The background of transparent pixels.
+    pub(super) ground: [u8; 3],
+    pub(super) quantisers: &'a [Quantiser; 2],
+    pub(super) codes: &'a [Codes; 2],
+}
+
+/// See [`super::kernel::encode`].
+#[inline(always)]
+pub(super) fn encode<T: Lanes>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+    match job.channels {
+        1 => rows::<T, 1>(job, out, wanted),
+        2 => rows::<T, 2>(job, out, wanted),
+        3 => rows::<T, 3>(job, out, wanted),
+        _ => rows::<T, 4>(job, out, wanted),
+    }
+}
+
+/// The rows of a group of pixels: of the strip, or copies if it ends within the group.
+pub(super) struct Pixels<'a> {
+    samples: &'a [u8],
+    /// Bytes of a row.
+    pitch: usize,
+    /// Rows, at least 1.
+    height: usize,
+    /// Where the group begins in a row, bytes.
+    at: usize,
+    /// Bytes of the group in a row.
+    length: usize,
+    is_edge: bool,
+    edge: [[u8; MOST_LANES * MOST_CHANNELS]; MOST_ROWS],
+}
+
+impl<'a> Pixels<'a> {
+    /// The first group.
+    #[inline(always)]
+    pub(super) fn of_group<T: Lanes>(samples: &'a [u8], pitch: usize, channels: usize) -> Self {
+        let edge = [[0; MOST_LANES * MOST_CHANNELS]; MOST_ROWS];
+        Self { samples, pitch, height: samples.len() / pitch, at: 0, length: T::COUNT * channels, is_edge: false, edge }
+    }
+
+    /// A row of the group, counted from `top`; below the last row, that one again.
+    #[inline(always)]
+    fn row(&self, top: usize, y: usize) -> &[u8] {
+        if self.is_edge {
+            return &self.edge[y][..self.length];
+        }
+        &self.samples[(top + y).min(self.height - 1) * self.pitch + self.at..][..self.length]
+    }
+
+    /// Copies the rows of the last group and repeats the last pixel.
+    #[inline(never)]
+    fn copy_edge<const CHANNELS: usize>(&mut self, top: usize) {
+        for (y, copy) in self.edge.iter_mut().enumerate() {
+            let row = &self.samples[(top + y).min(self.height - 1) * self.pitch..][..self.pitch];
+            let (kept, repeated) = copy[..self.length].split_at_mut(self.pitch - self.at);
+            kept.copy_from_slice(&row[self.at..]);
+            if let Some(last) = row.last_chunk::<CHANNELS>() {
+                repeated.as_chunks_mut().0.fill(*last);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+    let (side, pitch) = (job.components.side(), job.width * CHANNELS);
+    let height = job.samples.len() / pitch;
+    let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
+    let (mut bits, mut last) = (BitWriter::new(), [0; 3]);
+    let mut blocks: Blocks = [[Block::ZERO; MOST_LANES / SIDE]; 3];
+    let across = job.width.div_ceil(side);
+    for top in (0..height).step_by(side) {
+        for left in (0..job.width).step_by(T::COUNT) {
+            pixels.at = left * CHANNELS;
+            pixels.is_edge = pixels.at + pixels.length > pitch;
+            if pixels.is_edge {
+                pixels.copy_edge::<CHANNELS>(top);
+            }
+            let count = (across - left / side).min(T::COUNT / side);
+            match job.components {
+                Components::Grey => {
+                    transform_grey::<T, CHANNELS>(job, &pixels, top, &mut blocks);
+                    for block in &blocks[0][..count] {
+                        bits.block(block, &job.codes[0], &mut last[0], out);
+                    }
+                }
+                Components::Full => {
+                    transform_full::<T, CHANNELS>(job, &pixels, top, &mut blocks);
+                    for k in 0..count {
+                        for (component, blocks) in blocks.iter().enumerate() {
+                            bits.block(&blocks[k], &job.codes[component.min(1)], &mut last[component], out);
+                        }
+                    }
+                }
+                Components::Half => {
+                    transform_half::<T, CHANNELS>(job, &pixels, top, &mut blocks);
+                    let [above, below, chroma] = &blocks;
+                    for k in 0..count {
+                        for block in [&above[2 * k], &above[2 * k + 1], &below[2 * k], &below[2 * k + 1]] {
+                            bits.block(block, &job.codes[0], &mut last[0], out);
+                        }
+                        bits.block(&chroma[k], &job.codes[1], &mut last[1], out);
+                        bits.block(&chroma[T::COUNT / (2 * SIDE) + k], &job.codes[1], &mut last[2], out);
+                    }
+                }
+            }
+        }
+        if !wanted() {
+            return;
+        }
+    }
+    bits.finish(out);
+}
+
+/// Luminance above and below, then both kinds of chrominance; or the three components.
+pub(super) type Blocks = [[Block; MOST_LANES / SIDE]; 3];
+
+#[inline(always)]
+pub(super) fn transform_grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
+    let mut luma = [T::all(0); SIDE];
+    for (y, luma) in luma.iter_mut().enumerate() {
+        let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+        *luma = grey.shift_left::<4>().minus(T::all(2048));
+    }
+    transform(luma, &job.quantisers[0], &mut blocks[0]);
+}
+
+#[inline(always)]
+pub(super) fn transform_full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
+    let mut planes = [[T::all(0); SIDE]; 3];
+    for y in 0..SIDE {
+        let [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+        let colours = [r.shift_left::<7>(), g.shift_left::<7>(), b.shift_left::<7>()];
+        let [blue, red] = chroma(colours);
+        planes[0][y] = luma(colours);
+        planes[1][y] = blue.times(T::all(1 << 12));
+        planes[2][y] = red.times(T::all(1 << 12));
+    }
+    let [luma, blue, red] = planes;
+    transform(luma, &job.quantisers[0], &mut blocks[0]);
+    transform(blue, &job.quantisers[1], &mut blocks[1]);
+    transform(red, &job.quantisers[1], &mut blocks[2]);
+}
+
+#[inline(always)]
+pub(super) fn transform_half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
+    let mut halves = [T::all(0); SIDE];
+    for half in 0..2 {
+        let mut rows = [T::all(0); SIDE];
+        for pair in 0..SIDE / 2 {
+            let y = half * SIDE + 2 * pair;
+            let [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+            let [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, y + 1), job.ground);
+            rows[2 * pair] = luma([r.shift_left::<7>(), g.shift_left::<7>(), b.shift_left::<7>()]);
+            rows[2 * pair + 1] = luma([r2.shift_left::<7>(), g2.shift_left::<7>(), b2.shift_left::<7>()]);
+            let [blue, red] = chroma([r.plus(r2).shift_left::<6>(), g.plus(g2).shift_left::<6>(), b.plus(b2).shift_left::<6>()]);
+            halves[half * SIDE / 2 + pair] = blue.sums_of_pairs(red).times(T::all(1 << 11));
+        }
+        transform(rows, &job.quantisers[0], &mut blocks[half]);
+    }
+    transform(halves, &job.quantisers[1], &mut blocks[2]);
+}
+
+/// Red, green and blue; grey three times.
+#[inline(always)]
+fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [u8; 3]) -> [T; 3] {
+    match CHANNELS {
+        1 => [T::pixels_1(pixels); 3],
+        2 => {
+            let [grey, alpha] = T::pixels_2(pixels);
+            [blended(grey, alpha, red); 3]
+        }
+        3 => T::pixels_3(pixels),
+        _ => {
+            let [r, g, b, alpha] = T::pixels_4(pixels);
+            [blended(r, alpha, red), blended(g, alpha, green), blended(b, alpha, blue)]
+        }
+    }
+}
+
+/// `(c a + g (255 - a)) / 255`, rounded.
+#[inline(always)]
+fn blended<T: Lanes>(colour: T, alpha: T, ground: u8) -> T {
+    let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(ground)));
+    let sum = colour.times_low(alpha).plus(behind).plus(T::all(127));
+    // A division by 255, exact for what two bytes can be.
+    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
+}
+
+/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction, of colours with 7.
+#[inline(always)]
+fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
+    let sum = r.times(T::all(9798)).plus(g.times(T::all(19_235))).plus(b.times(T::all(3735)));
+    sum.minus(T::all(128 << 7)).times(T::all(1 << 12))
+}
+
+/// The two kinds of chrominance, with the bits of fraction of the colours.
+#[inline(always)]
+fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
+    let blue = b.times(T::all(16_384)).minus(r.times(T::all(5529))).minus(g.times(T::all(10_855)));
+    let red = r.times(T::all(16_384)).minus(g.times(T::all(13_720))).minus(b.times(T::all(2664)));
+    [blue, red]
+}
+
+/// Blocks of samples to quantised coefficients.
+#[inline(always)]
+fn transform<T: Lanes>(rows: [T; SIDE], quantiser: &Quantiser, blocks: &mut [Block]) {
+    let mut rows = cosines(rows);
+    for row in &mut rows {
+        *row = row.times(T::all(1 << 13));
+    }
+    let mut columns = cosines(T::transpose(rows));
+    quantiser.divide(&mut columns);
+    T::store(columns, blocks);
+}
+
+/// The cosine transform of eight values, times the square root of 8 (Loeffler, Ligtenberg, Moschytz, ICASSP 1989).
+#[inline(always)]
+fn cosines<T: Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
+    let (s0, s1, s2, s3) = (x0.plus(x7), x1.plus(x6), x2.plus(x5), x3.plus(x4));
+    let (d0, d1, d2, d3) = (x0.minus(x7), x1.minus(x6), x2.minus(x5), x3.minus(x4));
+    let (even, odd) = ([s0.plus(s3), s1.plus(s2)], [s0.minus(s3), s1.minus(s2)]);
+    // sqrt(2) cos(pi / 8) is 1 + 0.3066, sqrt(2) sin(pi / 8) is 0.5412.
+    let (more, less) = (T::all(10_045), T::all(17_734));
+    let two = odd[0].plus(odd[0].times(more)).plus(odd[1].times(less));
+    let six = odd[0].times(less).minus(odd[1].plus(odd[1].times(more)));
+    // Rotations by 3 pi / 16 and pi / 16.
+    let (cos3, sin3, cos1, sin1) = (T::all(27_246), T::all(18_205), T::all(32_138), T::all(6393));
+    let (a, b) = (d3.times(cos3).plus(d0.times(sin3)), d0.times(cos3).minus(d3.times(sin3)));
+    let (c, d) = (d2.times(cos1).plus(d1.times(sin1)), d1.times(cos1).minus(d2.times(sin1)));
+    let (one, seven) = (b.plus(c).plus(a.plus(d)), b.plus(c).minus(a.plus(d)));
+    let (three, five) = (b.minus(c), a.minus(d));
+    // The square root of 2 is 1 + 0.4142.
+    let root = T::all(13_573);
+    [
+        even[0].plus_saturating(even[1]),
+        one,
+        two,
+        three.plus(three.times(root)),
+        even[0].minus(even[1]),
+        five.plus(five.times(root)),
+        six,
+        seven,
+    ]
+}
