@@ -7,6 +7,8 @@ use super::tables::{AC, BLOCK, DC};
 const COEFFICIENT_BITS: usize = 26;
 /// Most bytes of a block.
 pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
+/// Bits of a length in an entry of a table.
+const LENGTH: u32 = 6;
 /// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros.
 const NEAR: i32 = 64;
 const VALUES: usize = 2 * NEAR as usize;
@@ -33,7 +35,7 @@ impl Block {
     }
 }
 
-/// The codes of luminance or chrominance: `bits << 5 | length`.
+/// The codes of luminance or chrominance: `bits << 6 | length`.
 pub(super) struct Codes {
     dc: [u32; 12],
     ac: [u32; 256],
@@ -52,7 +54,7 @@ impl std::fmt::Debug for Codes {
 fn with_value(code: u32, value: i32, size: u32) -> u32 {
     #[expect(clippy::cast_sign_loss, reason = "the lower bits")]
     let bits = (value + (value >> 31)) as u32 & ((1 << size) - 1);
-    ((code >> 5) << size | bits) << 5 | ((code & 31) + size)
+    ((code >> LENGTH) << size | bits) << LENGTH | (code % (1 << LENGTH) + size)
 }
 
 /// Bits of a value: 0 for 0, and 1 + the logarithm of its amount.
@@ -65,7 +67,7 @@ impl Codes {
     /// Of luminance and chrominance.
     pub(super) fn of_both() -> [Self; 2] {
         [0, 1].map(|k| {
-            let code = |(code, length): (u16, u8)| u32::from(code) << 5 | u32::from(length);
+            let code = |(code, length): (u16, u8)| u32::from(code) << LENGTH | u32::from(length);
             let (dc, ac) = (DC[k].codes().map(code), AC[k].codes().map(code));
             let mut near = [[0; VALUES]; 16];
             for (run, entries) in near.iter_mut().enumerate() {
@@ -94,16 +96,38 @@ struct Bits {
     /// Length of the bytes.
     at: usize,
     word: u64,
-    /// Bits of the word that are not stored, at most 7 between blocks.
+    /// Bits of the word that are not stored, at most 7 and the end of a block.
     waiting: u32,
 }
 
 impl Bits {
     #[inline(always)]
     fn put(&mut self, entry: u32) {
-        let length = entry & 31;
-        self.word = self.word << length | u64::from(entry >> 5);
+        let length = entry % (1 << LENGTH);
+        self.word = self.word << length | u64::from(entry >> LENGTH);
         self.waiting += length;
+    }
+
+    /// Puts the next coefficient that is not zero, and the zeros before it.
+    #[inline(always)]
+    fn coefficient(&mut self, block: &Block, codes: &Codes, rest: &mut Rest, bytes: &mut [u8; SIZE]) {
+        let at = rest.left.trailing_zeros();
+        rest.left &= rest.left - 1;
+        let mut run = at - rest.next;
+        rest.next = at + 1;
+        while run > 15 {
+            self.store(bytes);
+            self.put(codes.ac[ZEROS]);
+            run -= 16;
+        }
+        let value = i32::from(block.coefficients[at as usize % BLOCK]);
+        #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
+        let near = (value + NEAR) as usize;
+        self.put(if near < VALUES {
+            codes.near[run as usize % 16][near]
+        } else {
+            with_value(codes.ac[(run << 4 | size(value)) as usize % 256], value, size(value))
+        });
     }
 
     /// Stores all whole bytes.
@@ -116,6 +140,14 @@ impl Bits {
         self.at += (self.waiting >> 3) as usize;
         self.waiting &= 7;
     }
+}
+
+/// The coefficients of a block that are not coded yet.
+struct Rest {
+    /// Those that are not zero.
+    left: u64,
+    /// The first one that is not coded.
+    next: u32,
 }
 
 impl BitWriter {
@@ -135,33 +167,18 @@ impl BitWriter {
         *last = first;
         let length = size(difference);
         bits.put(with_value(codes.dc[length as usize % 12], difference, length));
-        let mut left = block.nonzero & !1;
-        let mut next = 1;
-        while left != 0 {
-            let at = left.trailing_zeros();
-            left &= left - 1;
-            let mut run = at - next;
-            next = at + 1;
-            while run > 15 {
-                bits.store(bytes);
-                bits.put(codes.ac[ZEROS]);
-                run -= 16;
-            }
-            let value = i32::from(block.coefficients[at as usize % BLOCK]);
-            #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
-            let near = (value + NEAR) as usize;
-            let entry = if near < VALUES {
-                codes.near[run as usize % 16][near]
-            } else {
-                with_value(codes.ac[(run << 4 | size(value)) as usize % 256], value, size(value))
-            };
-            bits.store(bytes);
-            bits.put(entry);
-        }
         bits.store(bytes);
-        if next < 64 {
-            bits.put(codes.ac[END]);
+        let mut rest = Rest { left: block.nonzero & !1, next: 1 };
+        // Two coefficients between two stores.
+        while rest.left != 0 {
+            bits.coefficient(block, codes, &mut rest, bytes);
+            if rest.left != 0 {
+                bits.coefficient(block, codes, &mut rest, bytes);
+            }
             bits.store(bytes);
+        }
+        if rest.next < 64 {
+            bits.put(codes.ac[END]);
         }
         self.bits = bits;
     }
@@ -187,9 +204,10 @@ impl BitWriter {
 
     /// Fills the last byte with ones and moves everything to `out`.
     pub(super) fn finish(&mut self, out: &mut Vec<u8>) {
+        self.bits.store(&mut self.bytes);
         if self.bits.waiting > 0 {
             let length = 8 - self.bits.waiting;
-            self.bits.put(((1 << length) - 1) << 5 | length);
+            self.bits.put(((1 << length) - 1) << LENGTH | length);
             self.bits.store(&mut self.bytes);
         }
         self.take(out);

@@ -193,7 +193,7 @@ pub(super) fn transform_grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pix
     let mut luma = [T::all(0); SIDE];
     for (y, luma) in luma.iter_mut().enumerate() {
         let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
-        *luma = grey.shift_left::<4>().minus(T::all(2048));
+        *luma = fraction(grey);
     }
     transform(luma, &job.quantisers[0], &mut blocks[0]);
 }
@@ -202,8 +202,7 @@ pub(super) fn transform_grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pix
 pub(super) fn transform_full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
     let mut planes = [[T::all(0); SIDE]; 3];
     for y in 0..SIDE {
-        let [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
-        let colours = [r.shift_left::<7>(), g.shift_left::<7>(), b.shift_left::<7>()];
+        let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
         let [blue, red] = chroma(colours);
         planes[0][y] = luma(colours);
         planes[1][y] = blue.times(T::all(1 << 12));
@@ -222,11 +221,11 @@ pub(super) fn transform_half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pix
         let mut rows = [T::all(0); SIDE];
         for pair in 0..SIDE / 2 {
             let y = half * SIDE + 2 * pair;
-            let [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
-            let [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, y + 1), job.ground);
-            rows[2 * pair] = luma([r.shift_left::<7>(), g.shift_left::<7>(), b.shift_left::<7>()]);
-            rows[2 * pair + 1] = luma([r2.shift_left::<7>(), g2.shift_left::<7>(), b2.shift_left::<7>()]);
-            let [blue, red] = chroma([r.plus(r2).shift_left::<6>(), g.plus(g2).shift_left::<6>(), b.plus(b2).shift_left::<6>()]);
+            let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+            let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, y + 1), job.ground);
+            rows[2 * pair] = luma(above);
+            rows[2 * pair + 1] = luma(below);
+            let [blue, red] = chroma([r.mean(r2), g.mean(g2), b.mean(b2)]);
             halves[half * SIDE / 2 + pair] = blue.sums_of_pairs(red).times(T::all(1 << 11));
         }
         transform(rows, &job.quantisers[0], &mut blocks[half]);
@@ -234,11 +233,11 @@ pub(super) fn transform_half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pix
     transform(halves, &job.quantisers[1], &mut blocks[2]);
 }
 
-/// Red, green and blue; grey three times.
+/// Red, green and blue, unsigned, with 8 bits of fraction; grey three times.
 #[inline(always)]
 fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [u8; 3]) -> [T; 3] {
     match CHANNELS {
-        1 => [T::pixels_1(pixels); 3],
+        1 => [T::pixels_1(pixels).shift_left::<8>(); 3],
         2 => {
             let [grey, alpha] = T::pixels_2(pixels);
             [blended(grey, alpha, red); 3]
@@ -251,27 +250,33 @@ fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [
     }
 }
 
-/// `(c a + g (255 - a)) / 255`, rounded.
+/// `(c a + g (255 - a)) / 255`, rounded, with 8 bits of fraction.
 #[inline(always)]
 fn blended<T: Lanes>(colour: T, alpha: T, ground: u8) -> T {
     let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(ground)));
     let sum = colour.times_low(alpha).plus(behind).plus(T::all(127));
-    // A division by 255, exact for what two bytes can be.
-    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
+    // A division by 255, exact for what two bytes can be, of which the fraction is cut off.
+    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>().shift_left::<8>()
 }
 
-/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction, of colours with 7.
+/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction.
 #[inline(always)]
 fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
-    let sum = r.times(T::all(9798)).plus(g.times(T::all(19_235))).plus(b.times(T::all(3735)));
-    sum.minus(T::all(128 << 7)).times(T::all(1 << 12))
+    // 38,470 as a signed integer.
+    fraction(r.times_high(T::all(19_595)).plus(g.times_high(T::all(-27_066))).plus(b.times_high(T::all(7471))))
 }
 
-/// The two kinds of chrominance, with the bits of fraction of the colours.
+/// Of unsigned integers with 8 bits of fraction: less 128, with 4 bits.
+#[inline(always)]
+fn fraction<T: Lanes>(value: T) -> T {
+    value.minus(T::all(i16::MIN)).times(T::all(1 << 11))
+}
+
+/// The two kinds of chrominance, with 7 bits of fraction.
 #[inline(always)]
 fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
-    let blue = b.times(T::all(16_384)).minus(r.times(T::all(5529))).minus(g.times(T::all(10_855)));
-    let red = r.times(T::all(16_384)).minus(g.times(T::all(13_720))).minus(b.times(T::all(2664)));
+    let blue = b.times_high(T::all(16_384)).minus(r.times_high(T::all(5529))).minus(g.times_high(T::all(10_855)));
+    let red = r.times_high(T::all(16_384)).minus(g.times_high(T::all(13_720))).minus(b.times_high(T::all(2664)));
     [blue, red]
 }
 

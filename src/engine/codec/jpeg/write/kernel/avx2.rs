@@ -23,6 +23,18 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 struct Avx2(__m256i);
 
 impl Avx2 {
+    /// Samples of a channel of pixels of three bytes, times 256.
+    #[inline(always)]
+    unsafe fn third<const CHANNEL: usize>(first: __m256i, last: __m256i) -> Self {
+        // SAFETY: as for `Lanes`.
+        unsafe {
+            let [low, high] = &PLACES[CHANNEL];
+            let low = _mm256_broadcastsi128_si256(_mm_loadu_si128(low.as_ptr().cast()));
+            let high = _mm256_broadcastsi128_si256(_mm_loadu_si128(high.as_ptr().cast()));
+            Self(_mm256_or_si256(_mm256_shuffle_epi8(first, low), _mm256_shuffle_epi8(last, high)))
+        }
+    }
+
     /// Samples of pixels of four bytes: `first` has the pixels 0 to 3 and 8 to 11, `second` the others.
     #[inline(always)]
     unsafe fn channel<const SHIFT: i32>(first: __m256i, second: __m256i) -> Self {
@@ -36,6 +48,21 @@ impl Avx2 {
         }
     }
 }
+
+/// The bytes of a channel of eight pixels in every second byte, from their first 16 bytes and their last.
+const fn places(channel: u8) -> [[u8; 16]; 2] {
+    let mut places = [[0x80; 16]; 2];
+    let mut k = 0;
+    while k < 8 {
+        let at = 3 * k + channel;
+        let (half, at) = if at < 16 { (0, at) } else { (1, at - 8) };
+        places[half][2 * k as usize + 1] = at;
+        k += 1;
+    }
+    places
+}
+
+static PLACES: [[[u8; 16]; 2]; 3] = [places(0), places(1), places(2)];
 
 /// 16 bytes at a place.
 #[inline(always)]
@@ -54,7 +81,8 @@ unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
 
 lanes! {
     Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, zero: _mm256_setzero_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
-    sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
+    sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
+    mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
     or: _mm256_or_si256, shuffle: _mm256_shuffle_epi8, row: _mm256_broadcastsi128_si256,
     unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32, _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
@@ -74,16 +102,9 @@ lanes! {
         #[inline(always)]
         fn pixels_3(pixels: &[u8]) -> [Self; 3] {
             unsafe {
-                // To pixels of four bytes. The last 16 bytes begin four before the pixel 12.
-                let apart = _mm256_setr_epi8(
-                    0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, 0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1,
-                );
-                let late = _mm256_setr_epi8(
-                    0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, 4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1,
-                );
-                let first = _mm256_shuffle_epi8(two(pixels, 0, 24), apart);
-                let second = _mm256_shuffle_epi8(two(pixels, 12, 32), late);
-                [Self::channel::<0>(first, second), Self::channel::<8>(first, second), Self::channel::<16>(first, second)]
+                // Pixels 0 to 7 and 8 to 15: their first 16 bytes, and their last, of which the first 8 are the same.
+                let (first, last) = (two(pixels, 0, 24), two(pixels, 8, 32));
+                [Self::third::<0>(first, last), Self::third::<1>(first, last), Self::third::<2>(first, last)]
             }
         }
 

@@ -22,12 +22,17 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 #[derive(Clone, Copy)]
 struct Avx512(__m512i);
 
-/// The bytes of a channel of 32 pixels, in every second byte.
+/// Every second byte, from the first or the second on.
+const LOW: u64 = 0x5555_5555_5555_5555;
+const HIGH: u64 = LOW << 1;
+
+/// The bytes of a channel of 32 pixels, each twice.
 const fn places(channels: u8, channel: u8) -> [u8; 64] {
     let mut places = [0; 64];
     let mut k = 0;
     while k < 32 {
         places[2 * k as usize] = channels * k + channel;
+        places[2 * k as usize + 1] = channels * k + channel;
         k += 1;
     }
     places
@@ -37,12 +42,13 @@ static PLACES_3: [[u8; 64]; 3] = [places(3, 0), places(3, 1), places(3, 2)];
 static PLACES_4: [[u8; 64]; 4] = [places(4, 0), places(4, 1), places(4, 2), places(4, 3)];
 
 impl Avx512 {
+    /// `MASK`: the bytes that are taken.
     #[inline(always)]
-    unsafe fn channel(first: __m512i, second: __m512i, places: &[u8; 64]) -> Self {
+    unsafe fn channel<const MASK: u64>(first: __m512i, second: __m512i, places: &[u8; 64]) -> Self {
         // SAFETY: as for `Lanes`.
         unsafe {
             let places = _mm512_loadu_si512(places.as_ptr().cast());
-            Self(_mm512_maskz_permutex2var_epi8(0x5555_5555_5555_5555, first, places, second))
+            Self(_mm512_maskz_permutex2var_epi8(MASK, first, places, second))
         }
     }
 }
@@ -65,7 +71,8 @@ unsafe fn thirty_two(bytes: &[u8], at: usize) -> __m256i {
 
 lanes! {
     Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, zero: _mm512_setzero_si512, add: _mm512_add_epi16, saturate: _mm512_adds_epi16,
-    sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
+    sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, high: _mm512_mulhi_epu16,
+    mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
     or: _mm512_or_si512, shuffle: _mm512_shuffle_epi8, row: _mm512_broadcast_i32x4,
     unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32, _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
@@ -87,7 +94,7 @@ lanes! {
             unsafe {
                 let (first, second) = (sixty_four(pixels, 0), _mm512_castsi256_si512(thirty_two(pixels, 64)));
                 let [r, g, b] = &PLACES_3;
-                [Self::channel(first, second, r), Self::channel(first, second, g), Self::channel(first, second, b)]
+                [Self::channel::<HIGH>(first, second, r), Self::channel::<HIGH>(first, second, g), Self::channel::<HIGH>(first, second, b)]
             }
         }
 
@@ -97,10 +104,10 @@ lanes! {
                 let (first, second) = (sixty_four(pixels, 0), sixty_four(pixels, 64));
                 let [r, g, b, a] = &PLACES_4;
                 [
-                    Self::channel(first, second, r),
-                    Self::channel(first, second, g),
-                    Self::channel(first, second, b),
-                    Self::channel(first, second, a),
+                    Self::channel::<LOW>(first, second, r),
+                    Self::channel::<LOW>(first, second, g),
+                    Self::channel::<LOW>(first, second, b),
+                    Self::channel::<LOW>(first, second, a),
                 ]
             }
         }

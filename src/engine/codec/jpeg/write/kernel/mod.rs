@@ -34,17 +34,21 @@ pub(super) trait Lanes: Copy {
     fn minus(self, other: Self) -> Self;
     /// `(a b + 2^14) / 2^15`, rounded down.
     fn times(self, other: Self) -> Self;
+    /// `a b / 2^16` of unsigned integers, rounded down.
+    fn times_high(self, other: Self) -> Self;
+    /// `(a + b + 1) / 2` of unsigned integers, rounded down.
+    fn mean(self, other: Self) -> Self;
     /// The lower 16 bits of the product.
     fn times_low(self, other: Self) -> Self;
     fn shift_left<const BITS: u32>(self) -> Self;
     /// Of unsigned integers.
     fn shift_right<const BITS: u32>(self) -> Self;
 
-    /// Samples of `COUNT` pixels of one byte, by channel.
+    /// Samples of `COUNT` pixels of one byte.
     fn pixels_1(pixels: &[u8]) -> Self;
-    /// The same of pixels of two bytes.
+    /// The same of pixels of two bytes, by channel.
     fn pixels_2(pixels: &[u8]) -> [Self; 2];
-    /// The same of pixels of three bytes.
+    /// The same of pixels of three bytes, times 256.
     fn pixels_3(pixels: &[u8]) -> [Self; 3];
     /// The same of pixels of four bytes.
     fn pixels_4(pixels: &[u8]) -> [Self; 4];

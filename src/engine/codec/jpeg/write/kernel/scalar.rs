@@ -62,6 +62,16 @@ impl Lanes for Scalar {
     }
 
     #[inline(always)]
+    fn times_high(self, other: Self) -> Self {
+        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) * u32::from(b.cast_unsigned()) >> 16) as u16).cast_signed())
+    }
+
+    #[inline(always)]
+    fn mean(self, other: Self) -> Self {
+        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) + u32::from(b.cast_unsigned()) + 1 >> 1) as u16).cast_signed())
+    }
+
+    #[inline(always)]
     fn times_low(self, other: Self) -> Self {
         self.each(other, i16::wrapping_mul)
     }
@@ -89,7 +99,8 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn pixels_3(pixels: &[u8]) -> [Self; 3] {
-        channels(pixels)
+        let [r, g, b] = channels::<3>(pixels);
+        [r.shift_left::<8>(), g.shift_left::<8>(), b.shift_left::<8>()]
     }
 
     #[inline(always)]

@@ -23,7 +23,7 @@ const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
 macro_rules! lanes {
     (
         $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident, zero: $zero:ident, add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
-        times: $times:ident, low: $low:ident, left: $left:ident, right: $right:ident, or: $or:ident, shuffle: $shuffle:ident,
+        times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident, or: $or:ident, shuffle: $shuffle:ident,
         row: $row:ident, unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
         own: { $($own:item)* }
     ) => {
@@ -90,6 +90,16 @@ macro_rules! lanes {
             #[inline(always)]
             fn times(self, other: Self) -> Self {
                 Self(unsafe { $times(self.0, other.0) })
+            }
+
+            #[inline(always)]
+            fn times_high(self, other: Self) -> Self {
+                Self(unsafe { $high(self.0, other.0) })
+            }
+
+            #[inline(always)]
+            fn mean(self, other: Self) -> Self {
+                Self(unsafe { $mean(self.0, other.0) })
             }
 
             #[inline(always)]
