@@ -15,7 +15,7 @@ const text = (id, words) => (find(id).textContent = words);
 const REST = 250;
 /** Largest side of a file by format, px; the limits of the server apply too. */
 const SIDES = { png: Infinity, jpeg: 65535, webp: 16383, animation: Infinity };
-const DEFAULTS = { format: "png", scale: 100, quality: 90, compression: "fast", background: "#ffffff" };
+const DEFAULTS = { format: "png", scale: 100, quality: 85, compression: "fast", background: "#ffffff" };
 
 /** The stored settings; invalid ones are replaced by the defaults. */
 function storedSettings() {

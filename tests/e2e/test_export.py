@@ -58,7 +58,7 @@ def choose(visit, **settings):
     ({"compression": "best"}, {"compression": "best"}, (400, 300)),
     ({"width": 133}, {"width": 133}, (133, 100)),
     ({"scale": 250}, {"width": 1000}, (1000, 750)),
-    ({"format": "jpeg"}, {"format": "jpeg", "quality": 90}, (400, 300)),
+    ({"format": "jpeg"}, {"format": "jpeg", "quality": 85}, (400, 300)),
     ({"format": "jpeg", "quality": 35, "width": 200, "background": "#ff8000"}, {"format": "jpeg", "quality": 35, "width": 200, "outside": "#ff8000ff"}, (200, 150)),
     ({"format": "webp", "scale": 50}, {"format": "webp", "width": 200}, (200, 150)),
 ])

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
-use mlswarp::codec::{Compression, Format};
+use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
@@ -66,6 +66,7 @@ fn base() -> WarpObject {
         output: OutputSpec {
             format: Format::Png,
             quality: 90,
+            subsampling: None,
             compression: Compression::Fast,
             canvas: CanvasSpec::Same,
             width: None,
@@ -138,11 +139,14 @@ struct Output<'a>(&'a OutputSpec, Defaults);
 impl Serialize for Output<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(output, defaults)) = (base().output, self);
-        let OutputSpec { format, quality, compression, canvas, width, filter, outside, holes } = *output;
+        let OutputSpec { format, quality, subsampling, compression, canvas, width, filter, outside, holes } = *output;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "format", format, &base.format)?;
         if defaults == Defaults::Written || quality != base.quality {
             object.serialize_entry("quality", &quality)?;
+        }
+        if let Some(subsampling) = subsampling {
+            object.serialize_entry("subsampling", &AsJson(subsampling))?;
         }
         defaults.field(&mut object, "compression", compression, &base.compression)?;
         if let Some(width) = width {
@@ -317,6 +321,7 @@ mod tests {
         let output = OutputSpec {
             format: Format::Jpeg,
             quality: 7,
+            subsampling: Some(Subsampling::Full),
             compression: Compression::Best,
             canvas: CanvasSpec::Fit,
             width: Some(5),
@@ -387,7 +392,7 @@ mod tests {
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
-        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit","holes":"transparent"},"coincident":{"policy":"reject","within":1.5}}"#;
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"subsampling":"4:4:4","compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit","holes":"transparent"},"coincident":{"policy":"reject","within":1.5}}"#;
         assert_eq!(made(&full), digest(&full, warp));
     }
 

@@ -1,7 +1,7 @@
 //! The names of enum values: those of this version, and those that only the contract has. One table serves reading, writing and the OpenAPI
 //! document (tested).
 
-use mlswarp::codec::{Compression, Format};
+use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
 use mlswarp::warp::{Easing, Folds, Holes, MapDirection, Method, Units};
@@ -109,6 +109,7 @@ enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normal
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
+enum_names!(Subsampling, unsupported [], Subsampling::Half = "4:2:0", Subsampling::Full = "4:4:4");
 enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
 enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", MapDirection::Forward = "forward");

@@ -73,7 +73,7 @@ pub(crate) const COINCIDENT: [&str; 2] = ["policy", "within"];
 pub(crate) const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 
 /// The fields of `output`, in the order of `OutputPatch::read`.
-pub(crate) const OUTPUT: [&str; 8] = ["format", "quality", "compression", "width", "filter", "outside", "canvas", "holes"];
+pub(crate) const OUTPUT: [&str; 9] = ["format", "quality", "subsampling", "compression", "width", "filter", "outside", "canvas", "holes"];
 
 /// The fields of a box as `canvas`.
 pub(crate) const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
@@ -87,7 +87,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 4] = [("region", "q"), ("subsampling", "quality"), ("window", "frames"), ("mesh", "frames")];
+const UNSUPPORTED: [(&str, &str); 3] = [("region", "q"), ("window", "frames"), ("mesh", "frames")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.
 pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {

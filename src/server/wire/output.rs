@@ -1,7 +1,7 @@
 //! The `output` object: how the picture is made. A drag gives some of its fields, which replace those of the session.
 
 use data_encoding::HEXLOWER_PERMISSIVE;
-use mlswarp::codec::{Compression, Format};
+use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
 use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, Holes, OutputSpec};
@@ -24,6 +24,7 @@ const OUTSIDE: &str = "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`"
 pub(crate) struct OutputPatch {
     pub(crate) format: Option<Format>,
     pub(crate) quality: Option<u8>,
+    pub(crate) subsampling: Option<Subsampling>,
     pub(crate) compression: Option<Compression>,
     pub(crate) canvas: Option<CanvasSpec>,
     pub(crate) width: Option<u32>,
@@ -38,6 +39,7 @@ impl OutputPatch {
         OutputSpec {
             format: self.format.unwrap_or(base.format),
             quality: self.quality.unwrap_or(base.quality),
+            subsampling: self.subsampling.or(base.subsampling),
             compression: self.compression.unwrap_or(base.compression),
             canvas: self.canvas.unwrap_or(base.canvas),
             width: self.width.or(base.width),
@@ -51,10 +53,11 @@ impl OutputPatch {
         if node.kind() == Kind::String {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
-        let [format, quality_, compression, width_, filter, outside_, canvas_, holes] = node.fields(&fields::OUTPUT)?;
+        let [format, quality_, subsampling, compression, width_, filter, outside_, canvas_, holes] = node.fields(&fields::OUTPUT)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
+            subsampling: optional(subsampling, enum_name)?,
             compression: optional(compression, enum_name)?,
             canvas: optional(canvas_, canvas)?,
             width: optional(width_, width)?,

@@ -98,10 +98,13 @@ impl Serialize for AsJson<Outside> {
 
 impl Serialize for AsJson<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let OutputSpec { format, quality, compression, canvas, width, filter, outside, holes } = *self.0;
+        let OutputSpec { format, quality, subsampling, compression, canvas, width, filter, outside, holes } = *self.0;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("format", &AsJson(format))?;
         object.serialize_entry("quality", &quality)?;
+        if let Some(subsampling) = subsampling {
+            object.serialize_entry("subsampling", &AsJson(subsampling))?;
+        }
         object.serialize_entry("compression", &AsJson(compression))?;
         if let Some(width) = width {
             object.serialize_entry("width", &width)?;

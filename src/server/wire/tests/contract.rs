@@ -283,6 +283,8 @@ fn schemas_and_parsers_agree_on_a_table() {
         "output: {\"format\": \"jpeg\", \"quality\": 100}",
         "output: {\"format\": \"webp\"}",
         "output: {\"format\": \"avif\"}",
+        "output: {\"subsampling\": \"4:2:0\"}",
+        "output: {\"subsampling\": \"4:2:2\"}",
         "output: {\"quality\": 0}",
         "output: {\"quality\": 101}",
         "output: {\"quality\": 50.5}",

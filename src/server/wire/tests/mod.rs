@@ -2,7 +2,7 @@
 
 mod contract;
 
-use mlswarp::codec::{Compression, Format};
+use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
@@ -61,7 +61,8 @@ fn warp_reads_the_example_of_the_contract() {
         folds: Folds::Reject,
         output: OutputSpec {
             format: Format::Png,
-            quality: 90,
+            quality: 85,
+            subsampling: None,
             compression: Compression::Best,
             canvas: CanvasSpec::Same,
             width: Some(800),
@@ -79,7 +80,7 @@ fn warp_reads_the_example_of_the_contract() {
 fn warp_has_defaults_for_everything() {
     assert_eq!(WarpObject::parse(b" {} "), Ok(WarpObject::default()));
     let defaults = br#"{"p": [], "method": "rigid", "units": "px", "grid": "auto", "folds": "report", "metric": "euclidean",
-        "output": {"format": "png", "quality": 90, "compression": "fast", "filter": "bilinear", "outside": "transparent", "canvas": "same"}}"#;
+        "output": {"format": "png", "quality": 85, "compression": "fast", "filter": "bilinear", "outside": "transparent", "canvas": "same"}}"#;
     assert_eq!(WarpObject::parse(defaults), Ok(WarpObject::default()));
     assert_eq!(WarpObject::parse(br#"{"output": {}}"#), Ok(WarpObject::default()));
 }
@@ -339,6 +340,7 @@ fn output_patch_replaces_only_what_it_gives() {
     let base = OutputSpec {
         format: Format::Jpeg,
         quality: 40,
+        subsampling: Some(Subsampling::Half),
         compression: Compression::None,
         canvas: CanvasSpec::Fit,
         width: Some(7),
@@ -347,11 +349,12 @@ fn output_patch_replaces_only_what_it_gives() {
         holes: Holes::Transparent,
     };
     assert_eq!(OutputPatch::default().merge_onto(&base), base);
-    let (format, quality, compression, width) = (Format::WebP, 70, Compression::Best, 8);
+    let (format, quality, subsampling, compression, width) = (Format::WebP, 70, Some(Subsampling::Full), Compression::Best, 8);
     let (filter, outside, canvas, holes) = (Filter::Bilinear, Outside::Colour([1, 2, 3, 4]), CanvasSpec::Same, Holes::Keep);
     let all = OutputPatch {
         format: Some(format),
         quality: Some(quality),
+        subsampling,
         compression: Some(compression),
         canvas: Some(canvas),
         width: Some(width),
@@ -359,7 +362,7 @@ fn output_patch_replaces_only_what_it_gives() {
         outside: Some(outside),
         holes: Some(holes),
     };
-    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, compression, canvas, width: Some(width), filter, outside, holes });
+    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, subsampling, compression, canvas, width: Some(width), filter, outside, holes });
     assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.merge_onto(&base), OutputSpec { width: Some(8), ..base });
 }
 
@@ -557,7 +560,7 @@ fn session_object_is_written_in_wire_form() {
             "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "coincident": [{"handles": [0, 4]}], "units": "px",
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "folds": "report",
-            "output": {"format": "png", "quality": 90, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same", "holes": "keep"},
+            "output": {"format": "png", "quality": 85, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same", "holes": "keep"},
             "layers": {"depth": {"kind": "labels"}},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
         })
@@ -655,10 +658,11 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         extent: Extent::new(w, h).unwrap(),
     });
     let canvas = prop_oneof![Just(CanvasSpec::Same), Just(CanvasSpec::Fit), boxes.prop_map(CanvasSpec::Box)];
-    let output = (all(), 1_u8..=100, all(), prop::option::of(1_u32..), all(), outside, canvas, all());
-    let output = output.prop_map(|(format, quality, compression, width, filter, outside, canvas, holes)| OutputSpec {
+    let output = (all(), 1_u8..=100, prop::option::of(all()), all(), prop::option::of(1_u32..), all(), outside, canvas, all());
+    let output = output.prop_map(|(format, quality, subsampling, compression, width, filter, outside, canvas, holes)| OutputSpec {
         format,
         quality,
+        subsampling,
         compression,
         canvas,
         width,
