@@ -267,7 +267,8 @@ mod tests {
         let extent = Extent::new(1500, 1000).unwrap();
         let shape = PngShape { extent, channels: Channels::Rgb, grey: false, depth: Depth::Eight };
         let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, subsampling: Subsampling::Full, ground: [0; 3] }, None);
-        let noise: Vec<u8> = (0..1500_u32 * 3000).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let rows = writer.rows(0).end;
+        let noise: Vec<u8> = (0..rows * 1500 * 3).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let write = |looks: u32| {
             let (asked, mut file) = (Cell::new(0), Vec::new());
             writer.strip_into(0, &mut noise.clone(), &mut file, &|| asked.replace(asked.get() + 1) < looks);

@@ -7,15 +7,17 @@ use super::tables::{AC, BLOCK, DC};
 const COEFFICIENT_BITS: usize = 26;
 /// Most bytes of a block.
 pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
+/// Most blocks of a group.
+pub(super) const GROUP: usize = 12;
 /// Bits of a length in an entry of a table.
 const LENGTH: u32 = 6;
 /// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros.
 const NEAR: i32 = 64;
 const VALUES: usize = 2 * NEAR as usize;
 
-/// The end of a block, and 16 zeros.
-const END: usize = 0x00;
-const ZEROS: usize = 0xf0;
+/// Runs of zeros, and the differences of first coefficients after them.
+const RUNS: usize = FIRST + 1;
+const FIRST: usize = 16;
 
 /// A quantised block in the order of a file, and which of its coefficients are not zero, the first in the lowest bit.
 #[derive(Clone, Copy)]
@@ -35,12 +37,22 @@ impl Block {
     }
 }
 
+/// The blocks of a group of pixels.
+pub(super) type Blocks = [Block; GROUP];
+
+/// A block of a group and the number of its component.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coded {
+    pub(super) block: usize,
+    pub(super) component: usize,
+}
+
 /// The codes of luminance or chrominance: `bits << 6 | length`.
 pub(super) struct Codes {
-    dc: [u32; 12],
-    ac: [u32; 256],
+    /// By run of zeros and size of the value.
+    sized: [[u32; 16]; RUNS],
     /// By run of zeros and value: the code and the bits of the value.
-    near: [[u32; VALUES]; 16],
+    near: [[u32; VALUES]; RUNS],
 }
 
 impl std::fmt::Debug for Codes {
@@ -69,14 +81,28 @@ impl Codes {
         [0, 1].map(|k| {
             let code = |(code, length): (u16, u8)| u32::from(code) << LENGTH | u32::from(length);
             let (dc, ac) = (DC[k].codes().map(code), AC[k].codes().map(code));
-            let mut near = [[0; VALUES]; 16];
-            for (run, entries) in near.iter_mut().enumerate() {
-                for (value, entry) in (-NEAR..NEAR).zip(entries) {
-                    *entry = with_value(ac[run << 4 | size(value) as usize], value, size(value));
-                }
+            let mut codes = Self { sized: [[0; 16]; RUNS], near: [[0; VALUES]; RUNS] };
+            for run in 0..RUNS {
+                codes.sized[run] = std::array::from_fn(|size| if run == FIRST { dc[size] } else { ac[run << 4 | size] });
+                codes.near[run] = std::array::from_fn(|k| codes.far(run, k as i32 - NEAR));
             }
-            Self { dc: std::array::from_fn(|size| dc[size]), ac, near }
+            codes
         })
+    }
+
+    /// The code of `run` zeros and a value that follows them; of a difference if `run` is [`FIRST`].
+    #[inline(always)]
+    fn of(&self, run: usize, value: i32) -> u32 {
+        #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
+        let near = (value + NEAR) as usize;
+        if near < VALUES { self.near[run % RUNS][near] } else { self.far(run, value) }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn far(&self, run: usize, value: i32) -> u32 {
+        let size = size(value);
+        with_value(self.sized[run][size as usize], value, size)
     }
 }
 
@@ -87,8 +113,8 @@ pub(super) struct BitWriter {
 }
 
 const SIZE: usize = 16 << 10;
-/// Above, the bytes must be taken before the next block.
-const FULL: usize = SIZE - BLOCK_BYTES - 16;
+/// Above, the bytes must be taken before the next group.
+const FULL: usize = SIZE - GROUP * BLOCK_BYTES - 16;
 
 /// The state of a [`BitWriter`] without its bytes, so that it stays in registers while a block is coded.
 #[derive(Clone, Copy)]
@@ -102,10 +128,31 @@ struct Bits {
 
 impl Bits {
     #[inline(always)]
-    fn put(&mut self, entry: u32) {
-        let length = entry % (1 << LENGTH);
-        self.word = self.word << length | u64::from(entry >> LENGTH);
-        self.waiting += length;
+    fn put(&mut self, code: u32) {
+        // The shift takes the length, the lowest 6 bits, alone.
+        self.word = self.word.wrapping_shl(code) | u64::from(code >> LENGTH);
+        self.waiting += code % (1 << LENGTH);
+    }
+
+    /// Codes a block; `last`: the first coefficient of the component's previous block.
+    #[inline(always)]
+    fn block(&mut self, block: &Block, codes: &Codes, last: &mut i16, bytes: &mut [u8; SIZE]) {
+        let [first, ..] = block.coefficients;
+        self.put(codes.of(FIRST, i32::from(first) - i32::from(*last)));
+        *last = first;
+        self.store(bytes);
+        let mut rest = Rest { left: block.nonzero & !1, next: 1 };
+        // Two coefficients between two stores.
+        while rest.left != 0 {
+            self.coefficient(block, codes, &mut rest, bytes);
+            if rest.left != 0 {
+                self.coefficient(block, codes, &mut rest, bytes);
+            }
+            self.store(bytes);
+        }
+        if rest.next < 64 {
+            self.put(codes.sized[0][0]);
+        }
     }
 
     /// Puts the next coefficient that is not zero, and the zeros before it.
@@ -117,23 +164,17 @@ impl Bits {
         rest.next = at + 1;
         while run > 15 {
             self.store(bytes);
-            self.put(codes.ac[ZEROS]);
+            self.put(codes.sized[15][0]);
             run -= 16;
         }
-        let value = i32::from(block.coefficients[at as usize % BLOCK]);
-        #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
-        let near = (value + NEAR) as usize;
-        self.put(if near < VALUES {
-            codes.near[run as usize % 16][near]
-        } else {
-            with_value(codes.ac[(run << 4 | size(value)) as usize % 256], value, size(value))
-        });
+        self.put(codes.of(run as usize, i32::from(block.coefficients[at as usize % BLOCK])));
     }
 
     /// Stores all whole bytes.
     #[inline(always)]
     fn store(&mut self, bytes: &mut [u8; SIZE]) {
-        let bits = self.word << (63 - self.waiting) << 1;
+        // If no bit waits, the bytes have no meaning and are overwritten.
+        let bits = self.word.wrapping_shl(self.waiting.wrapping_neg());
         if let Some(bytes) = bytes.get_mut(self.at..).and_then(<[u8]>::first_chunk_mut) {
             *bytes = bits.to_be_bytes();
         }
@@ -155,30 +196,15 @@ impl BitWriter {
         Self { bytes: Box::new([0; SIZE]), bits: Bits { at: 0, word: 0, waiting: 0 } }
     }
 
-    /// Codes a block; `last`: the first coefficient of the component's previous block.
+    /// Codes the blocks of a group in an order; `last`: the first coefficient of each component's previous block.
     #[inline(always)]
-    pub(super) fn block(&mut self, block: &Block, codes: &Codes, last: &mut i16, out: &mut Vec<u8>) {
+    pub(super) fn group(&mut self, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
         if self.bits.at > FULL {
             self.take(out);
         }
-        let (mut bits, bytes) = (self.bits, &mut *self.bytes);
-        let [first, ..] = block.coefficients;
-        let difference = i32::from(first) - i32::from(*last);
-        *last = first;
-        let length = size(difference);
-        bits.put(with_value(codes.dc[length as usize % 12], difference, length));
-        bits.store(bytes);
-        let mut rest = Rest { left: block.nonzero & !1, next: 1 };
-        // Two coefficients between two stores.
-        while rest.left != 0 {
-            bits.coefficient(block, codes, &mut rest, bytes);
-            if rest.left != 0 {
-                bits.coefficient(block, codes, &mut rest, bytes);
-            }
-            bits.store(bytes);
-        }
-        if rest.next < 64 {
-            bits.put(codes.ac[END]);
+        let mut bits = self.bits;
+        for &Coded { block, component } in order {
+            bits.block(&blocks[block % GROUP], &codes[component.min(1)], &mut last[component % 3], &mut self.bytes);
         }
         self.bits = bits;
     }

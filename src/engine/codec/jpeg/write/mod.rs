@@ -106,11 +106,7 @@ impl JpegWriter {
     pub fn max_bytes(&self) -> u64 {
         let side = self.components.side();
         let [across, down] = [self.shape.extent.width(), self.shape.extent.height()].map(|length| (length as usize).div_ceil(side) as u64);
-        let blocks = match self.components {
-            Components::Grey => 1,
-            Components::Full => 3,
-            Components::Half => 6,
-        };
+        let blocks = self.components.blocks() as u64;
         let strips = self.strips() as u64 * 4;
         across * down * blocks * 2 * BLOCK_BYTES as u64 + strips + self.head.len() as u64 + markers::END.len() as u64
     }

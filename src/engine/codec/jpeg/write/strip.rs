@@ -5,7 +5,7 @@
 //! rounded away, and coefficients have the unit 1/32. Only the first can leave the range, when all of a block is black: it is 1024 at most
 //! (T.81, A.3.3), all others are 1020.
 
-use super::coder::{BitWriter, Block, Codes};
+use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP};
 use super::kernel::{Lanes, MOST_LANES};
 use super::tables::{BLOCK, SIDE};
 
@@ -32,6 +32,37 @@ impl Components {
             Self::Grey | Self::Full => SIDE,
             Self::Half => 2 * SIDE,
         }
+    }
+
+    /// The quantiser of each plane of blocks that a group of pixels has: luminance, or the three components, or luminance above and below
+    /// and both kinds of chrominance.
+    const fn quantisers(self) -> &'static [usize] {
+        match self {
+            Self::Grey => &[0],
+            Self::Full => &[0, 1, 1],
+            Self::Half => &[0, 0, 1],
+        }
+    }
+
+    /// Blocks of a macroblock.
+    pub(super) const fn blocks(self) -> usize {
+        match self {
+            Self::Grey => 1,
+            Self::Full => 3,
+            Self::Half => 6,
+        }
+    }
+
+    /// The blocks of a group of pixels in the order of a file.
+    fn order(self, lanes: usize) -> Vec<Coded> {
+        let macroblocks = lanes / self.side();
+        let coded = |(plane, block, component): (usize, usize, usize)| Coded { block: plane * PLANE + block, component };
+        let one = |k: usize| match self {
+            Self::Grey => vec![(0, k, 0)],
+            Self::Full => vec![(0, k, 0), (1, k, 1), (2, k, 2)],
+            Self::Half => vec![(0, 2 * k, 0), (0, 2 * k + 1, 0), (1, 2 * k, 0), (1, 2 * k + 1, 0), (2, k, 1), (2, macroblocks + k, 2)],
+        };
+        (0..macroblocks).flat_map(one).map(coded).collect()
     }
 }
 
@@ -140,7 +171,9 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
     let height = job.samples.len() / pitch;
     let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
     let (mut bits, mut last) = (BitWriter::new(), [0; 3]);
-    let mut blocks: Blocks = [[Block::ZERO; MOST_LANES / SIDE]; 3];
+    let mut blocks: Blocks = [Block::ZERO; GROUP];
+    let mut planes = [[T::all(0); SIDE]; PLANES];
+    let order = job.components.order(T::COUNT);
     let across = job.width.div_ceil(side);
     for top in (0..height).step_by(side) {
         for left in (0..job.width).step_by(T::COUNT) {
@@ -149,34 +182,9 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
             if pixels.is_edge {
                 pixels.copy_edge::<CHANNELS>(top);
             }
-            let count = (across - left / side).min(T::COUNT / side);
-            match job.components {
-                Components::Grey => {
-                    transform_grey::<T, CHANNELS>(job, &pixels, top, &mut blocks);
-                    for block in &blocks[0][..count] {
-                        bits.block(block, &job.codes[0], &mut last[0], out);
-                    }
-                }
-                Components::Full => {
-                    transform_full::<T, CHANNELS>(job, &pixels, top, &mut blocks);
-                    for k in 0..count {
-                        for (component, blocks) in blocks.iter().enumerate() {
-                            bits.block(&blocks[k], &job.codes[component.min(1)], &mut last[component], out);
-                        }
-                    }
-                }
-                Components::Half => {
-                    transform_half::<T, CHANNELS>(job, &pixels, top, &mut blocks);
-                    let [above, below, chroma] = &blocks;
-                    for k in 0..count {
-                        for block in [&above[2 * k], &above[2 * k + 1], &below[2 * k], &below[2 * k + 1]] {
-                            bits.block(block, &job.codes[0], &mut last[0], out);
-                        }
-                        bits.block(&chroma[k], &job.codes[1], &mut last[1], out);
-                        bits.block(&chroma[T::COUNT / (2 * SIDE) + k], &job.codes[1], &mut last[2], out);
-                    }
-                }
-            }
+            transform::<T, CHANNELS>(job, &pixels, top, &mut planes, &mut blocks);
+            let count = (across - left / side) * job.components.blocks();
+            T::code(&mut bits, &blocks, &order[..count.min(order.len())], job.codes, &mut last, out);
         }
         if !wanted() {
             return;
@@ -185,22 +193,46 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
     bits.finish(out);
 }
 
-/// Luminance above and below, then both kinds of chrominance; or the three components.
-pub(super) type Blocks = [[Block; MOST_LANES / SIDE]; 3];
+/// Rows of lanes.
+type Plane<T> = [T; SIDE];
+/// Most planes of a group, see [`Components::quantisers`].
+pub(super) const PLANES: usize = 3;
+/// Most blocks of a plane.
+pub(super) const PLANE: usize = MOST_LANES / SIDE;
+const _: () = assert!(PLANE * PLANES == GROUP);
 
+/// The blocks of a group, those of a plane side by side.
 #[inline(always)]
-pub(super) fn transform_grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
-    let mut luma = [T::all(0); SIDE];
-    for (y, luma) in luma.iter_mut().enumerate() {
+pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
+    job: &Job<'_>,
+    pixels: &Pixels<'_>,
+    top: usize,
+    planes: &mut [Plane<T>; PLANES],
+    blocks: &mut Blocks,
+) {
+    match job.components {
+        Components::Grey => grey::<T, CHANNELS>(job, pixels, top, planes),
+        Components::Full => full::<T, CHANNELS>(job, pixels, top, planes),
+        Components::Half => half::<T, CHANNELS>(job, pixels, top, planes),
+    }
+    let (blocks, _) = blocks.as_chunks_mut::<PLANE>();
+    for ((rows, quantiser), blocks) in planes.iter().zip(job.components.quantisers()).zip(blocks) {
+        coefficients(*rows, &job.quantisers[*quantiser], blocks);
+    }
+}
+
+/// Luminance in the first plane.
+#[inline(always)]
+fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
+    for (y, luma) in planes[0].iter_mut().enumerate() {
         let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
         *luma = fraction(grey);
     }
-    transform(luma, &job.quantisers[0], &mut blocks[0]);
 }
 
+/// The three components.
 #[inline(always)]
-pub(super) fn transform_full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
-    let mut planes = [[T::all(0); SIDE]; 3];
+fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
     for y in 0..SIDE {
         let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
         let [blue, red] = chroma(colours);
@@ -208,62 +240,53 @@ pub(super) fn transform_full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pix
         planes[1][y] = blue.times(T::all(1 << 12));
         planes[2][y] = red.times(T::all(1 << 12));
     }
-    let [luma, blue, red] = planes;
-    transform(luma, &job.quantisers[0], &mut blocks[0]);
-    transform(blue, &job.quantisers[1], &mut blocks[1]);
-    transform(red, &job.quantisers[1], &mut blocks[2]);
 }
 
+/// Luminance above and below, then both kinds of chrominance.
 #[inline(always)]
-pub(super) fn transform_half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, blocks: &mut Blocks) {
-    let mut halves = [T::all(0); SIDE];
-    for half in 0..2 {
-        let mut rows = [T::all(0); SIDE];
-        for pair in 0..SIDE / 2 {
-            let y = half * SIDE + 2 * pair;
-            let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
-            let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, y + 1), job.ground);
-            rows[2 * pair] = luma(above);
-            rows[2 * pair + 1] = luma(below);
-            let [blue, red] = chroma([r.mean(r2), g.mean(g2), b.mean(b2)]);
-            halves[half * SIDE / 2 + pair] = blue.sums_of_pairs(red).times(T::all(1 << 11));
-        }
-        transform(rows, &job.quantisers[0], &mut blocks[half]);
+fn half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
+    for pair in 0..SIDE {
+        let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair), job.ground);
+        let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair + 1), job.ground);
+        let rows = &mut planes[pair / (SIDE / 2)];
+        rows[2 * pair % SIDE] = luma(above);
+        rows[2 * pair % SIDE + 1] = luma(below);
+        let [blue, red] = chroma([r.mean(r2), g.mean(g2), b.mean(b2)]);
+        planes[2][pair] = blue.sums_of_pairs(red).times(T::all(1 << 11));
     }
-    transform(halves, &job.quantisers[1], &mut blocks[2]);
 }
 
-/// Red, green and blue, unsigned, with 8 bits of fraction; grey three times.
+/// Red, green and blue, 257 times their samples; or grey three times, 256 times its sample.
 #[inline(always)]
 fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [u8; 3]) -> [T; 3] {
     match CHANNELS {
         1 => [T::pixels_1(pixels).shift_left::<8>(); 3],
         2 => {
             let [grey, alpha] = T::pixels_2(pixels);
-            [blended(grey, alpha, red); 3]
+            [blended(grey, alpha, red).shift_left::<8>(); 3]
         }
         3 => T::pixels_3(pixels),
         _ => {
             let [r, g, b, alpha] = T::pixels_4(pixels);
-            [blended(r, alpha, red), blended(g, alpha, green), blended(b, alpha, blue)]
+            [blended(r, alpha, red), blended(g, alpha, green), blended(b, alpha, blue)].map(|colour| colour.times_low(T::all(257)))
         }
     }
 }
 
-/// `(c a + g (255 - a)) / 255`, rounded, with 8 bits of fraction.
+/// `(c a + g (255 - a)) / 255`, rounded.
 #[inline(always)]
 fn blended<T: Lanes>(colour: T, alpha: T, ground: u8) -> T {
     let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(ground)));
     let sum = colour.times_low(alpha).plus(behind).plus(T::all(127));
-    // A division by 255, exact for what two bytes can be, of which the fraction is cut off.
-    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>().shift_left::<8>()
+    // A division by 255, exact for what two bytes can be.
+    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
 }
 
-/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction.
+/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. Weights of colours are multiplied by 256 / 257.
 #[inline(always)]
 fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
-    // 38,470 as a signed integer.
-    fraction(r.times_high(T::all(19_595)).plus(g.times_high(T::all(-27_066))).plus(b.times_high(T::all(7471))))
+    // 38,320 as a signed integer.
+    fraction(r.times_high(T::all(19_519)).plus(g.times_high(T::all(-27_216))).plus(b.times_high(T::all(7442))))
 }
 
 /// Of unsigned integers with 8 bits of fraction: less 128, with 4 bits.
@@ -275,14 +298,15 @@ fn fraction<T: Lanes>(value: T) -> T {
 /// The two kinds of chrominance, with 7 bits of fraction.
 #[inline(always)]
 fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
-    let blue = b.times_high(T::all(16_384)).minus(r.times_high(T::all(5529))).minus(g.times_high(T::all(10_855)));
-    let red = r.times_high(T::all(16_384)).minus(g.times_high(T::all(13_720))).minus(b.times_high(T::all(2664)));
+    let half = T::all(16_320);
+    let blue = b.times_high(half).minus(r.times_high(T::all(5507))).minus(g.times_high(T::all(10_813)));
+    let red = r.times_high(half).minus(g.times_high(T::all(13_667))).minus(b.times_high(T::all(2653)));
     [blue, red]
 }
 
 /// Blocks of samples to quantised coefficients.
 #[inline(always)]
-fn transform<T: Lanes>(rows: [T; SIDE], quantiser: &Quantiser, blocks: &mut [Block]) {
+fn coefficients<T: Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [Block]) {
     let mut rows = cosines(rows);
     for row in &mut rows {
         *row = row.times(T::all(1 << 13));

@@ -2,7 +2,7 @@
 
 use super::coder::{Block, Codes};
 use super::kernel::Scalar;
-use super::strip::{Blocks, Pixels, transform_full, transform_grey, transform_half};
+use super::strip::{Blocks, Pixels, transform};
 use super::tables::{BLOCK, SIDE, ZIGZAG, quantisation};
 use super::*;
 use crate::codec::Limits;
@@ -197,24 +197,24 @@ fn coefficients_are_the_exact_ones_rounded() {
             };
             let mut blocks: Blocks = [[Block::ZERO; 4]; 3];
             macro_rules! with {
-                ($function:ident, $components:expr, $top:expr) => {{
+                ($components:expr, $top:expr) => {{
                     let (job, pixels) = (job($components), Pixels::of_group::<Scalar>(&samples, 16 * channels, channels));
                     match channels {
-                        1 => $function::<Scalar, 1>(&job, &pixels, $top, &mut blocks),
-                        2 => $function::<Scalar, 2>(&job, &pixels, $top, &mut blocks),
-                        3 => $function::<Scalar, 3>(&job, &pixels, $top, &mut blocks),
-                        _ => $function::<Scalar, 4>(&job, &pixels, $top, &mut blocks),
+                        1 => transform::<Scalar, 1>(&job, &pixels, $top, &mut blocks),
+                        2 => transform::<Scalar, 2>(&job, &pixels, $top, &mut blocks),
+                        3 => transform::<Scalar, 3>(&job, &pixels, $top, &mut blocks),
+                        _ => transform::<Scalar, 4>(&job, &pixels, $top, &mut blocks),
                     }
                 }};
             }
             if channels < 3 {
-                with!(transform_grey, Components::Grey, 8);
+                with!(Components::Grey, 8);
                 (0..2).for_each(|k| check(&blocks[0][k], block(0, 8 * k, 8, 1), 0));
                 continue;
             }
-            with!(transform_full, Components::Full, 8);
+            with!(Components::Full, 8);
             (0..6).for_each(|k| check(&blocks[k % 3][k / 3], block(k % 3, k / 3 * 8, 8, 1), (k % 3).min(1)));
-            with!(transform_half, Components::Half, 0);
+            with!(Components::Half, 0);
             (0..4).for_each(|k| check(&blocks[k / 2][k % 2], block(0, k % 2 * 8, k / 2 * 8, 1), 0));
             (0..2).for_each(|k| check(&blocks[2][k], block(1 + k, 0, 0, 2), 1));
         }

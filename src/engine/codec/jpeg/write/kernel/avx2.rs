@@ -2,10 +2,11 @@
 
 use std::arch::x86_64::*;
 
-use super::x86::{SHUFFLES, lanes};
+use super::x86::lanes;
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::Block;
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
 use crate::codec::jpeg::write::strip::{self, Job};
+use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
 /// Must be called where [`crate::level::Level::Avx2`] is here.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
@@ -18,12 +19,19 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     strip::encode::<Avx2>(job, out, wanted);
 }
 
+/// A function of its own, because a longer one has too few registers.
+#[inline(never)]
+#[target_feature(enable = "bmi1,bmi2,lzcnt")]
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+    bits.group(blocks, order, codes, last, out);
+}
+
 /// Made by `wide` only.
 #[derive(Clone, Copy)]
 struct Avx2(__m256i);
 
 impl Avx2 {
-    /// Samples of a channel of pixels of three bytes, times 256.
+    /// Samples of a channel of pixels of three bytes, times 257.
     #[inline(always)]
     unsafe fn third<const CHANNEL: usize>(first: __m256i, last: __m256i) -> Self {
         // SAFETY: as for `Lanes`.
@@ -49,13 +57,14 @@ impl Avx2 {
     }
 }
 
-/// The bytes of a channel of eight pixels in every second byte, from their first 16 bytes and their last.
+/// The bytes of a channel of eight pixels, each twice, from their first 16 bytes and their last.
 const fn places(channel: u8) -> [[u8; 16]; 2] {
     let mut places = [[0x80; 16]; 2];
     let mut k = 0;
     while k < 8 {
         let at = 3 * k + channel;
         let (half, at) = if at < 16 { (0, at) } else { (1, at - 8) };
+        places[half][2 * k as usize] = at;
         places[half][2 * k as usize + 1] = at;
         k += 1;
     }
@@ -79,13 +88,65 @@ unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
     unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(sixteen(bytes, first)), sixteen(bytes, second)) }
 }
 
+/// By group of eight coefficients in the order of a file, and by column of the block: the bytes of the column that go there.
+static SHUFFLES: [[[u8; 2 * SIDE]; SIDE]; SIDE] = shuffles();
+
+const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
+    /// Gives zero.
+    const NOTHING: u8 = 0x80;
+    let mut shuffles = [[[NOTHING; 2 * SIDE]; SIDE]; SIDE];
+    let mut k = 0;
+    while k < BLOCK {
+        let (x, y) = (ZIGZAG[k] as usize % SIDE, ZIGZAG[k] / 8);
+        shuffles[k / SIDE][x][k % SIDE * 2] = 2 * y;
+        shuffles[k / SIDE][x][k % SIDE * 2 + 1] = 2 * y + 1;
+        k += 1;
+    }
+    shuffles
+}
+
+impl Avx2 {
+    /// One group of coefficients in the order of a file, from the columns that have some.
+    #[inline(always)]
+    fn group<const N: usize>(columns: &[Self; 8], group: usize, from: [usize; N]) -> __m256i {
+        // SAFETY: `encode` alone uses this type, where the processor has the level.
+        unsafe {
+            let mut joined = _mm256_setzero_si256();
+            for x in from {
+                let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(SHUFFLES[group][x].as_ptr().cast()));
+                joined = _mm256_or_si256(joined, _mm256_shuffle_epi8(columns[x].0, order));
+            }
+            joined
+        }
+    }
+
+    /// All groups.
+    #[inline(always)]
+    fn in_order(columns: &[Self; 8]) -> [__m256i; 8] {
+        [
+            Self::group(columns, 0, [0, 1, 2, 3]),
+            Self::group(columns, 1, [0, 1, 2, 3, 4, 5]),
+            Self::group(columns, 2, [0, 1, 2, 3, 4]),
+            Self::group(columns, 3, [3, 4, 5, 6, 7]),
+            Self::group(columns, 4, [0, 1, 2, 3, 4]),
+            Self::group(columns, 5, [3, 4, 5, 6, 7]),
+            Self::group(columns, 6, [2, 3, 4, 5, 6, 7]),
+            Self::group(columns, 7, [4, 5, 6, 7]),
+        ]
+    }
+}
+
 lanes! {
-    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, zero: _mm256_setzero_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
+    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
     sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
     mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
-    or: _mm256_or_si256, shuffle: _mm256_shuffle_epi8, row: _mm256_broadcastsi128_si256,
     unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32, _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
+        #[inline(always)]
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+            unsafe { code(bits, blocks, order, codes, last, out) }
+        }
+
         #[inline(always)]
         fn pixels_1(pixels: &[u8]) -> Self {
             unsafe { Self(_mm256_cvtepu8_epi16(sixteen(pixels, 0))) }
@@ -144,6 +205,30 @@ lanes! {
                     _mm_storeu_si128(second.group(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(group));
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_column_of_a_group_is_named() {
+        // The lists of `in_order`.
+        let named: [&[usize]; SIDE] = [
+            &[0, 1, 2, 3],
+            &[0, 1, 2, 3, 4, 5],
+            &[0, 1, 2, 3, 4],
+            &[3, 4, 5, 6, 7],
+            &[0, 1, 2, 3, 4],
+            &[3, 4, 5, 6, 7],
+            &[2, 3, 4, 5, 6, 7],
+            &[4, 5, 6, 7],
+        ];
+        for (shuffles, named) in SHUFFLES.iter().zip(named) {
+            let used: Vec<usize> = (0..SIDE).filter(|x| shuffles[*x].iter().any(|byte| *byte < 0x80)).collect();
+            assert_eq!(used, named);
         }
     }
 }

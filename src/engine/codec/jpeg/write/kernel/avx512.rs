@@ -2,10 +2,11 @@
 
 use std::arch::x86_64::*;
 
-use super::x86::{SHUFFLES, lanes};
+use super::x86::lanes;
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::Block;
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
 use crate::codec::jpeg::write::strip::{self, Job};
+use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
 /// Must be called where [`crate::level::Level::Avx512`] is here.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
@@ -18,13 +19,19 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     strip::encode::<Avx512>(job, out, wanted);
 }
 
+/// A function of its own, because a longer one has too few registers.
+#[inline(never)]
+#[target_feature(enable = "bmi1,bmi2,lzcnt")]
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+    bits.group(blocks, order, codes, last, out);
+}
+
 /// Made by `wide` only.
 #[derive(Clone, Copy)]
 struct Avx512(__m512i);
 
-/// Every second byte, from the first or the second on.
+/// Every second byte.
 const LOW: u64 = 0x5555_5555_5555_5555;
-const HIGH: u64 = LOW << 1;
 
 /// The bytes of a channel of 32 pixels, each twice.
 const fn places(channels: u8, channel: u8) -> [u8; 64] {
@@ -69,13 +76,46 @@ unsafe fn thirty_two(bytes: &[u8], at: usize) -> __m256i {
     unsafe { _mm256_loadu_si256(bytes.as_ptr().cast()) }
 }
 
+/// The order of a file, in columns.
+static ORDER: [[u16; 32]; 2] = order();
+
+const fn order() -> [[u16; 32]; 2] {
+    let mut order = [[0; 32]; 2];
+    let mut k = 0;
+    while k < BLOCK {
+        order[k / 32][k % 32] = (ZIGZAG[k] as usize % SIDE * SIDE) as u16 + ZIGZAG[k] as u16 / 8;
+        k += 1;
+    }
+    order
+}
+
+/// Four columns of each block from four columns of all blocks.
+#[inline(always)]
+fn by_block([a, b, c, d]: [Avx512; 4]) -> [__m512i; 4] {
+    // SAFETY: as for `Lanes`.
+    unsafe {
+        let (ab, cd) = (_mm512_shuffle_i32x4::<0x44>(a.0, b.0), _mm512_shuffle_i32x4::<0x44>(c.0, d.0));
+        let (ab2, cd2) = (_mm512_shuffle_i32x4::<0xee>(a.0, b.0), _mm512_shuffle_i32x4::<0xee>(c.0, d.0));
+        [
+            _mm512_shuffle_i32x4::<0x88>(ab, cd),
+            _mm512_shuffle_i32x4::<0xdd>(ab, cd),
+            _mm512_shuffle_i32x4::<0x88>(ab2, cd2),
+            _mm512_shuffle_i32x4::<0xdd>(ab2, cd2),
+        ]
+    }
+}
+
 lanes! {
-    Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, zero: _mm512_setzero_si512, add: _mm512_add_epi16, saturate: _mm512_adds_epi16,
+    Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, add: _mm512_add_epi16, saturate: _mm512_adds_epi16,
     sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, high: _mm512_mulhi_epu16,
     mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
-    or: _mm512_or_si512, shuffle: _mm512_shuffle_epi8, row: _mm512_broadcast_i32x4,
     unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32, _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
+        #[inline(always)]
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+            unsafe { code(bits, blocks, order, codes, last, out) }
+        }
+
         #[inline(always)]
         fn pixels_1(pixels: &[u8]) -> Self {
             unsafe { Self(_mm512_cvtepu8_epi16(thirty_two(pixels, 0))) }
@@ -94,7 +134,7 @@ lanes! {
             unsafe {
                 let (first, second) = (sixty_four(pixels, 0), _mm512_castsi256_si512(thirty_two(pixels, 64)));
                 let [r, g, b] = &PLACES_3;
-                [Self::channel::<HIGH>(first, second, r), Self::channel::<HIGH>(first, second, g), Self::channel::<HIGH>(first, second, b)]
+                [Self::channel::<{ !0 }>(first, second, r), Self::channel::<{ !0 }>(first, second, g), Self::channel::<{ !0 }>(first, second, b)]
             }
         }
 
@@ -123,23 +163,18 @@ lanes! {
 
         #[inline(always)]
         fn store(columns: [Self; 8], blocks: &mut [Block]) {
-            let [a, b, c, d, ..] = blocks else { unreachable!("blocks of all lanes") };
-            let groups = Self::in_order(&columns);
-            unsafe {
-                (a.nonzero, b.nonzero, c.nonzero, d.nonzero) = (0, 0, 0, 0);
-                for half in (0..8).step_by(2) {
-                    let packed = _mm512_packs_epi16(groups[half], groups[half + 1]);
-                    let bits = _mm512_test_epi8_mask(packed, packed);
-                    a.nonzero |= (bits & 0xffff) << (8 * half);
-                    b.nonzero |= (bits >> 16 & 0xffff) << (8 * half);
-                    c.nonzero |= (bits >> 32 & 0xffff) << (8 * half);
-                    d.nonzero |= (bits >> 48) << (8 * half);
-                }
-                for (k, group) in groups.into_iter().enumerate() {
-                    _mm_storeu_si128(a.group(k).as_mut_ptr().cast(), _mm512_castsi512_si128(group));
-                    _mm_storeu_si128(b.group(k).as_mut_ptr().cast(), _mm512_extracti32x4_epi32::<1>(group));
-                    _mm_storeu_si128(c.group(k).as_mut_ptr().cast(), _mm512_extracti32x4_epi32::<2>(group));
-                    _mm_storeu_si128(d.group(k).as_mut_ptr().cast(), _mm512_extracti32x4_epi32::<3>(group));
+            let [c0, c1, c2, c3, c4, c5, c6, c7] = columns;
+            let (left, right) = (by_block([c0, c1, c2, c3]), by_block([c4, c5, c6, c7]));
+            for ((left, right), block) in left.into_iter().zip(right).zip(blocks) {
+                unsafe {
+                    let [first, second] = ORDER.each_ref().map(|places| {
+                        _mm512_permutex2var_epi16(left, _mm512_loadu_si512(places.as_ptr().cast()), right)
+                    });
+                    let (low, high) = (_mm512_test_epi16_mask(first, first), _mm512_test_epi16_mask(second, second));
+                    block.nonzero = u64::from(high) << 32 | u64::from(low);
+                    let (halves, _) = block.coefficients.as_chunks_mut::<32>();
+                    _mm512_storeu_si512(halves[0].as_mut_ptr().cast(), first);
+                    _mm512_storeu_si512(halves[1].as_mut_ptr().cast(), second);
                 }
             }
         }

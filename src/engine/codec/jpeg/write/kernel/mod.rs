@@ -1,7 +1,7 @@
 //! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over [`Lanes`] of 16-bit integers; every level has
 //! the same operations on more or fewer lanes, so all of them give the same bytes.
 
-use super::coder::Block;
+use super::coder::{BitWriter, Block, Blocks, Coded, Codes};
 use super::strip::{self, Job};
 use crate::level::Level;
 
@@ -48,7 +48,7 @@ pub(super) trait Lanes: Copy {
     fn pixels_1(pixels: &[u8]) -> Self;
     /// The same of pixels of two bytes, by channel.
     fn pixels_2(pixels: &[u8]) -> [Self; 2];
-    /// The same of pixels of three bytes, times 256.
+    /// The same of pixels of three bytes, times 257.
     fn pixels_3(pixels: &[u8]) -> [Self; 3];
     /// The same of pixels of four bytes.
     fn pixels_4(pixels: &[u8]) -> [Self; 4];
@@ -59,6 +59,8 @@ pub(super) trait Lanes: Copy {
     fn transpose(rows: [Self; 8]) -> [Self; 8];
     /// Stores transposed blocks in the order of a file: `COUNT / 8` of them.
     fn store(columns: [Self; 8], blocks: &mut [Block]);
+    /// [`BitWriter::group`], compiled for the level.
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>);
 }
 
 /// Appends the entropy-coded data of a strip, ended on a byte. `wanted` is called between rows of blocks; when it returns false, the work

@@ -1,7 +1,7 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::Block;
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
 use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
@@ -99,8 +99,7 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn pixels_3(pixels: &[u8]) -> [Self; 3] {
-        let [r, g, b] = channels::<3>(pixels);
-        [r.shift_left::<8>(), g.shift_left::<8>(), b.shift_left::<8>()]
+        channels::<3>(pixels).map(|channel| channel.times_low(Self::all(257)))
     }
 
     #[inline(always)]
@@ -129,6 +128,11 @@ impl Lanes for Scalar {
             }
         }
         columns
+    }
+
+    #[inline(never)]
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+        bits.group(blocks, order, codes, last, out);
     }
 
     #[inline(always)]

@@ -1,63 +1,13 @@
 //! What AVX2 and AVX-512 have in common: every operation that stays within 128 bits, which are a row or a column of a block.
 
-use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
-
-/// By group of eight coefficients in the order of a file, and by column of the block: the bytes of the column that go there.
-pub(super) static SHUFFLES: [[[u8; 2 * SIDE]; SIDE]; SIDE] = shuffles();
-
-const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
-    /// Gives zero.
-    const NOTHING: u8 = 0x80;
-    let mut shuffles = [[[NOTHING; 2 * SIDE]; SIDE]; SIDE];
-    let mut k = 0;
-    while k < BLOCK {
-        let (x, y) = (ZIGZAG[k] as usize % SIDE, ZIGZAG[k] / 8);
-        shuffles[k / SIDE][x][k % SIDE * 2] = 2 * y;
-        shuffles[k / SIDE][x][k % SIDE * 2 + 1] = 2 * y + 1;
-        k += 1;
-    }
-    shuffles
-}
-
 /// Implements `Lanes` for a type of `count` lanes by the instructions that are named; `own`: the methods in which the levels differ.
 macro_rules! lanes {
     (
-        $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident, zero: $zero:ident, add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
-        times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident, or: $or:ident, shuffle: $shuffle:ident,
-        row: $row:ident, unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
+        $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident, add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
+        times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident,
+        unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
         own: { $($own:item)* }
     ) => {
-        impl $name {
-            /// One group of coefficients in the order of a file, from the columns that have some.
-            #[inline(always)]
-            fn group<const N: usize>(columns: &[Self; 8], group: usize, from: [usize; N]) -> $register {
-                // SAFETY: `encode` alone uses this type, where the processor has the level.
-                unsafe {
-                    let mut joined = $zero();
-                    for x in from {
-                        let order = $row(_mm_loadu_si128(SHUFFLES[group][x].as_ptr().cast()));
-                        joined = $or(joined, $shuffle(columns[x].0, order));
-                    }
-                    joined
-                }
-            }
-
-            /// All groups.
-            #[inline(always)]
-            fn in_order(columns: &[Self; 8]) -> [$register; 8] {
-                [
-                    Self::group(columns, 0, [0, 1, 2, 3]),
-                    Self::group(columns, 1, [0, 1, 2, 3, 4, 5]),
-                    Self::group(columns, 2, [0, 1, 2, 3, 4]),
-                    Self::group(columns, 3, [3, 4, 5, 6, 7]),
-                    Self::group(columns, 4, [0, 1, 2, 3, 4]),
-                    Self::group(columns, 5, [3, 4, 5, 6, 7]),
-                    Self::group(columns, 6, [2, 3, 4, 5, 6, 7]),
-                    Self::group(columns, 7, [4, 5, 6, 7]),
-                ]
-            }
-        }
-
         // SAFETY of every block here: `encode` alone uses this type, where the processor has the level; pointers are those of references.
         impl Lanes for $name {
             const COUNT: usize = $count;
@@ -139,27 +89,3 @@ macro_rules! lanes {
     };
 }
 pub(super) use lanes;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_column_of_a_group_is_named() {
-        // The lists of `in_order`.
-        let named: [&[usize]; SIDE] = [
-            &[0, 1, 2, 3],
-            &[0, 1, 2, 3, 4, 5],
-            &[0, 1, 2, 3, 4],
-            &[3, 4, 5, 6, 7],
-            &[0, 1, 2, 3, 4],
-            &[3, 4, 5, 6, 7],
-            &[2, 3, 4, 5, 6, 7],
-            &[4, 5, 6, 7],
-        ];
-        for (shuffles, named) in SHUFFLES.iter().zip(named) {
-            let used: Vec<usize> = (0..SIDE).filter(|x| shuffles[*x].iter().any(|byte| *byte < 0x80)).collect();
-            assert_eq!(used, named);
-        }
-    }
-}
