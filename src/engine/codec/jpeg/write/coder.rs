@@ -12,7 +12,7 @@ pub(super) const GROUP: usize = 12;
 /// Bits of a length in an entry of a table.
 const LENGTH: u32 = 6;
 /// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros.
-const NEAR: i32 = 64;
+pub(super) const NEAR: i32 = 64;
 const VALUES: usize = 2 * NEAR as usize;
 
 /// Runs of zeros, and the differences of first coefficients after them.
@@ -25,11 +25,17 @@ const FIRST: usize = 16;
 pub(super) struct Block {
     pub(super) coefficients: [i16; BLOCK],
     pub(super) nonzero: u64,
+    /// All coefficients but the first are from `-NEAR` to `NEAR - 1`.
+    pub(super) is_near: bool,
+}
+
+impl Default for Block {
+    fn default() -> Self {
+        Self { coefficients: [0; BLOCK], nonzero: 0, is_near: true }
+    }
 }
 
 impl Block {
-    pub(super) const ZERO: Self = Self { coefficients: [0; BLOCK], nonzero: 0 };
-
     /// Eight coefficients.
     #[inline(always)]
     pub(super) fn group(&mut self, k: usize) -> &mut [i16; 8] {
@@ -38,7 +44,13 @@ impl Block {
 }
 
 /// The blocks of a group of pixels.
-pub(super) type Blocks = [Block; GROUP];
+pub(super) type Blocks = [Block; BLOCKS];
+/// At least [`GROUP`], a power of two.
+const BLOCKS: usize = 16;
+/// The first coefficient of each component's previous block.
+pub(super) type Last = [i16; COMPONENTS];
+/// At least 3, a power of two.
+const COMPONENTS: usize = 4;
 
 /// A block of a group and the number of its component.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +63,7 @@ pub(super) struct Coded {
 pub(super) struct Codes {
     /// By run of zeros and size of the value.
     sized: [[u32; 16]; RUNS],
-    /// By run of zeros and value: the code and the bits of the value.
+    /// By run of zeros and the lowest bits of the value: the code and the bits of the value.
     near: [[u32; VALUES]; RUNS],
 }
 
@@ -84,26 +96,34 @@ impl Codes {
             let mut codes = Self { sized: [[0; 16]; RUNS], near: [[0; VALUES]; RUNS] };
             for run in 0..RUNS {
                 codes.sized[run] = std::array::from_fn(|size| if run == FIRST { dc[size] } else { ac[run << 4 | size] });
-                codes.near[run] = std::array::from_fn(|k| codes.far(run, k as i32 - NEAR));
+                for value in -NEAR..NEAR {
+                    codes.near[run][low_bits(value)] = codes.far(run, value);
+                }
             }
             codes
         })
     }
 
-    /// The code of `run` zeros and a value that follows them; of a difference if `run` is [`FIRST`].
+    /// The code of `run` zeros and a value that follows them; of a difference if `run` is [`FIRST`]. `NEAR_ALL`: the value has an entry.
     #[inline(always)]
-    fn of(&self, run: usize, value: i32) -> u32 {
-        #[expect(clippy::cast_sign_loss, reason = "a negative one becomes large")]
-        let near = (value + NEAR) as usize;
-        if near < VALUES { self.near[run % RUNS][near] } else { self.far(run, value) }
+    fn of<const NEAR_ALL: bool>(&self, run: usize, value: i32) -> u32 {
+        if NEAR_ALL || (-NEAR..NEAR).contains(&value) { self.near[run % RUNS][low_bits(value)] } else { self.far(run, value) }
     }
 
+    /// The same of any value.
     #[cold]
     #[inline(never)]
     fn far(&self, run: usize, value: i32) -> u32 {
         let size = size(value);
-        with_value(self.sized[run][size as usize], value, size)
+        with_value(self.sized[run][size as usize % 16], value, size)
     }
+}
+
+/// Where a value has its entry.
+#[inline(always)]
+#[expect(clippy::cast_sign_loss, reason = "the lowest bits")]
+const fn low_bits(value: i32) -> usize {
+    value as usize % VALUES
 }
 
 /// Bits that are joined, and whole bytes that wait for their zeros.
@@ -134,19 +154,16 @@ impl Bits {
         self.waiting += code % (1 << LENGTH);
     }
 
-    /// Codes a block; `last`: the first coefficient of the component's previous block.
+    /// Codes a block. `difference`: of its first coefficient and that of the component's previous block; `NEAR_ALL`: all values have entries.
     #[inline(always)]
-    fn block(&mut self, block: &Block, codes: &Codes, last: &mut i16, bytes: &mut [u8; SIZE]) {
-        let [first, ..] = block.coefficients;
-        self.put(codes.of(FIRST, i32::from(first) - i32::from(*last)));
-        *last = first;
+    fn block<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) {
         self.store(bytes);
         let mut rest = Rest { left: block.nonzero & !1, next: 1 };
         // Two coefficients between two stores.
         while rest.left != 0 {
-            self.coefficient(block, codes, &mut rest, bytes);
+            self.coefficient::<NEAR_ALL>(block, codes, &mut rest, bytes);
             if rest.left != 0 {
-                self.coefficient(block, codes, &mut rest, bytes);
+                self.coefficient::<NEAR_ALL>(block, codes, &mut rest, bytes);
             }
             self.store(bytes);
         }
@@ -157,7 +174,7 @@ impl Bits {
 
     /// Puts the next coefficient that is not zero, and the zeros before it.
     #[inline(always)]
-    fn coefficient(&mut self, block: &Block, codes: &Codes, rest: &mut Rest, bytes: &mut [u8; SIZE]) {
+    fn coefficient<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, rest: &mut Rest, bytes: &mut [u8; SIZE]) {
         let at = rest.left.trailing_zeros();
         rest.left &= rest.left - 1;
         let mut run = at - rest.next;
@@ -167,7 +184,15 @@ impl Bits {
             self.put(codes.sized[15][0]);
             run -= 16;
         }
-        self.put(codes.of(run as usize, i32::from(block.coefficients[at as usize % BLOCK])));
+        self.put(codes.of::<NEAR_ALL>(run as usize, i32::from(block.coefficients[at as usize % BLOCK])));
+    }
+
+    /// [`Bits::block`] of any values.
+    #[cold]
+    #[inline(never)]
+    fn far_block(mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) -> Self {
+        self.block::<false>(block, codes, bytes);
+        self
     }
 
     /// Stores all whole bytes.
@@ -198,13 +223,22 @@ impl BitWriter {
 
     /// Codes the blocks of a group in an order; `last`: the first coefficient of each component's previous block.
     #[inline(always)]
-    pub(super) fn group(&mut self, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+    pub(super) fn group(&mut self, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
         if self.bits.at > FULL {
             self.take(out);
         }
-        let mut bits = self.bits;
+        let (mut bits, bytes) = (self.bits, &mut *self.bytes);
         for &Coded { block, component } in order {
-            bits.block(&blocks[block % GROUP], &codes[component.min(1)], &mut last[component % 3], &mut self.bytes);
+            let (block, codes, last) = (&blocks[block % BLOCKS], &codes[component.min(1)], &mut last[component % COMPONENTS]);
+            let [first, ..] = block.coefficients;
+            let difference = i32::from(first) - i32::from(*last);
+            *last = first;
+            bits.put(codes.of::<false>(FIRST, difference));
+            if block.is_near {
+                bits.block::<true>(block, codes, bytes);
+            } else {
+                bits = bits.far_block(block, codes, bytes);
+            }
         }
         self.bits = bits;
     }

@@ -5,7 +5,7 @@
 //! rounded away, and coefficients have the unit 1/32. Only the first can leave the range, when all of a block is black: it is 1024 at most
 //! (T.81, A.3.3), all others are 1020.
 
-use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP};
+use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP, Last};
 use super::kernel::{Lanes, MOST_LANES};
 use super::tables::{BLOCK, SIDE};
 
@@ -170,8 +170,8 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
     let (side, pitch) = (job.components.side(), job.width * CHANNELS);
     let height = job.samples.len() / pitch;
     let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
-    let (mut bits, mut last) = (BitWriter::new(), [0; 3]);
-    let mut blocks: Blocks = [Block::ZERO; GROUP];
+    let (mut bits, mut last) = (BitWriter::new(), Last::default());
+    let mut blocks = Blocks::default();
     let mut planes = [[T::all(0); SIDE]; PLANES];
     let order = job.components.order(T::COUNT);
     let across = job.width.div_ceil(side);

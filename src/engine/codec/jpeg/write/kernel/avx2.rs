@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::x86::lanes;
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
@@ -22,7 +22,7 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
     bits.group(blocks, order, codes, last, out);
 }
 
@@ -143,7 +143,7 @@ lanes! {
     unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32, _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 
@@ -193,13 +193,17 @@ lanes! {
             let groups = Self::in_order(&columns);
             unsafe {
                 (first.nonzero, second.nonzero) = (0, 0);
+                // But for the first coefficients, which may have any value.
+                let mut far = 0;
                 for half in (0..8).step_by(2) {
-                    let zero = _mm256_setzero_si256();
-                    let is_zero = (_mm256_cmpeq_epi16(groups[half], zero), _mm256_cmpeq_epi16(groups[half + 1], zero));
-                    let bits = !_mm256_movemask_epi8(_mm256_packs_epi16(is_zero.0, is_zero.1)).cast_unsigned();
+                    let packed = _mm256_packs_epi16(groups[half], groups[half + 1]);
+                    let bits = !_mm256_movemask_epi8(_mm256_cmpeq_epi8(packed, _mm256_setzero_si256())).cast_unsigned();
                     first.nonzero |= u64::from(bits & 0xffff) << (8 * half);
                     second.nonzero |= u64::from(bits >> 16) << (8 * half);
+                    far |= _mm256_movemask_epi8(_mm256_add_epi8(packed, _mm256_set1_epi8(64))) & if half == 0 { !0x1_0001 } else { !0 };
                 }
+                let far = far.cast_unsigned();
+                (first.is_near, second.is_near) = (far & 0xffff == 0, far >> 16 == 0);
                 for (k, group) in groups.into_iter().enumerate() {
                     _mm_storeu_si128(first.group(k).as_mut_ptr().cast(), _mm256_castsi256_si128(group));
                     _mm_storeu_si128(second.group(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(group));

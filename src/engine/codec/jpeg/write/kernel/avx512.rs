@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::x86::lanes;
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
@@ -22,7 +22,7 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
     bits.group(blocks, order, codes, last, out);
 }
 
@@ -112,7 +112,7 @@ lanes! {
     unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32, _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 
@@ -172,6 +172,9 @@ lanes! {
                     });
                     let (low, high) = (_mm512_test_epi16_mask(first, first), _mm512_test_epi16_mask(second, second));
                     block.nonzero = u64::from(high) << 32 | u64::from(low);
+                    // The first coefficient may have any value.
+                    let packed = _mm512_packs_epi16(first, second);
+                    block.is_near = _mm512_movepi8_mask(_mm512_add_epi8(packed, _mm512_set1_epi8(64))) & !1 == 0;
                     let (halves, _) = block.coefficients.as_chunks_mut::<32>();
                     _mm512_storeu_si512(halves[0].as_mut_ptr().cast(), first);
                     _mm512_storeu_si512(halves[1].as_mut_ptr().cast(), second);

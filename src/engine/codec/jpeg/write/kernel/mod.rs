@@ -1,7 +1,7 @@
 //! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over [`Lanes`] of 16-bit integers; every level has
 //! the same operations on more or fewer lanes, so all of them give the same bytes.
 
-use super::coder::{BitWriter, Block, Blocks, Coded, Codes};
+use super::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
 use super::strip::{self, Job};
 use crate::level::Level;
 
@@ -60,7 +60,7 @@ pub(super) trait Lanes: Copy {
     /// Stores transposed blocks in the order of a file: `COUNT / 8` of them.
     fn store(columns: [Self; 8], blocks: &mut [Block]);
     /// [`BitWriter::group`], compiled for the level.
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>);
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>);
 }
 
 /// Appends the entropy-coded data of a strip, ended on a byte. `wanted` is called between rows of blocks; when it returns false, the work

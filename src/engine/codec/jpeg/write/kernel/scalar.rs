@@ -1,7 +1,7 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
 use super::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last, NEAR};
 use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
@@ -131,7 +131,7 @@ impl Lanes for Scalar {
     }
 
     #[inline(never)]
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut [i16; 3], out: &mut Vec<u8>) {
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
         bits.group(blocks, order, codes, last, out);
     }
 
@@ -142,6 +142,8 @@ impl Lanes for Scalar {
                 let (x, y) = (usize::from(place) % SIDE, usize::from(place) / SIDE);
                 *coefficient = columns[x].0[lanes + y];
             }
+            let (_, others) = block.coefficients.split_at(1);
+            block.is_near = others.iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
             block.nonzero = 0;
             for (group, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
                 let mut bits = 0_u16;
