@@ -362,7 +362,10 @@ fn output_patch_replaces_only_what_it_gives() {
         outside: Some(outside),
         holes: Some(holes),
     };
-    assert_eq!(all.merge_onto(&base), OutputSpec { format, quality, subsampling, compression, canvas, width: Some(width), filter, outside, holes });
+    assert_eq!(
+        all.merge_onto(&base),
+        OutputSpec { format, quality, subsampling, compression, canvas, width: Some(width), filter, outside, holes }
+    );
     assert_eq!(OutputPatch { width: Some(8), ..OutputPatch::default() }.merge_onto(&base), OutputSpec { width: Some(8), ..base });
 }
 

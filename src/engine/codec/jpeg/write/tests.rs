@@ -1,8 +1,8 @@
 //! Every size, component and level is decoded; coefficients are held against cosines in `f64`.
 
-use super::coder::{Block, Codes};
-use super::kernel::Scalar;
-use super::strip::{Blocks, Pixels, transform};
+use super::coder::{Block, Blocks, Codes, NEAR};
+use super::kernel::{Lanes, Scalar};
+use super::strip::{PLANE, PLANES, Pixels, transform};
 use super::tables::{BLOCK, SIDE, ZIGZAG, quantisation};
 use super::*;
 use crate::codec::Limits;
@@ -194,29 +194,31 @@ fn coefficients_are_the_exact_ones_rounded() {
                     worst = worst.max((off - 0.5) * step);
                     assert_eq!(got.coefficients[k] != 0, got.nonzero >> k & 1 == 1);
                 }
+                let is_near = |value: &i16| (-NEAR..NEAR).contains(&i32::from(*value));
+                assert_eq!(got.is_near, got.coefficients[1..].iter().all(is_near));
             };
-            let mut blocks: Blocks = [[Block::ZERO; 4]; 3];
+            let (mut planes, mut blocks) = ([[Scalar::all(0); SIDE]; PLANES], Blocks::default());
             macro_rules! with {
                 ($components:expr, $top:expr) => {{
                     let (job, pixels) = (job($components), Pixels::of_group::<Scalar>(&samples, 16 * channels, channels));
                     match channels {
-                        1 => transform::<Scalar, 1>(&job, &pixels, $top, &mut blocks),
-                        2 => transform::<Scalar, 2>(&job, &pixels, $top, &mut blocks),
-                        3 => transform::<Scalar, 3>(&job, &pixels, $top, &mut blocks),
-                        _ => transform::<Scalar, 4>(&job, &pixels, $top, &mut blocks),
+                        1 => transform::<Scalar, 1>(&job, &pixels, $top, &mut planes, &mut blocks),
+                        2 => transform::<Scalar, 2>(&job, &pixels, $top, &mut planes, &mut blocks),
+                        3 => transform::<Scalar, 3>(&job, &pixels, $top, &mut planes, &mut blocks),
+                        _ => transform::<Scalar, 4>(&job, &pixels, $top, &mut planes, &mut blocks),
                     }
                 }};
             }
             if channels < 3 {
                 with!(Components::Grey, 8);
-                (0..2).for_each(|k| check(&blocks[0][k], block(0, 8 * k, 8, 1), 0));
+                (0..2).for_each(|k| check(&blocks[k], block(0, 8 * k, 8, 1), 0));
                 continue;
             }
             with!(Components::Full, 8);
-            (0..6).for_each(|k| check(&blocks[k % 3][k / 3], block(k % 3, k / 3 * 8, 8, 1), (k % 3).min(1)));
+            (0..6).for_each(|k| check(&blocks[k % 3 * PLANE + k / 3], block(k % 3, k / 3 * 8, 8, 1), (k % 3).min(1)));
             with!(Components::Half, 0);
-            (0..4).for_each(|k| check(&blocks[k / 2][k % 2], block(0, k % 2 * 8, k / 2 * 8, 1), 0));
-            (0..2).for_each(|k| check(&blocks[2][k], block(1 + k, 0, 0, 2), 1));
+            (0..4).for_each(|k| check(&blocks[k / 2 * PLANE + k % 2], block(0, k % 2 * 8, k / 2 * 8, 1), 0));
+            (0..2).for_each(|k| check(&blocks[2 * PLANE + k], block(1 + k, 0, 0, 2), 1));
         }
     }
     println!("coefficients are at most {worst:.3} beyond half a step");

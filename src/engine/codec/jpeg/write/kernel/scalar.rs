@@ -142,8 +142,7 @@ impl Lanes for Scalar {
                 let (x, y) = (usize::from(place) % SIDE, usize::from(place) / SIDE);
                 *coefficient = columns[x].0[lanes + y];
             }
-            let (_, others) = block.coefficients.split_at(1);
-            block.is_near = others.iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
+            block.is_near = block.coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
             block.nonzero = 0;
             for (group, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
                 let mut bits = 0_u16;
