@@ -176,15 +176,19 @@ fn psnr(samples: &[u8], file: &[u8]) -> f64 {
 }
 
 fn answer(folder: &Path) {
-    let cases = [("500x500", SMALL), ("1920x1080", FULL_HD)];
-    let pictures = cases.map(|(case, sides)| (case, Picture::new(case.to_owned(), &photograph(extent(sides), Channels::Rgb))));
+    let photo = |case: &str, sides| Picture::new(case.to_owned(), &photograph(extent(sides), Channels::Rgb));
+    let timed = [photo("500x500", SMALL), photo("1920x1080", FULL_HD)];
+    let others = [Picture { name: "noise".to_owned(), ..noise() }, photo("17x9", (17, 9)), photo("5x5", (5, 5))];
     let two = pool(2);
     let (mut index, mut contenders) = (Vec::new(), Vec::new());
-    for (case, picture) in &pictures {
+    for picture in timed.iter().chain(&others) {
+        let (case, (width, height)) = (&picture.name, picture.sides());
         let file = format!("{case}.rgb");
         paired::write(folder, &file, &picture.samples);
-        let (width, height) = picture.sides();
-        index.push(serde_json::json!({"case": case, "width": width, "height": height, "picture": file, "level": Level::detect().name()}));
+        let levels: Vec<_> = Level::available().iter().map(|level| level.name()).collect();
+        index.push(serde_json::json!({
+            "case": case, "width": width, "height": height, "picture": file, "levels": levels, "qualities": QUALITIES,
+        }));
         for quality in QUALITIES {
             for (name, subsampling) in [("420", Subsampling::Half), ("444", Subsampling::Full)] {
                 let mut out = Vec::new();

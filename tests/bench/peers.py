@@ -1,4 +1,4 @@
-"""Times Python's image libraries in turn with the benches `render`, `png` and `request` in their paired mode (harness/paired.rs): each sample is one
+"""Times Python's image libraries in turn with the benches `render`, `png`, `jpeg` and `request` in their paired mode (harness/paired.rs): each sample is one
 warm call, ours and theirs alternate, and medians of one run are compared. One thread everywhere, unless a row says otherwise."""
 
 import io
@@ -36,7 +36,7 @@ def say(line=""):
 
 def build():
     """Builds the benches; returns the paths of their programs."""
-    command = ["cargo", "bench", "--no-run", "--quiet", "--message-format=json", "--bench", "render", "--bench", "png", "--bench", "request"]
+    command = ["cargo", "bench", "--no-run", "--quiet", "--message-format=json", "--bench", "render", "--bench", "png", "--bench", "jpeg", "--bench", "request"]
     told = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, check=True, text=True).stdout
     messages = [json.loads(line) for line in told.splitlines() if line.startswith("{")]
     return {m["target"]["name"]: m["executable"] for m in messages if m.get("executable") and "bench" in m["target"]["kind"]}
@@ -182,6 +182,58 @@ def png(program):
             table(f"PNG of the warped photograph, {case['width']} x {case['height']} RGBA", contenders, sizes)
 
 
+def jpeg(program, goals):
+    """Our strips one after the other, on every level, and on two threads, compared with libjpeg-turbo and others; then bytes and PSNR."""
+    limits = {"avx2": 0.55, "avx512": 0.45, "2 threads": 0.35}
+    with Ours(program, "jpeg") as ours:
+        for case in (case for case in ours.index if case["width"] >= 500):
+            rgb = numpy.fromfile(ours.folder / case["picture"], numpy.uint8).reshape(case["height"], case["width"], 3)
+            bgr, pil, vips = numpy.ascontiguousarray(rgb[..., ::-1]), Image.fromarray(rgb), pyvips.Image.new_from_array(rgb)
+
+            def pillow():
+                out = io.BytesIO()
+                pil.save(out, "jpeg", quality=85, subsampling=2)
+                return out.getbuffer()
+
+            name = case["case"]
+            contenders = {"cv2.imencode (libjpeg-turbo)": here(lambda: turbo(bgr, 85, "420"))}
+            mine = [*case["levels"], "2 threads"]
+            contenders |= {f"mlswarp, {way}": lambda way=way: ours.seconds(f"{name} {way}") for way in mine}
+            contenders |= {"Pillow": here(pillow), "pyvips jpegsave": here(lambda: vips.jpegsave_buffer(Q=85))}
+            times = table(f"JPEG 4:2:0 of the photograph at quality 85, {case['width']} x {case['height']} RGB", contenders)
+            theirs = times["cv2.imencode (libjpeg-turbo)"]
+            for way in mine:
+                if way in limits:
+                    figure, least = (times[f"mlswarp, {way}"][k] / theirs[k] for k in (0, 1))
+                    goals.append((f"JPEG {name}, {way}: ours / cv2", figure, limits[way], least))
+        say("## JPEG, ours compared with libjpeg-turbo as one decoder reads them\n")
+        say("| picture | quality | 4:2:0: bytes | PSNR, dB | difference | 4:4:4: bytes | PSNR, dB | difference |\n|---|---:|---:|---:|---:|---:|---:|---:|")
+        worst = 0.0
+        for case in ours.index:
+            bgr = numpy.fromfile(ours.folder / case["picture"], numpy.uint8).reshape(case["height"], case["width"], 3)
+            bgr = numpy.ascontiguousarray(bgr[..., ::-1])
+            for quality in case["qualities"]:
+                cells = []
+                for sampling in ("420", "444"):
+                    files = (ours.folder / f"{case['case']}.{quality}.{sampling}.jpg").read_bytes(), turbo(bgr, quality, sampling)
+                    first, second = (ratio(bgr, cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_COLOR)) for file in files)
+                    cells += [f"{len(files[0])} ({len(files[0]) / len(files[1]):.3f})", f"{first:.2f}", f"{first - second:+.2f}"]
+                    worst = max(worst, second - first if quality >= 97 else 0)
+                say(f"| {case['case']} | {quality} | {' | '.join(cells)} |")
+        say()
+        goals.append(("JPEG, quality 97 to 100: PSNR below that of libjpeg-turbo, dB", worst, 0.1, worst))
+
+
+def turbo(bgr, quality, sampling):
+    factor = {"420": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444}[sampling]
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor])[1]
+
+
+def ratio(picture, decoded):
+    """PSNR, dB."""
+    return 10 * numpy.log10(255**2 / numpy.mean((picture.astype(float) - decoded) ** 2))
+
+
 def rigid(p, q, v):
     """Rigid moving least squares, alpha 1: where the places `v` go when the points `p` go to `q`. Shapes: [n, 2], [n, 2], [m, 2]."""
     w = 1.0 / (((p[None] - v[:, None]) ** 2).sum(axis=2) + 1e-9)
@@ -235,6 +287,7 @@ def main():
     goals = []
     render(programs["render"], goals)
     png(programs["png"])
+    jpeg(programs["jpeg"], goals)
     request(programs["request"])
     say("## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|")
     for what, figure, limit, least in goals:

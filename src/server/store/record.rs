@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
-use mlswarp::codec::{Compression, Format, Subsampling};
+use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
@@ -299,6 +299,7 @@ mod tests {
     use super::*;
     use crate::store::tests::suite;
     use crate::wire::tests::warp_object;
+    use mlswarp::codec::Subsampling;
     use mlswarp::deform::Handle;
     use mlswarp::geometry::Point;
 

@@ -99,6 +99,34 @@ fn every_size_is_decoded_and_every_level_writes_the_same_bytes() {
 }
 
 #[test]
+fn two_decoders_read_the_same_picture() {
+    for (width, height) in [(1, 1), (7, 1), (8, 8), (17, 16), (40, 39), (500, 333)] {
+        for (grey, subsampling) in [(true, Subsampling::Full), (false, Subsampling::Full), (false, Subsampling::Half)] {
+            for (quality, content) in [(1, Content::Noise), (85, Content::Waves), (100, Content::Noise), (100, Content::Extremes)] {
+                // They enlarge chrominance of half the resolution in different ways.
+                let content = if subsampling == Subsampling::Half { Content::Waves } else { content };
+                let shape = shape(width, height, Channels::Rgb, grey);
+                let writer = JpegWriter::new(shape, quality, subsampling, GROUND, None);
+                let file = file(&writer, &picture(width, height, shape.samples(), content));
+                let mut decoder = jpeg_decoder::Decoder::new(file.as_slice());
+                let theirs = decoder.decode().unwrap();
+                let channels = if grey { 1 } else { 3 };
+                assert_eq!(decoder.info().unwrap().pixel_format.pixel_bytes(), channels);
+                let (ours, theirs) = (decoded(&file), theirs.chunks(channels));
+                assert_eq!(ours.pixels().len(), theirs.len());
+                for (ours, theirs) in ours.pixels().zip(theirs) {
+                    let worst = (0..3).map(|c| ours.0[c].abs_diff(theirs[c % channels])).max().unwrap();
+                    assert!(
+                        worst <= if subsampling == Subsampling::Half { 24 } else { 3 },
+                        "{worst} {width} x {height} {quality} {content:?}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn strips_are_whole_rows_of_macroblocks() {
     for (width, height, grey) in
         [(500, 500, false), (1920, 1080, false), (65_500, 40, false), (65_500, 130, true), (20, 65_500, false), (1, 1, true)]
