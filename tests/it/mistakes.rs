@@ -89,7 +89,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"output": {"format": "gif"}}"#, "bad_value", "/output/format", &["`png`, `jpeg`, `webp`", "`tiff`"]),
         (r#"{"output": {"canvas": {"x": 0}}}"#, "bad_value", "/output/canvas", &["expected `x`, `y`, `width` and `height`"]),
         (r#"{"output": {"canvas": "fitt"}}"#, "bad_value", "/output/canvas", &["did you mean `fit`?"]),
-        (r#"{"output": {"subsampling": "4:2:0"}}"#, "not_supported", "/output/subsampling", &["supported: `format`"]),
+        (r#"{"output": {"subsampling": "4:2:2"}}"#, "bad_value", "/output/subsampling", &["`4:2:0`, `4:4:4`; found `4:2:2`"]),
         (r#"{"region": 1}"#, "not_supported", "/region", &["not supported by this version: `region`"]),
         (r#"{"p": [], "coincident": "mean"}"#, "bad_value", "/coincident", &["expected an object", "found a string"]),
         (r#"{"p": [], "coincident": {"policy": "average"}}"#, "bad_value", "/coincident/policy", &["`mean`, `reject`; found `average`"]),
@@ -107,7 +107,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     }
     let nulls = r#"{"coincident": null, "region": null, "grid": {"tolerance": null, "cell": 9}, "output": {"subsampling": null}}"#;
     assert_eq!(server.post("/warp").multipart(form(&image, nulls)).send().await.unwrap().status(), 200);
-    for name in ["format", "quality", "compression", "width", "filter", "outside"] {
+    for name in ["format", "quality", "subsampling", "compression", "width", "filter", "outside"] {
         let warp = json!({"p": [[10, 10]], "q": [[12, 10]], name: 1}).to_string();
         let hint = format!("put it in `output`: `output.{name}`");
         told(server.post("/warp").multipart(form(&image, warp)), 422, "unknown_field", Some(&format!("/{name}")), &[&hint]).await;

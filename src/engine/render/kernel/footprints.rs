@@ -6,7 +6,7 @@
 #![expect(clippy::cast_possible_wrap, reason = "binary logarithms and numbers up to 16")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
-use super::scalar::ROUND_F32;
+use super::rounding::ROUND_F32;
 
 /// The shrinking up to which a position is sampled as a point.
 const LEAST: f32 = 1.5;

@@ -11,14 +11,12 @@ use std::ops::Range;
 
 pub(super) use super::cells::{classify, fill};
 pub(super) use super::footprints::footprints;
+use super::rounding::ROUND;
+pub(super) use super::rounding::ROUND_F32;
 use crate::pixmap::Channels;
 use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
 use crate::render::source::{FLIP, Packed};
 
-/// Adding 1.5 * 2^52 leaves the nearest integer in the low bits of an f64.
-const ROUND: f64 = 6_755_399_441_055_744.0;
-/// Adding 2^23 leaves the nearest integer in the low bits of an f32 from 0 to 2^22.
-pub(super) const ROUND_F32: f32 = 8_388_608.0;
 /// Rounding term of a weighted sum of samples before 14 bits are dropped.
 pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
 /// Pixels that are written together.

@@ -250,7 +250,7 @@ pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, 
     let newer = [
         (a.id, resealed(&a, |json| json.replace("\"version\":1", "\"version\":2,\"strength\":1.5"))),
         (b.id, resealed(&b, |json| json.replace("\"warp\":{", "\"warp\":{\"strength\":1.5,"))),
-        (c.id, resealed(&c, |json| json.replace("\"warp\":{", "\"warp\":{\"output\":{\"filter\":\"lanczos\"},"))),
+        (c.id, resealed(&c, |json| json.replace("\"output\":{", "\"output\":{\"filter\":\"lanczos\","))),
     ];
     let store = plant(store, &newer).await;
     for (record, picture) in [(&a, 30), (&b, 31), (&c, 32)] {

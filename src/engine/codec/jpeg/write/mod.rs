@@ -7,6 +7,8 @@
 mod coder;
 mod kernel;
 #[forbid(unsafe_code)]
+mod lanes;
+#[forbid(unsafe_code)]
 mod markers;
 #[forbid(unsafe_code)]
 mod strip;

@@ -6,7 +6,7 @@
 //! (T.81, A.3.3), all others are 1020.
 
 use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP, Last};
-use super::kernel::{Lanes, MOST_LANES};
+use super::lanes::{Lanes, MOST_LANES};
 use super::tables::{BLOCK, SIDE};
 
 /// Most bytes of a pixel.

@@ -1,7 +1,8 @@
 //! Every size, component and level is decoded; coefficients are held against cosines in `f64`.
 
 use super::coder::{Block, Blocks, Codes, NEAR};
-use super::kernel::{Lanes, Scalar};
+use super::kernel::Scalar;
+use super::lanes::Lanes;
 use super::strip::{PLANE, PLANES, Pixels, transform};
 use super::tables::{BLOCK, SIDE, ZIGZAG, quantisation};
 use super::*;

@@ -3,8 +3,8 @@
 use std::arch::x86_64::*;
 
 use super::x86::lanes;
-use super::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
+use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 

@@ -1,7 +1,7 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
-use super::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last, NEAR};
+use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
