@@ -17,6 +17,8 @@ mod cells;
 #[forbid(unsafe_code)]
 mod footprints;
 #[forbid(unsafe_code)]
+mod rounding;
+#[forbid(unsafe_code)]
 mod scalar;
 
 use std::ops::Range;
