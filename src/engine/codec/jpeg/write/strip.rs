@@ -233,12 +233,13 @@ fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
 /// The three components.
 #[inline(always)]
 fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
-    for y in 0..SIDE {
+    let [first, second, third] = planes;
+    for (y, ((first, second), third)) in first.iter_mut().zip(second).zip(third).enumerate() {
         let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
         let [blue, red] = chroma(colours);
-        planes[0][y] = luma(colours);
-        planes[1][y] = blue.times(T::all(1 << 12));
-        planes[2][y] = red.times(T::all(1 << 12));
+        *first = luma(colours);
+        *second = blue.times(T::all(1 << 12));
+        *third = red.times(T::all(1 << 12));
     }
 }
 

@@ -84,7 +84,6 @@ impl Huffman {
 pub(super) fn quantisation(quality: u8) -> [[u8; BLOCK]; 2] {
     let quality = u32::from(quality.clamp(1, 100));
     let percent = if quality < 50 { 5000 / quality } else { 200 - 2 * quality };
-    #[expect(clippy::cast_possible_truncation, reason = "1 to 255")]
     let scaled = |step: u8| ((u32::from(step) * percent + 50) / 100).clamp(1, 255) as u8;
     [LUMA.map(scaled), CHROMA.map(scaled)]
 }

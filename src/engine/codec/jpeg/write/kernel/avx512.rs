@@ -6,7 +6,7 @@ use super::x86::lanes;
 use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
-use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
+use crate::codec::jpeg::write::tables::{BLOCK, ZIGZAG};
 
 /// Must be called where [`crate::level::Level::Avx512`] is here.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
@@ -83,7 +83,7 @@ const fn order() -> [[u16; 32]; 2] {
     let mut order = [[0; 32]; 2];
     let mut k = 0;
     while k < BLOCK {
-        order[k / 32][k % 32] = (ZIGZAG[k] as usize % SIDE * SIDE) as u16 + ZIGZAG[k] as u16 / 8;
+        order[k / 32][k % 32] = (ZIGZAG[k] % 8 * 8 + ZIGZAG[k] / 8) as u16;
         k += 1;
     }
     order

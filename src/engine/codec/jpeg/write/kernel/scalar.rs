@@ -21,7 +21,7 @@ impl Scalar {
     }
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap, reason = "lanes of 16 bits wrap")]
+#[expect(clippy::cast_possible_truncation, reason = "lanes of 16 bits wrap")]
 impl Lanes for Scalar {
     const COUNT: usize = COUNT;
 
@@ -51,7 +51,7 @@ impl Lanes for Scalar {
     fn times(self, other: Self) -> Self {
         self.each(other, |a, b| {
             // In halves of 16 bits, for which there are instructions.
-            let (high, low) = ((i32::from(a) * i32::from(b) >> 16) as i16, a.wrapping_mul(b).cast_unsigned());
+            let (high, low) = (((i32::from(a) * i32::from(b)) >> 16) as i16, a.wrapping_mul(b).cast_unsigned());
             high.wrapping_add(high).wrapping_add((((low >> 14) + 1) >> 1).cast_signed())
         })
     }
@@ -63,12 +63,12 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn times_high(self, other: Self) -> Self {
-        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) * u32::from(b.cast_unsigned()) >> 16) as u16).cast_signed())
+        self.each(other, |a, b| (((u32::from(a.cast_unsigned()) * u32::from(b.cast_unsigned())) >> 16) as u16).cast_signed())
     }
 
     #[inline(always)]
     fn mean(self, other: Self) -> Self {
-        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) + u32::from(b.cast_unsigned()) + 1 >> 1) as u16).cast_signed())
+        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) + u32::from(b.cast_unsigned())).div_ceil(2) as u16).cast_signed())
     }
 
     #[inline(always)]
