@@ -210,7 +210,7 @@ export const WARNINGS = {
   profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };
 
-export const STAGES = { queue: "Queue", decode: "Decoding", plan: "Plan", deform: "Deformation", render: "Rendering", encode: "PNG encoding" };
+export const STAGES = { queue: "Queue", decode: "Decoding", plan: "Plan", reduce: "Scaled copies", deform: "Deformation", render: "Rendering", encode: "PNG encoding" };
 
 export const HINTS = {
   first: { mouse: "Click to place a pin, then drag it", touch: "Tap to place a pin, then drag it" },

@@ -139,6 +139,21 @@ async fn the_first_bytes_of_a_large_picture_leave_before_its_last_strip_is_drawn
 }
 
 #[tokio::test]
+async fn copies_for_a_size_are_made_once_and_timed_apart() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(640, 480), &json!({"p": [[20, 20], [300, 200]]})).await;
+    let mut made = Vec::new();
+    for (width, moved) in [(160, 0), (160, 1), (100, 2), (320, 3), (640, 0), (640, 4), (640, 5), (300, 6)] {
+        let drag = json!({"q": [[20 + moved, 20], [300, 200]], "output": {"width": width}});
+        let response = server.post(&format!("/sessions/{id}/warp")).json(&drag).send().await.unwrap();
+        made.push(header(&response, "server-timing").contains("reduce;dur="));
+        png(response).await;
+    }
+    // The identity at full size copies pixels. A quarter, half and all of the size have a copy each; 100 and 300 use one of them.
+    assert_eq!(made, [true, false, false, true, false, true, false, false]);
+}
+
+#[tokio::test]
 async fn headers_tell_what_the_contract_says() {
     let server = Server::start(&[]).await;
     let response = server.upload("/warp", &photo(64, 48), &json!({"p": [[20, 20]], "q": [[25, 20]]})).await;

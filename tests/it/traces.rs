@@ -70,7 +70,10 @@ async fn a_request_is_a_span_with_a_child_for_each_stage() {
     ];
     assert_eq!(told, expected.into_iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect());
     let children = stages(&collector, &whole);
-    assert_eq!(children.keys().map(String::as_str).collect::<Vec<_>>(), ["decode", "deform", "encode", "plan", "queue", "render", "store"]);
+    assert_eq!(
+        children.keys().map(String::as_str).collect::<Vec<_>>(),
+        ["decode", "deform", "encode", "plan", "queue", "reduce", "render", "store"]
+    );
     nests(&whole, &children);
     let begins = |name: &str| children[name].start_time_unix_nano;
     assert!(begins("queue") <= begins("decode") && begins("decode") <= begins("plan"));
@@ -161,6 +164,7 @@ async fn a_frame_is_a_trace_that_links_to_its_handshake() {
     eventually("both come while the socket is open", || frames().len() == 2).await;
     let handshake = collector.named("GET /sessions/{id}/drag").unwrap();
     assert_eq!(attributes(&handshake.attributes)["http.response.status_code"], "101");
+    let mut reduced = 0;
     for frame in frames() {
         assert!(frame.parent_span_id.is_empty() && frame.trace_id != handshake.trace_id);
         assert_eq!((&frame.links[0].trace_id, &frame.links[0].span_id), (&handshake.trace_id, &handshake.span_id));
@@ -168,13 +172,15 @@ async fn a_frame_is_a_trace_that_links_to_its_handshake() {
             attributes(&frame.attributes),
             attributes(&handshake.attributes).into_iter().filter(|(k, _)| k == "mlswarp.request_id").collect()
         );
-        let children = stages(&collector, &frame);
+        let mut children = stages(&collector, &frame);
         nests(&frame, &children);
+        reduced += usize::from(children.remove("reduce").is_some());
         assert_eq!(
             children.keys().map(String::as_str).collect::<Vec<_>>(),
             ["decode", "deform", "encode", "plan", "queue", "render", "store"]
         );
     }
+    assert_eq!(reduced, 1, "the copies of an image are made once");
     server.client.delete(server.url(&format!("/sessions/{id}"))).send().await.unwrap();
     dragging.pose(3, &json!([[25, 20], [100, 24]])).await;
     dragging.problem("no_such_session").await;

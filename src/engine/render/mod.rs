@@ -122,6 +122,39 @@ pub struct RenderOptions {
     pub force_alpha: bool,
 }
 
+impl RenderOptions {
+    /// Whether this drawing of a source has to make copies of it first (packed, reduced). They are kept for later drawings.
+    #[must_use]
+    pub fn lacks_copies(&self, source: &Source, mesh: &Mesh) -> bool {
+        !self.is_copy(source, mesh) && source.lacks_copies(self.placement(source).source(mesh.grid()), self.is_packed())
+    }
+
+    /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond or two per pixel of the source.
+    pub fn make_copies(&self, source: &Source, mesh: &Mesh) {
+        if !self.is_copy(source, mesh) {
+            source.make_copies(self.placement(source).source(mesh.grid()), self.is_packed());
+        }
+    }
+
+    /// Whether samples are copied as they are.
+    fn is_copy(&self, source: &Source, mesh: &Mesh) -> bool {
+        self.target == self.canvas_on(source).extent && mesh.is_identity()
+    }
+
+    fn canvas_on(&self, source: &Source) -> Canvas {
+        self.canvas.unwrap_or(Canvas::of(source.pixmap().extent()))
+    }
+
+    fn placement(&self, source: &Source) -> Placement {
+        Placement::new(self.canvas_on(source), self.target)
+    }
+
+    /// Whether packed texels are read, at 8 bit.
+    fn is_packed(&self) -> bool {
+        self.filter != Filter::Nearest
+    }
+}
+
 /// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same bytes.
 #[derive(Debug)]
 pub struct Renderer {
@@ -153,21 +186,17 @@ impl Renderer {
     pub fn with_level(source: Arc<Source>, mesh: &Mesh, options: RenderOptions, level: Level) -> Self {
         let kernel = Kernel::new(level);
         let pixmap = source.pixmap();
-        let canvas = options.canvas.unwrap_or(Canvas::of(pixmap.extent()));
-        let (work, uncovered) = if options.target == canvas.extent && mesh.is_identity() {
+        let (work, uncovered) = if options.is_copy(&source, mesh) {
+            let canvas = options.canvas_on(&source);
             (Work::Copy { x: canvas.x, y: canvas.y }, !sampler::covers(pixmap.extent(), canvas))
         } else {
-            let placement = Placement::new(canvas, options.target);
-            let k = source.level_for(placement.source(mesh.grid()));
-            // Makes the copies now, not in the first band.
-            let reduced = source.level(k);
-            if options.filter != Filter::Nearest {
-                reduced.packed();
-            }
+            let placement = options.placement(&source);
+            // Not in the first band.
+            let k = source.make_copies(placement.source(mesh.grid()), options.is_packed());
             let shrinking = if options.filter == Filter::Nearest {
                 Vec::new()
             } else {
-                let (whole, sampled) = (pixmap.extent(), reduced.pixmap().extent());
+                let (whole, sampled) = (pixmap.extent(), source.level(k).pixmap().extent());
                 let sampled = [(sampled.width(), whole.width()), (sampled.height(), whole.height())];
                 let sampled = sampled.map(|(sampled, whole)| f64::from(sampled) / f64::from(whole));
                 footprint::shrinking_cells(mesh, sampled, placement.scale, kernel)

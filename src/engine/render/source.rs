@@ -65,6 +65,26 @@ impl Source {
         }
     }
 
+    /// Whether a drawing at this size of the whole picture has to make copies first.
+    pub(super) fn lacks_copies(&self, size: Extent, is_packed: bool) -> bool {
+        let reduced = match self.level_for(size) as usize {
+            0 => Some(self),
+            k => self.reduced.get(k - 1).and_then(OnceLock::get).map(|reduced| &**reduced),
+        };
+        let is_packed = is_packed && self.pixmap.depth() == Depth::Eight;
+        reduced.is_none_or(|reduced| is_packed && reduced.packed.get().is_none())
+    }
+
+    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number of halvings.
+    pub(super) fn make_copies(&self, size: Extent, is_packed: bool) -> u32 {
+        let k = self.level_for(size);
+        let reduced = self.level(k);
+        if is_packed {
+            reduced.packed();
+        }
+        k
+    }
+
     /// The packed texels; `None` at 16 bit.
     pub(super) fn packed(&self) -> Option<&Packed> {
         match self.pixmap.samples() {

@@ -72,6 +72,10 @@ impl Region {
         Self { mask: Arc::clone(&mask.source), channel, digest: mask.digest() }
     }
 
+    pub(super) fn mask(&self) -> &Source {
+        &self.mask
+    }
+
     /// Size of the mask, which must be that of the picture.
     #[must_use]
     pub fn extent(&self) -> Extent {

@@ -6,7 +6,7 @@ use super::drawer::region::RegionDrawer;
 use super::{Digest, Image, LabelImage, OutputSpec, Posed, Region, Target, Warning, WarpError};
 use crate::codec::Format;
 use crate::pixmap::Extent;
-use crate::render::{Coverage, RenderOptions};
+use crate::render::{Coverage, Source};
 
 /// What a warp draws.
 #[derive(Clone, Copy, Debug)]
@@ -74,9 +74,29 @@ impl Subject<'_> {
         }
     }
 
+    /// Whether drawing has to make copies of a source first (packed, reduced), which are kept for later drawings.
+    #[must_use]
+    pub fn lacks_copies(self, target: Target, posed: &Posed, output: &OutputSpec) -> bool {
+        self.sources(posed).any(|source| target.options(output).lacks_copies(source, posed.mesh()))
+    }
+
+    /// Makes the copies, for which [`Warp::onto`](super::Warp::onto) otherwise takes the time.
+    pub fn make_copies(self, target: Target, posed: &Posed, output: &OutputSpec) {
+        self.sources(posed).for_each(|source| target.options(output).make_copies(source, posed.mesh()));
+    }
+
+    /// The source that is drawn, and the mask of what moves.
+    fn sources<'a>(&'a self, posed: &'a Posed) -> impl Iterator<Item = &'a Source> {
+        let (drawn, region) = match self {
+            Self::Image(image) => (Some(&*image.source), posed.region()),
+            Self::Labels(_) | Self::Coverage(_) => (None, posed.region()),
+            Self::Holes(region) => (None, Some(*region)),
+        };
+        drawn.into_iter().chain(region.map(Region::mask))
+    }
+
     pub(super) fn drawer(self, target: Target, posed: &Posed, output: &OutputSpec) -> Drawer {
-        let Target { canvas, extent, force_alpha } = target;
-        let options = RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, force_alpha };
+        let options = target.options(output);
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
             Some(region) if !matches!(self, Self::Holes(_)) => {

@@ -3,7 +3,7 @@
 use super::spec::at_most;
 use super::{Limits, OutputSpec, Posed, WarpError};
 use crate::pixmap::Extent;
-use crate::render::{Canvas, window_count};
+use crate::render::{Canvas, RenderOptions, window_count};
 
 /// Positions are drawn to 1/256 px; what is nearer to a whole px is on it.
 const STEPS: f64 = 256.0;
@@ -72,6 +72,11 @@ impl Target {
         let windows = self.canvas.map_or(1, |canvas| window_count(canvas, self.extent));
         let drawings = if posed.region().is_some() { 4 } else { 1 };
         (windows * drawings - 1) * posed.mesh().vertices() * WINDOW_BYTES_PER_VERTEX
+    }
+
+    pub(super) fn options(self, output: &OutputSpec) -> RenderOptions {
+        let Self { canvas, extent, force_alpha } = self;
+        RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, force_alpha }
     }
 }
 

@@ -1,11 +1,10 @@
-//! Drawing one image: a [`DrawJob`] is posed and drawn on one compute thread and on its helpers, which are woken at the same time. A small
-//! image is drawn as a whole. A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a
-//! reader; its memory is reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is
-//! dropped.
+//! Drawing one image: a [`DrawJob`] is posed on one compute thread, and drawn on it and on its helpers. A small image is drawn as a whole.
+//! A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a reader; its memory is
+//! reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is dropped.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -14,7 +13,7 @@ use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::warp::{
     Digest, Folds, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target, Warp, WarpError, WriteObserver,
 };
-use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
@@ -28,10 +27,6 @@ use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 
-/// How long a helper polls for the first strip. Posing takes less time, unless it is parallel and its helpers start later.
-const HELPER_WAIT: Duration = Duration::from_millis(1);
-/// A helper reads the clock once in this many polls.
-const POLLS: u32 = 64;
 /// Images of at most this many bytes are drawn as a whole: the head of the response then has their length and cost.
 const MAX_WHOLE: u64 = 256 << 10;
 
@@ -45,17 +40,17 @@ pub enum Picture {
         /// The cost of drawing.
         cost: Cost,
     },
-    /// Strips in order, then one [`Piece::End`]. If the channel closes before, drawing failed.
+    /// Strips in order. If the channel closes before the last one, drawing failed.
     Strips(UnboundedReceiver<Piece>),
 }
 
 /// A part of an image that is being drawn.
 #[derive(Debug)]
-pub enum Piece {
+pub struct Piece {
     /// The next bytes of the file.
-    Bytes(Bytes),
-    /// The file is complete.
-    End(Cost),
+    pub bytes: Bytes,
+    /// The cost of drawing, if the file is complete with this piece.
+    pub end: Option<Cost>,
 }
 
 /// A plan, and its cost so far.
@@ -132,8 +127,15 @@ pub(crate) struct DrawnFile {
     pub(crate) bytes: Bytes,
 }
 
-/// A warp that is ready to be drawn, its report, and the memory that drawing needs.
-pub(super) type Prepared = (Warp, Report, Reservation);
+/// A warp that is ready to be drawn.
+pub(super) struct Prepared {
+    pub(super) warp: Warp,
+    pub(super) report: Report,
+    /// The memory that drawing needs.
+    pub(super) reservation: Reservation,
+    /// The cost so far.
+    pub(super) timing: Timing,
+}
 
 /// Measures the drawing of one image and counts it when it is dropped: abandoned unless it was finished.
 struct Meter {
@@ -242,36 +244,13 @@ struct SharedDrawing {
     strips: StripScheduler<Box<Warp>, Sink>,
     /// Its memory stays reserved while strips are drawn from it.
     _content: Content,
-    meter: Meter,
-    end: UnboundedSender<Piece>,
+    meter: Arc<Meter>,
 }
 
 impl SharedDrawing {
     /// Draws strips; with a ticket, as a helper.
     fn draw(&self, ticket: Option<&Ticket>) {
-        if self.strips.work(&Observer { meter: &self.meter, is_cancelled: None, ticket }) {
-            self.meter.finish();
-            // A client that leaves after the last strip has everything.
-            let _ = self.end.send(Piece::End(self.meter.cost()));
-        }
-    }
-}
-
-/// Passes the drawing from the job to its helpers; `None` when there is nothing to help with.
-type HelperHandoff = Arc<OnceLock<Option<Arc<SharedDrawing>>>>;
-
-/// Polls for the drawing for a short time, and draws strips of it.
-fn help(handoff: &HelperHandoff, ticket: &Ticket) {
-    let began = Instant::now();
-    while began.elapsed() < HELPER_WAIT {
-        for _ in 0..POLLS {
-            match handoff.get() {
-                Some(Some(drawing)) => return drawing.draw(Some(ticket)),
-                Some(None) => return,
-                None => std::hint::spin_loop(),
-            }
-        }
-        std::thread::yield_now();
+        self.strips.work(&Observer { meter: &self.meter, is_cancelled: None, ticket });
     }
 }
 
@@ -281,7 +260,6 @@ struct DrawTask {
     ticket: Ticket,
     timing: Timing,
     plan_built: bool,
-    handoff: HelperHandoff,
     answer: oneshot::Sender<Result<Drawn, Problem>>,
 }
 
@@ -290,18 +268,9 @@ impl App {
     /// Errors: Wrong `q`, rejected folds, too little memory, or a computation that failed.
     pub(crate) async fn draw(&self, ticket: Ticket, job: DrawJob) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
-        let handoff = HelperHandoff::default();
-        // A parallel pose wakes its helpers later; only PNG is drawn by several threads.
-        let early = if job.planned.setup.is_wide() || job.output.format != Format::Png { 0 } else { self.0.pool.helpers() };
-        let (app, helped, helpers_ticket) = (self.clone(), Arc::clone(&handoff), ticket.clone());
         let (timing, plan_built) = (job.planned.timing, job.planned.is_built);
-        let task = DrawTask { app, ticket: ticket.clone(), timing, plan_built, handoff: Arc::clone(&handoff), answer };
-        let draw = move || {
-            task.draw(&job);
-            // Releases helpers that still wait.
-            let _ = handoff.set(None);
-        };
-        self.0.pool.start_with(&ticket, draw, early, move || help(&helped, &helpers_ticket));
+        let task = DrawTask { app: self.clone(), ticket: ticket.clone(), timing, plan_built, answer };
+        self.0.pool.start(&ticket, move || task.draw(&job));
         // The task always answers, unless it panics.
         result.await.map_err(|_| PoolError::Panicked)?
     }
@@ -309,10 +278,8 @@ impl App {
     /// Poses and draws a whole file on this compute thread alone.
     /// Errors: As of [`App::draw`]; cancelled.
     pub(crate) fn draw_file(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<DrawnFile, Problem> {
-        let began = Instant::now();
-        let (warp, report, reservation) = self.prepare_drawing(job, is_cancelled)?;
-        stage("deform", began);
-        self.metrics().prepared(&Timing { deform: began.elapsed(), ..job.planned.timing });
+        let Prepared { warp, report, reservation, timing } = self.prepare_drawing(job, is_cancelled)?;
+        self.metrics().prepared(&timing);
         let (bytes, _) = self.write_whole(&warp, reservation, is_cancelled)?;
         Ok(DrawnFile { report, target: warp.target(), bytes })
     }
@@ -334,6 +301,7 @@ impl App {
 
     /// Poses, and reserves the memory of the picture.
     pub(super) fn prepare_drawing(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<Prepared, Problem> {
+        let (began, mut timing) = (Instant::now(), job.planned.timing);
         let (setup, limits) = (&job.planned.setup, self.config().limits());
         let most_halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
         let pose = || job.pose(&limits, is_cancelled);
@@ -341,10 +309,18 @@ impl App {
         let subject = job.content.subject();
         let bytes = posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
         self.reserve_more(&mut reservation, bytes)?;
+        if subject.lacks_copies(target, &posed, &job.output) {
+            let began = Instant::now();
+            subject.make_copies(target, &posed, &job.output);
+            timing.reduce = began.elapsed();
+            stage("reduce", began);
+        }
         let warp = Warp::onto(target, subject, &posed, &job.output);
         let report = posed.into_report_on(subject, &target, is_cancelled)?;
         self.reserve_more(&mut reservation, warp.work_bytes())?;
-        Ok((warp, report, reservation))
+        timing.deform = began.elapsed().saturating_sub(timing.reduce);
+        stage("deform", began);
+        Ok(Prepared { warp, report, reservation, timing })
     }
 
     /// Draws a whole file on this thread.
@@ -373,21 +349,19 @@ impl App {
 
 impl DrawTask {
     fn draw(mut self, job: &DrawJob) {
-        let began = Instant::now();
-        let (warp, report, reservation) = match self.app.prepare_drawing(job, &|| self.answer.is_closed()) {
+        let Prepared { warp, report, reservation, timing } = match self.app.prepare_drawing(job, &|| self.answer.is_closed()) {
             Ok(prepared) => prepared,
             Err(problem) => {
                 let _ = self.answer.send(Err(problem));
                 return;
             }
         };
-        self.timing.deform = began.elapsed();
-        stage("deform", began);
-        self.app.metrics().prepared(&self.timing);
+        self.timing = timing;
+        self.app.metrics().prepared(&timing);
         if warp.is_one_piece() || warp.max_bytes() <= MAX_WHOLE {
             self.draw_whole(&warp, report, reservation);
         } else {
-            self.draw_strips(warp, report, reservation, job.content.clone(), began);
+            self.draw_strips(warp, report, reservation, job.content.clone());
         }
     }
 
@@ -399,29 +373,31 @@ impl DrawTask {
         let _ = answer.send(written.map(drawn));
     }
 
-    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, content: Content, began: Instant) {
-        let Self { app, ticket, timing, plan_built, handoff, answer } = self;
+    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, content: Content) {
+        let Self { app, ticket, timing, plan_built, answer } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
         let drawn = Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Strips(strips) };
-        let (end, mut first) = (pieces.clone(), Some((answer, drawn)));
-        let sink: Sink = Box::new(move |bytes, _| {
-            let is_sent = pieces.send(Piece::Bytes(reservation.split(bytes.len() as u64).attach(bytes))).is_ok();
-            // The head of the response is sent with the first strip: one wake-up instead of two.
-            let is_sent = is_sent && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
-            if is_sent { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        let (meter, mut first) = (Arc::new(Meter::new(app.clone())), Some((answer, drawn)));
+        let sink: Sink = Box::new({
+            let meter = Arc::clone(&meter);
+            move |bytes, is_last| {
+                if is_last && !pieces.is_closed() {
+                    meter.finish();
+                }
+                // With the last strip, so that its end is sent with it; all strips are drawn by then.
+                let end = is_last.then(|| meter.cost());
+                let is_sent = pieces.send(Piece { bytes: reservation.split(bytes.len() as u64).attach(bytes), end }).is_ok();
+                // The head of the response is sent with the first strip: one wake-up instead of two.
+                let is_sent = is_sent && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
+                if is_sent { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            }
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
         let helpers = app.0.pool.helpers().min(strips.strips() - 1);
-        let drawing = Arc::new(SharedDrawing { strips, _content: content, meter: Meter::new(app.clone()), end });
-        let _ = handoff.set(Some(Arc::clone(&drawing)));
-        if began.elapsed() >= HELPER_WAIT {
-            // The helpers that were woken early may have returned.
-            for _ in 0..helpers {
-                let (handoff, helpers_ticket) = (Arc::clone(&handoff), ticket.clone());
-                app.0.pool.start(&ticket, move || help(&handoff, &helpers_ticket));
-            }
-        }
+        let drawing = Arc::new(SharedDrawing { strips, _content: content, meter });
+        let (shared, helpers_ticket) = (Arc::clone(&drawing), ticket.clone());
+        app.0.pool.offer(&ticket, helpers, move || shared.draw(Some(&helpers_ticket)));
         drawing.draw(None);
     }
 }

@@ -21,8 +21,8 @@ pub(crate) struct Metrics {
     responses: Family<Labels<3>, Counter>,
     problems: Family<Labels<2>, Counter>,
     durations: Family<Labels<1>, Histogram, fn() -> Histogram>,
-    /// `queue`, `decode`, `plan`, `deform`, `render`, `encode`.
-    stages: [Histogram; 6],
+    /// `queue`, `decode`, `plan`, `reduce`, `deform`, `render`, `encode`.
+    stages: [Histogram; 7],
     pub(crate) pictures_begun: Counter,
     pub(crate) pictures_finished: Counter,
     /// Pictures given up because the client had left.
@@ -58,7 +58,7 @@ impl Default for Metrics {
         let by_stage = Family::<Labels<1>, Histogram, _>::new_with_constructor(histogram as fn() -> Histogram);
         let help = "Time of the stages of a picture; render and encode: summed over all threads";
         registry.register_with_unit("stage_duration", help, Unit::Seconds, by_stage.clone());
-        let stages = ["queue", "decode", "plan", "deform", "render", "encode"];
+        let stages = ["queue", "decode", "plan", "reduce", "deform", "render", "encode"];
         let pictures = Family::<Labels<1>, Counter>::default();
         registry.register("pictures", "Pictures by state", pictures.clone());
         let superseded = Family::<Labels<1>, Counter>::default();
@@ -102,7 +102,7 @@ impl Metrics {
 
     /// Records the stages before drawing.
     pub(crate) fn prepared(&self, timing: &Timing) {
-        let times = [timing.queue, timing.decode, timing.plan, timing.deform];
+        let times = [timing.queue, timing.decode, timing.plan, timing.reduce, timing.deform];
         for (histogram, time) in self.stages.iter().zip(times) {
             histogram.observe(time.as_secs_f64());
         }

@@ -214,19 +214,13 @@ impl Pool {
 
     /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops what it owns.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
-        ticket.queue.threads.submit([job(ticket, work)]);
+        ticket.queue.threads.submit(job(ticket, work));
     }
 
-    /// As [`Pool::start`], and wakes `helpers` more threads at the same time, each of which calls `help`.
-    pub fn start_with(
-        &self,
-        ticket: &Ticket,
-        work: impl FnOnce() + Send + 'static,
-        helpers: usize,
-        help: impl Fn() + Clone + Send + 'static,
-    ) {
-        let help = (0..helpers).map(|_| job(ticket, help.clone()));
-        ticket.queue.threads.submit(std::iter::once(job(ticket, work)).chain(help));
+    /// Offers a part of a computation to `helpers` more threads, each of which calls `help`. Threads that are busy call it later, so `help`
+    /// returns at once when nothing is left to do.
+    pub fn offer(&self, ticket: &Ticket, helpers: usize, help: impl Fn() + Clone + Send + 'static) {
+        ticket.queue.threads.offer((0..helpers).map(|_| job(ticket, help.clone())));
     }
 
     /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits

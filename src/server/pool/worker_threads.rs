@@ -1,6 +1,6 @@
 //! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it takes the next one, so that no request
-//! waits for a part of another's. An idle thread polls for a short time before it sleeps: waking a sleeping thread takes a tenth of a
-//! millisecond.
+//! waits for a part of another's. One idle thread polls for a short time before it sleeps, because waking a sleeping thread takes up to a
+//! tenth of a millisecond; the other idle threads sleep.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose within half of this. At sixty poses a
-/// second it costs each thread about 1 % of a processor.
+/// second it costs about 1 % of a processor.
 const POLL_TIME: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;
@@ -38,7 +38,20 @@ struct JobQueue {
     jobs: VecDeque<Job>,
     /// Threads that sleep, the last one to fall asleep last. It is woken first: two threads that take turns stay on their processors.
     asleep: Vec<Thread>,
+    /// Whether an idle thread polls.
+    is_polled: bool,
     is_closed: bool,
+}
+
+impl JobQueue {
+    /// Adds jobs; returns the threads to wake for them, at most `idle` of the idle ones. A thread that polls takes the first job.
+    fn push(&mut self, jobs: impl IntoIterator<Item = Job>, idle: usize) -> Vec<Thread> {
+        let before = self.jobs.len();
+        self.jobs.extend(jobs);
+        let is_polled = usize::from(self.is_polled && before == 0);
+        let wanted = (self.jobs.len() - before).min(idle).saturating_sub(is_polled);
+        self.asleep.split_off(self.asleep.len().saturating_sub(wanted))
+    }
 }
 
 impl WorkerThreads {
@@ -61,13 +74,21 @@ impl WorkerThreads {
         self.0.waiting.load(Ordering::Relaxed) > 0
     }
 
-    /// Queues jobs and wakes as many threads. A job that panics ends its thread, so jobs catch panics.
-    pub(crate) fn submit(&self, jobs: impl IntoIterator<Item = Job>) {
+    /// Queues a job and wakes a thread. A job that panics ends its thread, so jobs catch panics.
+    pub(crate) fn submit(&self, job: Job) {
+        self.queue([job], |_| 1);
+    }
+
+    /// Queues jobs that help another one. They wake idle threads as long as one is left for the next job; later ones wait until a thread
+    /// is free.
+    pub(crate) fn offer(&self, jobs: impl IntoIterator<Item = Job>) {
+        self.queue(jobs, |idle| idle.saturating_sub(1));
+    }
+
+    fn queue(&self, jobs: impl IntoIterator<Item = Job>, wakes: impl FnOnce(usize) -> usize) {
         let mut queue = self.0.lock();
-        let before = queue.jobs.len();
-        queue.jobs.extend(jobs);
-        let rest = queue.asleep.len().saturating_sub(queue.jobs.len() - before);
-        let woken = queue.asleep.split_off(rest);
+        let idle = queue.asleep.len() + usize::from(queue.is_polled);
+        let woken = queue.push(jobs, wakes(idle));
         self.0.waiting.store(queue.jobs.len(), Ordering::Release);
         drop(queue);
         woken.iter().rev().for_each(Thread::unpark);
@@ -108,24 +129,9 @@ impl WorkerState {
 
     /// The next job; `None` when the threads are dropped.
     fn next(&self) -> Option<Job> {
-        let began = Instant::now();
-        loop {
-            if self.waiting.load(Ordering::Acquire) > 0
-                && let Some(job) = self.take(&mut self.lock())
-            {
-                return Some(job);
-            }
-            if began.elapsed() >= POLL_TIME {
-                return self.sleep();
-            }
-            // Other threads may use this processor.
-            std::thread::yield_now();
-        }
-    }
-
-    fn sleep(&self) -> Option<Job> {
         let this = std::thread::current();
         let mut queue = self.lock();
+        let mut may_poll = true;
         loop {
             if let Some(job) = self.take(&mut queue) {
                 return Some(job);
@@ -133,12 +139,30 @@ impl WorkerState {
             if queue.is_closed {
                 return None;
             }
-            queue.asleep.push(this.clone());
-            drop(queue);
-            std::thread::park();
-            queue = self.lock();
-            // It is still there if it was not woken by `submit`.
-            queue.asleep.retain(|thread| thread.id() != this.id());
+            if may_poll && !queue.is_polled {
+                may_poll = false;
+                queue.is_polled = true;
+                drop(queue);
+                self.poll();
+                queue = self.lock();
+                queue.is_polled = false;
+            } else {
+                queue.asleep.push(this.clone());
+                drop(queue);
+                std::thread::park();
+                queue = self.lock();
+                // It is still there if it was not woken by `submit`.
+                queue.asleep.retain(|thread| thread.id() != this.id());
+            }
+        }
+    }
+
+    /// Waits a short time for a job.
+    fn poll(&self) {
+        let began = Instant::now();
+        while self.waiting.load(Ordering::Acquire) == 0 && began.elapsed() < POLL_TIME {
+            // Other threads may use this processor.
+            std::thread::yield_now();
         }
     }
 
@@ -160,12 +184,10 @@ mod tests {
         let threads = WorkerThreads::start("test", 3, 0).unwrap();
         for _ in 0..50 {
             let meet = Arc::new(Barrier::new(4));
-            threads.submit((0..3).map(|_| {
+            for _ in 0..3 {
                 let meet = Arc::clone(&meet);
-                Box::new(move || {
-                    meet.wait();
-                }) as Job
-            }));
+                threads.submit(Box::new(move || _ = meet.wait()));
+            }
             meet.wait();
         }
     }
@@ -176,7 +198,7 @@ mod tests {
         let (done, order) = channel();
         for k in 0..20 {
             let done = done.clone();
-            threads.submit([Box::new(move || done.send(k).unwrap()) as Job]);
+            threads.submit(Box::new(move || done.send(k).unwrap()));
             if k % 5 == 0 {
                 std::thread::sleep(2 * POLL_TIME);
             }
@@ -189,10 +211,10 @@ mod tests {
     fn a_dismissed_pool_does_what_it_was_given_and_ends() {
         let (done, all) = channel();
         let threads = WorkerThreads::start("test", 2, 0).unwrap();
-        threads.submit((0..10).map(|_| {
+        for _ in 0..10 {
             let done = done.clone();
-            Box::new(move || done.send(()).unwrap()) as Job
-        }));
+            threads.submit(Box::new(move || done.send(()).unwrap()));
+        }
         drop((threads, done));
         assert_eq!(all.iter().count(), 10);
     }

@@ -13,7 +13,7 @@ use mlswarp::warp::{CanvasSpec, Folds, Holes, OutputSpec, Plan, Setup};
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, check, pose_of};
 use crate::app::App;
-use crate::app::draw::{DrawJob, DrawnFile, Planned};
+use crate::app::draw::{DrawJob, DrawnFile, Planned, Prepared};
 use crate::app::drawable::Content;
 use crate::app::json_text::json_unless;
 use crate::cache::CacheEntry;
@@ -122,7 +122,7 @@ impl BatchJob {
             let frame = if survey.posed == 0 { self.count() - 1 } else { survey.posed - 1 };
             let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
-            let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
+            let Prepared { warp, .. } = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
                 survey.has_one_canvas &= survey.canvas.is_none_or(|canvas| canvas == shown);

@@ -144,8 +144,12 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     let mut pieces = Vec::new();
     loop {
         match strips.recv().await {
-            Some(Piece::Bytes(bytes)) => pieces.push(bytes),
-            Some(Piece::End(cost)) => return Ok((pieces, cost)),
+            Some(Piece { bytes, end }) => {
+                pieces.push(bytes);
+                if let Some(cost) = end {
+                    return Ok((pieces, cost));
+                }
+            }
             None => return Err(PoolError::Panicked.into()),
         }
     }

@@ -29,13 +29,16 @@ const FINISH: Duration = Duration::from_secs(3);
 const HURRY: Duration = Duration::from_secs(1);
 /// Pause after the operating system has refused another connection.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// Async tasks compute little: a thread serves the tasks of this many workers. More threads wake each other for every request.
+const WORKERS_PER_ASYNC_THREAD: usize = 2;
 /// Open files beside connections: of the runtime, the store, the log and the ops listener.
 const OTHER_FILES: u64 = 256;
 
 /// Serves until a signal, on its own runtime.
 /// Errors: it cannot start, or the listener failed.
 pub fn run(config: Config) -> io::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let threads = config.work.workers.div_ceil(WORKERS_PER_ASYNC_THREAD);
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(threads).enable_all().build()?;
     let ended = runtime.block_on(async {
         let listener = listen(config.listen)?;
         let app = App::new(config).map_err(io::Error::other)?;

@@ -151,9 +151,11 @@ pub(crate) fn map(file: MapFile) -> Response {
 
 /// The value of `Server-Timing`.
 fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
-    let mut stages = Vec::with_capacity(6);
-    if let Some(Timing { queue, decode, plan, deform }) = timing {
-        stages.extend([("queue", queue), ("decode", decode), ("plan", plan), ("deform", deform)]);
+    let mut stages = Vec::with_capacity(7);
+    if let Some(Timing { queue, decode, plan, reduce, deform }) = timing {
+        stages.extend([("queue", queue), ("decode", decode), ("plan", plan)]);
+        stages.extend((!reduce.is_zero()).then_some(("reduce", reduce)));
+        stages.push(("deform", deform));
     }
     if let Some(Cost { render, encode }) = cost {
         stages.extend([("render", render), ("encode", encode)]);
@@ -164,22 +166,18 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
 
 /// The body of a picture that is still being drawn.
 fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
-    let mut ended = false;
+    let (mut is_ended, mut trailer) = (false, None);
     Body::new(StreamBody::new(poll_fn(move |cx| {
-        if ended {
-            return Poll::Ready(None);
+        if is_ended {
+            let timing = |cost| HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
+            return Poll::Ready(trailer.take().map(|cost| Ok(Frame::trailers(timing(cost)))));
         }
         let piece = ready!(strips.poll_recv(cx));
-        ended = !matches!(piece, Some(Piece::Bytes(_)));
-        Poll::Ready(match piece {
-            Some(Piece::Bytes(bytes)) => Some(Ok(Frame::data(bytes))),
-            Some(Piece::End(cost)) => {
-                let timing = || HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
-                trailers.then(|| Ok(Frame::trailers(timing())))
-            }
-            // The status was sent already: only a broken connection tells the client.
-            None => Some(Err(io::Error::other("the picture was not finished"))),
-        })
+        let end = piece.as_ref().map(|piece| piece.end);
+        is_ended = end.is_none_or(|end| end.is_some());
+        trailer = end.flatten().filter(|_| trailers);
+        // The status was sent already: only a broken connection tells the client.
+        Poll::Ready(Some(piece.map(|piece| Frame::data(piece.bytes)).ok_or_else(|| io::Error::other("the picture was not finished"))))
     })))
 }
 
