@@ -21,6 +21,7 @@ pub struct Drag {
     plan: Plan,
     pub rest: Vec<Handle>,
     pub poses: Vec<Vec<Handle>>,
+    pub output: OutputSpec,
     turn: usize,
     strips: Vec<Vec<u8>>,
 }
@@ -43,7 +44,7 @@ impl Drag {
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
         let setup = Setup::new(&spec, image.extent(), &limits).expect("handles that can be warped");
         let plan = setup.plan();
-        Self { image, setup, plan, rest: spec.p, poses, turn: 0, strips: Vec::new() }
+        Self { image, setup, plan, rest: spec.p, poses, output: OutputSpec::default(), turn: 0, strips: Vec::new() }
     }
 
     /// Memory of the plan at most, bytes: the table, and exact rows of cells that are halved.
@@ -51,13 +52,13 @@ impl Drag {
         self.plan.bytes()
     }
 
-    /// The next q to the strips of a PNG, which stay where the writer put them: the service sends them as they are.
-    pub fn png(&mut self, helpers: usize) {
+    /// The next q to the strips of a file, a PNG unless `output` is changed, which stay where the writer put them: the service sends them as they are.
+    pub fn picture(&mut self, helpers: usize) {
         self.turn = (self.turn + 1) % self.poses.len();
         let pose = self.setup.pose(&self.poses[self.turn]).expect("a pose of these handles");
-        let (limits, output) = (Limits::default(), OutputSpec::default());
+        let limits = Limits::default();
         let posed = Posed::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false).expect("folds are drawn");
-        let warp = Warp::new(Subject::Image(&self.image), &posed, &output, &limits);
+        let warp = Warp::new(Subject::Image(&self.image), &posed, &self.output, &limits);
         self.strips.clear();
         let _ = warp.expect("nothing is too large").write(helpers, &(), &mut |bytes| {
             self.strips.push(bytes);
@@ -68,7 +69,7 @@ impl Drag {
     /// The file of one pose.
     pub fn file_of(&mut self, pose: usize) -> Vec<u8> {
         self.turn = (pose + self.poses.len() - 1) % self.poses.len();
-        self.png(0);
+        self.picture(0);
         self.strips.concat()
     }
 

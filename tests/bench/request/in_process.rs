@@ -4,11 +4,13 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
 
+use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::level::Level;
 use mlswarp::pixmap::{Channels, Extent};
-use mlswarp::warp::{GridSpec, Method, RestSpec};
+
+use mlswarp::warp::{GridSpec, Method, OutputSpec, RestSpec};
 
 use crate::drag::{self, Drag, GRID, deformation, samples};
 use crate::harness::pictures::{FULL_HD, SMALL, UHD, VERTICES, bytes, encode, extent, handles, photograph, size, tiles};
@@ -58,19 +60,27 @@ fn table(report: &mut Report, title: &str, extent: Extent, small: bool) {
     for (grid, name) in [(GRID, "100 x 100"), (GridSpec::Auto, "auto")] {
         for (threads, pool, helpers) in [(ONE, &one, 0), (TWO, &two, 1)] {
             let mut drag = Drag::new(&photo, HANDLES, grid);
-            contenders.push(inside(pool, format!("mlswarp, grid {name}, {threads}"), move || drag.png(helpers)));
+            contenders.push(inside(pool, format!("mlswarp, grid {name}, {threads}"), move || drag.picture(helpers)));
         }
+    }
+    for (threads, pool, helpers) in [(ONE, &one, 0), (TWO, &two, 1)] {
+        let mut drag = Drag::new(&photo, HANDLES, GRID);
+        drag.output = OutputSpec { format: Format::Jpeg, ..OutputSpec::default() };
+        contenders.push(inside(pool, format!("mlswarp, grid 100 x 100, JPEG, {threads}"), move || drag.picture(helpers)));
     }
     if small {
         contenders.push(chain(extent));
     }
     report.table(title, if small { 201 } else { 31 }, &mut contenders);
     // Numbered as they stand above.
-    let ([rival, one, two, auto_one, auto_two], chain) = ([0, 1, 2, 3, 4], 5);
+    let ([rival, one, two, auto_one, auto_two], [jpeg_one, jpeg_two], chain) = ([0, 1, 2, 3, 4], [5, 6], 7);
     if small {
         report.goal("500 x 500, 1 thread / png Fastest alone", report.ratio(one, rival), Goal::AtMost(0.75));
         report.goal("500 x 500, 2 threads / png Fastest alone", report.ratio(two, rival), Goal::AtMost(0.42));
         report.goal("500 x 500, the chain of crates / 1 thread", report.ratio(chain, one), Goal::AtLeast(7.0));
+    }
+    for (threads, jpeg, png) in [(ONE, jpeg_one, one), (TWO, jpeg_two, two)] {
+        report.goal(&format!("{}, JPEG / PNG, {threads}", size(extent)), report.ratio(jpeg, png), Goal::AtMost(0.7));
     }
     for (threads, auto, fixed) in [(ONE, auto_one, one), (TWO, auto_two, two)] {
         report.goal(&format!("{}, grid auto / 100 x 100, {threads}", size(extent)), report.ratio(auto, fixed), Goal::AtMost(1.25));
@@ -83,7 +93,7 @@ fn many(report: &mut Report, title: &str) {
     let one = pool(1);
     let mut drags = [GRID, GridSpec::Auto].map(|grid| Drag::new(&photo, 100, grid));
     let names = ["mlswarp, grid 100 x 100", "mlswarp, grid auto"];
-    let mut contenders: Vec<_> = drags.iter_mut().zip(names).map(|(drag, name)| inside(&one, name, move || drag.png(0))).collect();
+    let mut contenders: Vec<_> = drags.iter_mut().zip(names).map(|(drag, name)| inside(&one, name, move || drag.picture(0))).collect();
     report.table(title, 101, &mut contenders);
     report.goal("100 handles, grid auto / 100 x 100", report.ratio(1, 0), Goal::AtMost(2.0));
 }
@@ -113,7 +123,7 @@ fn numbers(report: &mut Report, title: &str) {
                 let mut pictures: Vec<f64> = (0..8)
                     .map(|_| {
                         let began = Instant::now();
-                        drag.png(0);
+                        drag.picture(0);
                         ms(began)
                     })
                     .collect();
@@ -199,8 +209,8 @@ pub fn answer(folder: Option<&Path>) {
     let [a, b] = &mut drags;
     let (plan, pose) = deformation(extent(SMALL), HANDLES);
     paired::serve(&mut [
-        inside(&one, ONE, || a.png(0)),
-        inside(&two, TWO, || b.png(1)),
+        inside(&one, ONE, || a.picture(0)),
+        inside(&two, TWO, || b.picture(1)),
         inside(&one, "deform", || _ = black_box(plan.displace(black_box(&pose)))),
     ]);
 }
@@ -210,7 +220,7 @@ fn growth(report: &mut Report, title: &str) {
     let sides = [500, 1000, 2000];
     let one = pool(1);
     let mut drags = sides.map(|side| Drag::new(&tiles(extent((side, side))), HANDLES, GRID));
-    let mut contenders: Vec<_> = drags.iter_mut().map(|drag| inside(&one, size(drag.extent()), move || drag.png(0))).collect();
+    let mut contenders: Vec<_> = drags.iter_mut().map(|drag| inside(&one, size(drag.extent()), move || drag.picture(0))).collect();
     let medians = report.table(title, 41, &mut contenders);
     for k in 1..sides.len() {
         let slope = harness::slope([sides[k - 1], sides[k]].map(|side| f64::from(side * side)), [medians[k - 1], medians[k]]);

@@ -36,7 +36,7 @@ fn table(report: &mut Report, title: &str, sides: (u32, u32), connections: &[usi
 
     let (one, two) = (pool(1), pool(2));
     let [a, b] = &mut drags;
-    let mut in_process = [inside(&one, "1 thread", || a.png(0)), inside(&two, "2 threads", || b.png(1))];
+    let mut in_process = [inside(&one, "1 thread", || a.picture(0)), inside(&two, "2 threads", || b.picture(1))];
     let (mut ones, mut twos) = (Vec::new(), Vec::new());
     let mut loads: Vec<Load> = connections.iter().map(|_| Load::default()).collect();
     let mut floor = Load::default();
