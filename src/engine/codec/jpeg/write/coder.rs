@@ -180,8 +180,9 @@ impl Bits {
         let mut run = at - rest.next;
         rest.next = at + 1;
         while run > 15 {
-            self.store(bytes);
+            // Afterwards, so that the word has room for this coefficient and the next one.
             self.put(codes.sized[15][0]);
+            self.store(bytes);
             run -= 16;
         }
         self.put(codes.of::<NEAR_ALL>(run as usize, i32::from(block.coefficients[at as usize % BLOCK])));
@@ -279,6 +280,81 @@ fn stuff(bytes: &[u8], out: &mut Vec<u8>) {
         out.push(*byte);
         if *byte == u8::MAX {
             out.push(0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bits of a symbol and a value after it.
+    fn coded(bits: &mut Vec<bool>, (code, length): (u16, u8), value: i32) {
+        let size = size(value);
+        let value = if value < 0 { value + (1 << size) - 1 } else { value };
+        bits.extend((0..length).rev().map(|bit| code >> bit & 1 == 1));
+        bits.extend((0..size).rev().map(|bit| value >> bit & 1 == 1));
+    }
+
+    /// Blocks as T.81, F.1.2 defines them.
+    fn defined(blocks: &[[i16; BLOCK]], table: usize) -> Vec<u8> {
+        let (dc, ac) = (DC[table].codes(), AC[table].codes());
+        let (mut bits, mut last) = (Vec::new(), 0);
+        for block in blocks {
+            let difference = i32::from(block[0]) - last;
+            last = i32::from(block[0]);
+            coded(&mut bits, dc[size(difference) as usize], difference);
+            let mut run = 0;
+            for value in block[1..].iter().map(|value| i32::from(*value)) {
+                if value == 0 {
+                    run += 1;
+                    continue;
+                }
+                (0..run / 16).for_each(|_| coded(&mut bits, ac[0xf0], 0));
+                coded(&mut bits, ac[(run % 16) << 4 | size(value) as usize], value);
+                run = 0;
+            }
+            if run > 0 {
+                coded(&mut bits, ac[0], 0);
+            }
+        }
+        bits.resize(bits.len().next_multiple_of(8), true);
+        let byte = |bits: &[bool]| bits.iter().fold(0, |byte, bit| byte << 1 | u8::from(*bit));
+        let stuffed = |byte| std::iter::once(byte).chain((byte == 255).then_some(0));
+        bits.chunks(8).map(byte).flat_map(stuffed).collect()
+    }
+
+    /// Sparse and full blocks of small and of large values, so that every run meets every size, after each number of waiting bits.
+    #[test]
+    fn bits_are_those_of_the_standard() {
+        let codes = Codes::of_both();
+        let mut state = 1_u64;
+        let mut random = |below: u64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) % below
+        };
+        for round in 0..20_000 {
+            let (share, most) = (1 + random(64), random(10));
+            let blocks: [[i16; BLOCK]; 4] = std::array::from_fn(|_| {
+                std::array::from_fn(|k| {
+                    let size = if k == 0 { 10 } else { 1 + random(1 + most) };
+                    let value = i16::try_from(random(1 << size)).unwrap();
+                    let value = if random(2) == 0 { value } else { -value };
+                    if k == 0 || random(64) < share { value } else { 0 }
+                })
+            });
+            let mut group = Blocks::default();
+            for (block, coefficients) in group.iter_mut().zip(blocks) {
+                block.coefficients = coefficients;
+                block.nonzero = (0..BLOCK).filter(|k| coefficients[*k] != 0).map(|k| 1 << k).sum();
+                block.is_near = coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
+            }
+            let table = (round % 2) as usize;
+            let order: Vec<_> = (0..4).map(|block| Coded { block, component: table }).collect();
+            let (mut bits, mut out) = (BitWriter::new(), Vec::new());
+            bits.group(&group, &order, &codes, &mut Last::default(), &mut out);
+            bits.finish(&mut out);
+            assert!(out == defined(&blocks, table), "round {round}: {blocks:?}");
         }
     }
 }
