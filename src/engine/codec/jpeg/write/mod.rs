@@ -22,6 +22,7 @@ use std::sync::{Arc, LazyLock};
 
 use self::coder::{BLOCK_BYTES, Codes};
 use self::strip::{Components, Job, Quantiser};
+use self::tables::BLOCK;
 use crate::codec::PngShape;
 use crate::level::Level;
 
@@ -106,21 +107,25 @@ impl JpegWriter {
     /// Upper bound of the whole file, bytes, whatever the samples. Each byte of a block may need a zero after it.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
-        let side = self.components.side();
-        let [across, down] = [self.shape.extent.width(), self.shape.extent.height()].map(|length| (length as usize).div_ceil(side) as u64);
         let blocks = self.components.blocks() as u64;
         let strips = self.strips() as u64 * 4;
-        across * down * blocks * 2 * BLOCK_BYTES as u64 + strips + self.head.len() as u64 + markers::END.len() as u64
+        self.macroblocks() * blocks * 2 * BLOCK_BYTES as u64 + strips + self.head.len() as u64 + markers::END.len() as u64
     }
 
-    /// Upper bound of the memory for writing, bytes: the file, which is no larger than the samples of padded blocks, because even noise
-    /// compresses a little, and a copy in 8 bit.
+    /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a block's coefficients sum to 64 x 128^2 at
+    /// most, so a coefficient takes no more than 18 bits on average (128 after no zeros); zeros after bytes 255 add less than 6.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
+        const COEFFICIENT: u64 = 3;
+        let blocks = self.macroblocks() * self.components.blocks() as u64;
+        let samples = self.shape.extent.pixels() * self.shape.samples() as u64;
+        blocks * BLOCK as u64 * COEFFICIENT + samples + self.strips() as u64 * 4 + self.head.len() as u64
+    }
+
+    fn macroblocks(&self) -> u64 {
         let side = self.components.side();
-        let [across, down] =
-            [self.shape.extent.width(), self.shape.extent.height()].map(|length| (length as usize).next_multiple_of(side) as u64);
-        across * down * (3 + self.shape.samples() as u64) + self.head.len() as u64
+        let [across, down] = [self.shape.extent.width(), self.shape.extent.height()].map(|length| (length as usize).div_ceil(side) as u64);
+        across * down
     }
 
     /// The bytes before the first strip.

@@ -67,6 +67,7 @@ fn file(writer: &JpegWriter, samples: &[u8]) -> Vec<u8> {
     }
     file.extend(JpegWriter::tail());
     assert!(file.len() as u64 <= writer.max_bytes());
+    assert!((file.len() + samples.len()) as u64 <= writer.work_bytes());
     file
 }
 
