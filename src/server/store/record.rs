@@ -245,7 +245,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     }
     let read: Document<&RawValue> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.merge_onto(base());
-    if warp.q.is_some() {
+    if warp.q.is_some() || warp.strength.to_bits() != base().strength.to_bits() {
         return Err(other("it has posed handles"));
     }
     if warp.is_auto {

@@ -249,7 +249,7 @@ pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(store: S, 
     store.touch(a.id, Some(7)).await.unwrap();
     let newer = [
         (a.id, resealed(&a, |json| json.replace("\"version\":1", "\"version\":2,\"strength\":1.5"))),
-        (b.id, resealed(&b, |json| json.replace("\"warp\":{", "\"warp\":{\"strength\":1.5,"))),
+        (b.id, resealed(&b, |json| json.replace("\"warp\":{", "\"warp\":{\"stiffness\":1.5,"))),
         (c.id, resealed(&c, |json| json.replace("\"output\":{", "\"output\":{\"filter\":\"lanczos\","))),
     ];
     let store = plant(store, &newer).await;
