@@ -1,4 +1,4 @@
-//! The instruction set of the kernels of `deform`, `render` and `codec::png`: detected once at run time, so that a plain build is fast
+//! The instruction set of the kernels of `deform`, `render` and `codec`: detected once at run time, so that a plain build is fast
 //! everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it for tests; a level that the processor lacks is not used.
 
 use std::sync::OnceLock;

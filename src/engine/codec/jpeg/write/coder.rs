@@ -11,15 +11,16 @@ pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
 pub(super) const GROUP: usize = 12;
 /// Bits of a length in an entry of a table.
 const LENGTH: u32 = 6;
-/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros.
+/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros. Kernels find them in bytes: when 64 is added, the
+/// sign bit of all others is 1.
 pub(super) const NEAR: i32 = 64;
 const VALUES: usize = 2 * NEAR as usize;
 
-/// Runs of zeros, and the differences of first coefficients after them.
+/// Rows of a table: one for each run of 0 to 15 zeros, then one ([`FIRST`]) for the differences of first coefficients.
 const RUNS: usize = FIRST + 1;
 const FIRST: usize = 16;
 
-/// A quantised block in the order of a file, and which of its coefficients are not zero, the first in the lowest bit.
+/// A quantised block in zigzag order, and which of its coefficients are not zero, the first in the lowest bit.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Block {

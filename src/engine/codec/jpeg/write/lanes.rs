@@ -5,8 +5,8 @@ use super::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
 /// Most lanes of a level.
 pub(super) const MOST_LANES: usize = 32;
 
-/// 16-bit integers side by side: 16 of them or a multiple. Sums and differences wrap; the strip keeps them in range. Eight lanes are the
-/// columns of a block, or its rows after `transpose`.
+/// 16-bit integers side by side: 16 of them or a multiple, signed unless stated otherwise. Sums and differences wrap; `strip` states the
+/// ranges, within which they do not. Eight lanes are a row of a block, or a column after `transpose`.
 pub(super) trait Lanes: Copy {
     const COUNT: usize;
 
@@ -17,7 +17,7 @@ pub(super) trait Lanes: Copy {
     /// Does not wrap.
     fn plus_saturating(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
-    /// `(a b + 2^14) / 2^15`, rounded down.
+    /// `(a b + 2^14) / 2^15`, rounded down: the product in units of 2^-15, rounded to the nearest.
     fn times(self, other: Self) -> Self;
     /// `a b / 2^16` of unsigned integers, rounded down.
     fn times_high(self, other: Self) -> Self;
@@ -42,7 +42,7 @@ pub(super) trait Lanes: Copy {
     fn sums_of_pairs(self, other: Self) -> Self;
     /// Transposes the blocks, `rows[y]` at lane x to `[x]` at lane y.
     fn transpose(rows: [Self; 8]) -> [Self; 8];
-    /// Stores transposed blocks in the order of a file: `COUNT / 8` of them.
+    /// Stores `COUNT / 8` transposed blocks in zigzag order, and sets `nonzero` and `is_near`.
     fn store(columns: [Self; 8], blocks: &mut [Block]);
     /// [`BitWriter::group`], compiled for the level.
     fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>);

@@ -1,9 +1,15 @@
 //! One strip: pixels to colour, cosine transform, quantisation and coding, a group of macroblocks at a time.
 //!
-//! All arithmetic is on 16-bit integers (`Lanes`). Luminance and chrominance have 4 bits of fraction, more than the 8-bit samples of other
-//! encoders, and a range of +-2048. A transform multiplies by the square root of 8: the first has the same 4 bits, of which 2 are then
-//! rounded away, and coefficients have the unit 1/32. Only the first can leave the range, when all of a block is black: it is 1024 at most
-//! (T.81, A.3.3), all others are 1020.
+//! All arithmetic is on 16-bit integers (`Lanes`), whose range is -32,768 to 32,767. In order:
+//!
+//! | value | unit | range |
+//! |---|---|---|
+//! | luminance less 128, chrominance | 1/16 | -2048 to 2040 |
+//! | after the transform along y, which multiplies by the square root of 8 | 1/16 | +-16,384 |
+//! | the same, rounded | 1/4 | +-4096 |
+//! | after the transform along x: a coefficient of T.81, A.3.3, times 32 | 1/32 | -32,768 (a black block) to 32,640 |
+//!
+//! Encoders that transform the samples of 8 bits have no bits of fraction.
 
 use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP, Last};
 use super::lanes::{Lanes, MOST_LANES};
@@ -11,7 +17,7 @@ use super::tables::{BLOCK, SIDE};
 
 /// Most bytes of a pixel.
 const MOST_CHANNELS: usize = 4;
-/// Rows of the tallest macroblock.
+/// Rows of the tallest macroblock, the pixels of the blocks that a file interleaves (T.81: an MCU).
 const MOST_ROWS: usize = 2 * SIDE;
 
 /// What the samples of a file are.
@@ -66,7 +72,8 @@ impl Components {
     }
 }
 
-/// Divides coefficients by their steps: by row, two factors of [`Lanes::times`], because one has too few bits.
+/// Divides coefficients by their steps: for each column of a block, two factors of [`Lanes::times`] in units of 2^-15. The reciprocal of a
+/// large step alone would have too few bits, so it is a factor of 1/2 to 1 and a power of two.
 #[derive(Debug)]
 pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
 
@@ -243,7 +250,7 @@ fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
     }
 }
 
-/// Luminance above and below, then both kinds of chrominance.
+/// Luminance of the upper and of the lower eight rows; then Cb in the lower half of the lanes and Cr in the upper half, means of 2 x 2 px.
 #[inline(always)]
 fn half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
     for pair in 0..SIDE {
@@ -283,7 +290,8 @@ fn blended<T: Lanes>(colour: T, alpha: T, ground: u8) -> T {
     sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
 }
 
-/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. Weights of colours are multiplied by 256 / 257.
+/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. The weights, 0.299, 0.587 and 0.114 in units of 2^-16, are
+/// multiplied by 256 / 257, because colours are 257 times their samples.
 #[inline(always)]
 fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
     // 38,320 as a signed integer.
@@ -296,7 +304,8 @@ fn fraction<T: Lanes>(value: T) -> T {
     value.minus(T::all(i16::MIN)).times(T::all(1 << 11))
 }
 
-/// The two kinds of chrominance, with 7 bits of fraction.
+/// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313, 0.4187 and 0.0813 in units of 2^-15, are
+/// multiplied by 256 / 257.
 #[inline(always)]
 fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
     let half = T::all(16_320);

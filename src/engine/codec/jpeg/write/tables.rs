@@ -1,11 +1,11 @@
 //! The tables of ITU-T T.81, Annex K: quantisation scaled by quality as the Independent JPEG Group does, and Huffman codes.
 
-/// Sides of a block.
+/// Side of a block, px.
 pub(super) const SIDE: usize = 8;
 /// Coefficients of a block.
 pub(super) const BLOCK: usize = SIDE * SIDE;
 
-/// The position of each coefficient in rows, in the order of a file.
+/// The zigzag order, that of a file: the position `8 v + u` of each coefficient in rows (T.81, figure A.6).
 pub(super) const ZIGZAG: [u8; BLOCK] = zigzag();
 
 /// Table K.1, in rows.

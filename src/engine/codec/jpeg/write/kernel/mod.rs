@@ -1,5 +1,5 @@
-//! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over [`Lanes`](super::lanes::Lanes) of 16-bit integers; every level has
-//! the same operations on more or fewer lanes, so all of them give the same bytes.
+//! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over [`Lanes`](super::lanes::Lanes) of 16-bit
+//! integers; every level has the same operations on more or fewer lanes, so all of them give the same bytes.
 
 use super::strip::{self, Job};
 use crate::level::Level;
