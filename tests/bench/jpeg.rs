@@ -1,4 +1,5 @@
-//! JPEG encoding of a photograph (RGB and RGBA, 8 bit) against the crates that do it in Rust, 500 x 500 and 1920 x 1080, one thread, and the
+//! JPEG encoding of a photograph (RGB and RGBA, 8 bit) against the crates that do it in Rust, 500 x 500 and 1920 x 1080, one thread,
+//! and the
 //! strips on two; then bytes and PSNR over qualities. Buffers are reused where an encoder allows it.
 //!
 //! `cargo bench --bench jpeg [-- FILTER]`; a filter is a part of a table's title.

@@ -35,7 +35,7 @@ pub(super) struct AveragedSamples {
     bytes: Vec<u8>,
 }
 
-/// The cells that shrink the source so much that pixels need several samples, 1 or 0, `[rows - 1][columns - 1]`; empty if there are none.
+/// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there are none.
 /// `sampled`: px of the sampled picture for a px of the source, along each axis; `scale`: px of the target.
 pub(super) fn shrinking_cells(mesh: &Mesh, sampled: [f64; 2], scale: [f64; 2], kernel: Kernel) -> Vec<u8> {
     let grid = mesh.grid();

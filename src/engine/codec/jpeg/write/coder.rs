@@ -155,7 +155,8 @@ impl Bits {
         self.waiting += code % (1 << LENGTH);
     }
 
-    /// Codes a block. `difference`: of its first coefficient and that of the component's previous block; `NEAR_ALL`: all values have entries.
+    /// Codes a block. `difference`: of its first coefficient and that of the component's previous block; `NEAR_ALL`: all values
+    /// have entries.
     #[inline(always)]
     fn block<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) {
         self.store(bytes);

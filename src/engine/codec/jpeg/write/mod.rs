@@ -112,7 +112,8 @@ impl JpegWriter {
         self.macroblocks() * blocks * 2 * BLOCK_BYTES as u64 + strips + self.head.len() as u64 + markers::END.len() as u64
     }
 
-    /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a block's coefficients sum to 64 x 128^2 at
+    /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a block's coefficients sum to
+    /// 64 x 128^2 at
     /// most, so a coefficient takes no more than 18 bits on average (128 after no zeros); zeros after bytes 255 add less than 6.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {

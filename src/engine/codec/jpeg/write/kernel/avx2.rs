@@ -140,7 +140,8 @@ lanes! {
     Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
     sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
     mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
-    unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32, _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
+    unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32,
+    _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
         #[inline(always)]
         fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {

@@ -109,7 +109,8 @@ lanes! {
     Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, add: _mm512_add_epi16, saturate: _mm512_adds_epi16,
     sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, high: _mm512_mulhi_epu16,
     mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
-    unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32, _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
+    unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32,
+    _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
         #[inline(always)]
         fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {

@@ -3,7 +3,8 @@
 /// Implements `Lanes` for a type of `count` lanes by the instructions that are named; `own`: the methods in which the levels differ.
 macro_rules! lanes {
     (
-        $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident, add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
+        $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident,
+        add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
         times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident,
         unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
         own: { $($own:item)* }
