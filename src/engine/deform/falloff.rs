@@ -105,16 +105,34 @@ impl Falloff {
     /// Replaces every ratio in [0, 1] by `ratio^alpha`.
     #[inline(always)]
     pub(super) fn of_lanes<const N: usize>(self, ratios: &mut [f64; N]) {
-        // One loop: a closure per power remained a function of its own, compiled for the reference.
-        for r in ratios {
-            *r = match self.power {
-                Power::Half => r.sqrt(),
-                Power::One => *r,
-                Power::OneAndHalf => *r * r.sqrt(),
-                Power::Two => *r * *r,
-                Power::Three => *r * *r * *r,
-                Power::Other => pow(*r, self.alpha),
-            };
+        // A loop per power: one loop around the match is not vectorised on AVX2.
+        match self.power {
+            Power::Half => {
+                for r in ratios {
+                    *r = r.sqrt();
+                }
+            }
+            Power::One => {}
+            Power::OneAndHalf => {
+                for r in ratios {
+                    *r *= r.sqrt();
+                }
+            }
+            Power::Two => {
+                for r in ratios {
+                    *r *= *r;
+                }
+            }
+            Power::Three => {
+                for r in ratios {
+                    *r = *r * *r * *r;
+                }
+            }
+            Power::Other => {
+                for r in ratios {
+                    *r = pow(*r, self.alpha);
+                }
+            }
         }
     }
 }
