@@ -6,7 +6,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from commands import AS_ROOT, CACHE, ROOT, Failure, install, run, say, text, where
+from commands import AS_ROOT, CACHE, Failure, install, run, say, text, where
 
 
 class Engine:
@@ -103,7 +103,7 @@ class Engine:
     def build(self, *arguments):
         environment = f"DOCKER_BUILDKIT={int(self.buildkit)}"
         command = [*self.prefix, "env", environment, self.client, *self.host, "build", *arguments]
-        return run(*command, *(["--progress=plain"] if self.buildkit else []), ROOT)
+        return run(*command, *(["--progress=plain"] if self.buildkit else []))
 
     def tidy(self):
         """Removes leftovers of earlier runs from an engine that only this test uses."""

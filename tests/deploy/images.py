@@ -143,13 +143,23 @@ def build_options():
     return [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
 
 
+def copied(place):
+    """A copy of the tracked files, which the commands may write into."""
+    names = run("git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")
+    for name in filter(None, names):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, place / name)
+    return place
+
+
 def build(engine, tag=IMAGE, *options):
     """Builds deploy/Dockerfile unchanged, on the network of the host."""
     base = builder_image(engine)
     with timed(f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"):
-        engine.build(
-            "--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options, "-f", ROOT / "deploy/Dockerfile", "-t", tag
-        )  # fmt: skip
+        with tempfile.TemporaryDirectory(dir=CACHE) as place:
+            files = copied(Path(place) / "src")
+            given = ["--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options]
+            engine.build(*given, "-f", files / "deploy/Dockerfile", "-t", tag, files)
 
 
 def program(engine, place, tag=IMAGE):

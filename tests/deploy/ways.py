@@ -19,7 +19,7 @@ from pathlib import Path
 
 from commands import ROOT, Failure, run, say, text, timed, where
 from engine import Apart
-from images import IMAGE, builder_image, build_options, systemd_image
+from images import IMAGE, builder_image, build_options, copied, systemd_image
 from readme_commands import block
 
 COMPOSE = ROOT / "deploy" / "compose.yaml"
@@ -31,19 +31,10 @@ TAG = "mlswarp-test/ways"
 KEY = re.compile(r"ann (\S{16,})")
 
 
-def copied(place):
-    """A copy of the tracked files, which the commands may write into."""
-    names = run("git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")
-    for name in filter(None, names):
-        (place / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / name, place / name)
-    return place
-
-
 def docker_of(stage, engine, place):
     """A directory with the `docker` that the commands call."""
     place.mkdir()
-    # BuildKit finds every layer in its cache: the image was built from the same files.
+    # BuildKit finds every layer in its cache: the image was built from such a copy, with the same modes of files and directories.
     options = " ".join(["--network=host", "--build-arg", f"BUILDER={builder_image(stage.engine)}", *build_options()])
     own = (*stage.engine.prefix, "env", f"DOCKER_BUILDKIT={int(stage.engine.buildkit)}", stage.engine.client, *stage.engine.host)
     own = " ".join(map(str, own))
