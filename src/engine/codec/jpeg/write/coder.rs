@@ -37,9 +37,9 @@ impl Default for Block {
 }
 
 impl Block {
-    /// Eight coefficients.
+    /// Coefficients `8 k` to `8 k + 7`.
     #[inline(always)]
-    pub(super) fn group(&mut self, k: usize) -> &mut [i16; 8] {
+    pub(super) fn eight(&mut self, k: usize) -> &mut [i16; 8] {
         &mut self.coefficients.as_chunks_mut().0[k]
     }
 }
@@ -49,13 +49,13 @@ pub(super) type Blocks = [Block; BLOCKS];
 /// At least [`GROUP`], a power of two.
 const BLOCKS: usize = 16;
 /// The first coefficient of each component's previous block.
-pub(super) type Last = [i16; COMPONENTS];
+pub(super) type Predictors = [i16; COMPONENTS];
 /// At least 3, a power of two.
 const COMPONENTS: usize = 4;
 
 /// A block of a group and the number of its component.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Coded {
+pub(super) struct BlockPlace {
     pub(super) block: usize,
     pub(super) component: usize,
 }
@@ -160,7 +160,7 @@ impl Bits {
     #[inline(always)]
     fn block<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) {
         self.store(bytes);
-        let mut rest = Rest { left: block.nonzero & !1, next: 1 };
+        let mut rest = Uncoded { left: block.nonzero & !1, next: 1 };
         // Two coefficients between two stores.
         while rest.left != 0 {
             self.coefficient::<NEAR_ALL>(block, codes, &mut rest, bytes);
@@ -176,7 +176,7 @@ impl Bits {
 
     /// Puts the next coefficient that is not zero, and the zeros before it.
     #[inline(always)]
-    fn coefficient<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, rest: &mut Rest, bytes: &mut [u8; SIZE]) {
+    fn coefficient<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, rest: &mut Uncoded, bytes: &mut [u8; SIZE]) {
         let at = rest.left.trailing_zeros();
         rest.left &= rest.left - 1;
         let mut run = at - rest.next;
@@ -212,7 +212,7 @@ impl Bits {
 }
 
 /// The coefficients of a block that are not coded yet.
-struct Rest {
+struct Uncoded {
     /// Those that are not zero.
     left: u64,
     /// The first one that is not coded.
@@ -224,14 +224,21 @@ impl BitWriter {
         Self { bytes: Box::new([0; SIZE]), bits: Bits { at: 0, word: 0, waiting: 0 } }
     }
 
-    /// Codes the blocks of a group in an order; `last`: the first coefficient of each component's previous block.
+    /// Codes the blocks of a group in an order; `last`: T.81's predictors of DC, the first coefficient of each component's previous block.
     #[inline(always)]
-    pub(super) fn group(&mut self, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
+    pub(super) fn put_group(
+        &mut self,
+        blocks: &Blocks,
+        order: &[BlockPlace],
+        codes: &[Codes; 2],
+        last: &mut Predictors,
+        out: &mut Vec<u8>,
+    ) {
         if self.bits.at > FULL {
             self.take(out);
         }
         let (mut bits, bytes) = (self.bits, &mut *self.bytes);
-        for &Coded { block, component } in order {
+        for &BlockPlace { block, component } in order {
             let (block, codes, last) = (&blocks[block % BLOCKS], &codes[component.min(1)], &mut last[component % COMPONENTS]);
             let [first, ..] = block.coefficients;
             let difference = i32::from(first) - i32::from(*last);
@@ -352,9 +359,9 @@ mod tests {
                 block.is_near = coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
             }
             let table = (round % 2) as usize;
-            let order: Vec<_> = (0..4).map(|block| Coded { block, component: table }).collect();
+            let order: Vec<_> = (0..4).map(|block| BlockPlace { block, component: table }).collect();
             let (mut bits, mut out) = (BitWriter::new(), Vec::new());
-            bits.group(&group, &order, &codes, &mut Last::default(), &mut out);
+            bits.put_group(&group, &order, &codes, &mut Predictors::default(), &mut out);
             bits.finish(&mut out);
             assert!(out == defined(&blocks, table), "round {round}: {blocks:?}");
         }

@@ -1,6 +1,6 @@
 //! The operations of an instruction set that a strip needs.
 
-use super::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
+use super::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
 
 /// Most lanes of a level.
 pub(super) const MOST_LANES: usize = 32;
@@ -14,8 +14,6 @@ pub(super) trait Lanes: Copy {
     /// The first lanes of a table.
     fn load(values: &[i16; MOST_LANES]) -> Self;
     fn plus(self, other: Self) -> Self;
-    /// Does not wrap.
-    fn plus_saturating(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     /// `(a b + 2^14) / 2^15`, rounded down: the product in units of 2^-15, rounded to the nearest.
     fn times(self, other: Self) -> Self;
@@ -44,6 +42,6 @@ pub(super) trait Lanes: Copy {
     fn transpose(rows: [Self; 8]) -> [Self; 8];
     /// Stores `COUNT / 8` transposed blocks in zigzag order, and sets `nonzero` and `is_near`.
     fn store(columns: [Self; 8], blocks: &mut [Block]);
-    /// [`BitWriter::group`], compiled for the level.
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>);
+    /// [`BitWriter::put_group`], compiled for the level.
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>);
 }

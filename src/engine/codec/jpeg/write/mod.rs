@@ -46,7 +46,7 @@ pub struct JpegWriter {
     shape: PngShape,
     components: Components,
     /// The background of transparent pixels.
-    ground: [u8; 3],
+    background: [u8; 3],
     level: Level,
     /// Rows of a strip but the last, a multiple of the side of a macroblock.
     strip_rows: u32,
@@ -60,7 +60,7 @@ impl JpegWriter {
     /// # Panics
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
     #[must_use]
-    pub fn new(shape: PngShape, quality: u8, subsampling: Subsampling, ground: [u8; 3], icc: Option<&[u8]>) -> Self {
+    pub fn new(shape: PngShape, quality: u8, subsampling: Subsampling, background: [u8; 3], icc: Option<&[u8]>) -> Self {
         let components = match subsampling {
             _ if shape.grey => Components::Grey,
             Subsampling::Full => Components::Full,
@@ -77,7 +77,7 @@ impl JpegWriter {
         let steps = tables::quantisation(quality);
         let quantisers = Arc::new(steps.each_ref().map(Quantiser::new));
         let head = markers::head(shape.extent, components, &steps, interval, icc).into();
-        Self { shape, components, ground, level: Level::detect(), strip_rows, quantisers, head }
+        Self { shape, components, background, level: Level::detect(), strip_rows, quantisers, head }
     }
 
     /// Encodes with another level.
@@ -144,9 +144,9 @@ impl JpegWriter {
         static CODES: LazyLock<[Codes; 2]> = LazyLock::new(Codes::of_both);
         let (width, channels) = (self.shape.extent.width() as usize, self.shape.samples());
         assert_eq!(samples.len(), self.rows(index).len() * width * channels, "the samples of the strip");
-        let Self { components, ground, .. } = *self;
+        let Self { components, background, .. } = *self;
         out.extend(markers::restart(index).into_iter().flatten());
-        let job = Job { samples, width, channels, components, ground, quantisers: &self.quantisers, codes: &CODES };
+        let job = Job { samples, width, channels, components, background, quantisers: &self.quantisers, codes: &CODES };
         kernel::encode(self.level, &job, out, wanted);
     }
 

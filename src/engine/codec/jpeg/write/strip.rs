@@ -11,7 +11,7 @@
 //!
 //! Encoders that transform the samples of 8 bits have no bits of fraction.
 
-use super::coder::{BitWriter, Block, Blocks, Coded, Codes, GROUP, Last};
+use super::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, GROUP, Predictors};
 use super::lanes::{Lanes, MOST_LANES};
 use super::tables::{BLOCK, SIDE};
 
@@ -60,9 +60,9 @@ impl Components {
     }
 
     /// The blocks of a group of pixels in the order of a file.
-    fn order(self, lanes: usize) -> Vec<Coded> {
+    fn order(self, lanes: usize) -> Vec<BlockPlace> {
         let macroblocks = lanes / self.side();
-        let coded = |(plane, block, component): (usize, usize, usize)| Coded { block: plane * PLANE + block, component };
+        let coded = |(plane, block, component): (usize, usize, usize)| BlockPlace { block: plane * PLANE + block, component };
         let one = |k: usize| match self {
             Self::Grey => vec![(0, k, 0)],
             Self::Full => vec![(0, k, 0), (1, k, 1), (2, k, 2)],
@@ -110,7 +110,7 @@ pub(super) struct Job<'a> {
     pub(super) channels: usize,
     pub(super) components: Components,
     /// The background of transparent pixels.
-    pub(super) ground: [u8; 3],
+    pub(super) background: [u8; 3],
     pub(super) quantisers: &'a [Quantiser; 2],
     pub(super) codes: &'a [Codes; 2],
 }
@@ -177,7 +177,7 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
     let (side, pitch) = (job.components.side(), job.width * CHANNELS);
     let height = job.samples.len() / pitch;
     let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
-    let (mut bits, mut last) = (BitWriter::new(), Last::default());
+    let (mut bits, mut last) = (BitWriter::new(), Predictors::default());
     let mut blocks = Blocks::default();
     let mut planes = [[T::all(0); SIDE]; PLANES];
     let order = job.components.order(T::COUNT);
@@ -232,7 +232,7 @@ pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
 #[inline(always)]
 fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
     for (y, luma) in planes[0].iter_mut().enumerate() {
-        let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+        let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
         *luma = fraction(grey);
     }
 }
@@ -242,7 +242,7 @@ fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
 fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
     let [first, second, third] = planes;
     for (y, ((first, second), third)) in first.iter_mut().zip(second).zip(third).enumerate() {
-        let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.ground);
+        let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
         let [blue, red] = chroma(colours);
         *first = luma(colours);
         *second = blue.times(T::all(1 << 12));
@@ -254,8 +254,8 @@ fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
 #[inline(always)]
 fn half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
     for pair in 0..SIDE {
-        let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair), job.ground);
-        let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair + 1), job.ground);
+        let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair), job.background);
+        let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair + 1), job.background);
         let rows = &mut planes[pair / (SIDE / 2)];
         rows[2 * pair % SIDE] = luma(above);
         rows[2 * pair % SIDE + 1] = luma(below);
@@ -283,8 +283,8 @@ fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [
 
 /// `(c a + g (255 - a)) / 255`, rounded.
 #[inline(always)]
-fn blended<T: Lanes>(colour: T, alpha: T, ground: u8) -> T {
-    let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(ground)));
+fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
+    let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(background)));
     let sum = colour.times_low(alpha).plus(behind).plus(T::all(127));
     // A division by 255, exact for what two bytes can be.
     sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
@@ -344,14 +344,5 @@ fn cosines<T: Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
     let (three, five) = (b.minus(c), a.minus(d));
     // The square root of 2 is 1 + 0.4142.
     let root = T::all(13_573);
-    [
-        even[0].plus_saturating(even[1]),
-        one,
-        two,
-        three.plus(three.times(root)),
-        even[0].minus(even[1]),
-        five.plus(five.times(root)),
-        six,
-        seven,
-    ]
+    [even[0].plus(even[1]), one, two, three.plus(three.times(root)), even[0].minus(even[1]), five.plus(five.times(root)), six, seven]
 }

@@ -205,7 +205,7 @@ fn coefficients_are_the_exact_ones_rounded() {
                 width: 16,
                 channels,
                 components,
-                ground: GROUND,
+                background: GROUND,
                 quantisers: &quantisers,
                 codes: &codes,
             };

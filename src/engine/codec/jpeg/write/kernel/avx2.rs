@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::x86::lanes;
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
@@ -22,8 +22,8 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
-    bits.group(blocks, order, codes, last, out);
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+    bits.put_group(blocks, order, codes, last, out);
 }
 
 /// Made by `wide` only.
@@ -88,7 +88,7 @@ unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
     unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(sixteen(bytes, first)), sixteen(bytes, second)) }
 }
 
-/// By group of eight coefficients in the order of a file, and by column of the block: the bytes of the column that go there.
+/// For every eight coefficients in the order of a file, by column of the block: the bytes of the column that go there.
 static SHUFFLES: [[[u8; 2 * SIDE]; SIDE]; SIDE] = shuffles();
 
 const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
@@ -105,46 +105,58 @@ const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
     shuffles
 }
 
+/// For every eight coefficients, by column: whether it has some of them.
+const HAS: [[bool; SIDE]; SIDE] = {
+    let mut has = [[false; SIDE]; SIDE];
+    let mut k = 0;
+    while k < BLOCK {
+        has[k / SIDE][ZIGZAG[k] as usize % SIDE] = true;
+        k += 1;
+    }
+    has
+};
+
 impl Avx2 {
-    /// One group of coefficients in the order of a file, from the columns that have some.
+    /// Coefficients `8 K` to `8 K + 7` in the order of a file.
     #[inline(always)]
-    fn group<const N: usize>(columns: &[Self; 8], group: usize, from: [usize; N]) -> __m256i {
+    fn eight<const K: usize>(columns: &[Self; 8]) -> __m256i {
         // SAFETY: `encode` alone uses this type, where the processor has the level.
         unsafe {
             let mut joined = _mm256_setzero_si256();
-            for x in from {
-                let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(SHUFFLES[group][x].as_ptr().cast()));
-                joined = _mm256_or_si256(joined, _mm256_shuffle_epi8(columns[x].0, order));
+            for (x, column) in columns.iter().enumerate() {
+                if HAS[K][x] {
+                    let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(SHUFFLES[K][x].as_ptr().cast()));
+                    joined = _mm256_or_si256(joined, _mm256_shuffle_epi8(column.0, order));
+                }
             }
             joined
         }
     }
 
-    /// All groups.
     #[inline(always)]
     fn in_order(columns: &[Self; 8]) -> [__m256i; 8] {
         [
-            Self::group(columns, 0, [0, 1, 2, 3]),
-            Self::group(columns, 1, [0, 1, 2, 3, 4, 5]),
-            Self::group(columns, 2, [0, 1, 2, 3, 4]),
-            Self::group(columns, 3, [3, 4, 5, 6, 7]),
-            Self::group(columns, 4, [0, 1, 2, 3, 4]),
-            Self::group(columns, 5, [3, 4, 5, 6, 7]),
-            Self::group(columns, 6, [2, 3, 4, 5, 6, 7]),
-            Self::group(columns, 7, [4, 5, 6, 7]),
+            Self::eight::<0>(columns),
+            Self::eight::<1>(columns),
+            Self::eight::<2>(columns),
+            Self::eight::<3>(columns),
+            Self::eight::<4>(columns),
+            Self::eight::<5>(columns),
+            Self::eight::<6>(columns),
+            Self::eight::<7>(columns),
         ]
     }
 }
 
 lanes! {
-    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16, saturate: _mm256_adds_epi16,
+    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16,
     sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
     mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
     unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32,
     _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 
@@ -191,13 +203,13 @@ lanes! {
         #[inline(always)]
         fn store(columns: [Self; 8], blocks: &mut [Block]) {
             let [first, second, ..] = blocks else { unreachable!("blocks of all lanes") };
-            let groups = Self::in_order(&columns);
+            let eights = Self::in_order(&columns);
             unsafe {
                 (first.nonzero, second.nonzero) = (0, 0);
                 // But for the first coefficients, which may have any value.
                 let mut far = 0;
                 for half in (0..8).step_by(2) {
-                    let packed = _mm256_packs_epi16(groups[half], groups[half + 1]);
+                    let packed = _mm256_packs_epi16(eights[half], eights[half + 1]);
                     let bits = !_mm256_movemask_epi8(_mm256_cmpeq_epi8(packed, _mm256_setzero_si256())).cast_unsigned();
                     first.nonzero |= u64::from(bits & 0xffff) << (8 * half);
                     second.nonzero |= u64::from(bits >> 16) << (8 * half);
@@ -205,35 +217,11 @@ lanes! {
                 }
                 let far = far.cast_unsigned();
                 (first.is_near, second.is_near) = (far & 0xffff == 0, far >> 16 == 0);
-                for (k, group) in groups.into_iter().enumerate() {
-                    _mm_storeu_si128(first.group(k).as_mut_ptr().cast(), _mm256_castsi256_si128(group));
-                    _mm_storeu_si128(second.group(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(group));
+                for (k, eight) in eights.into_iter().enumerate() {
+                    _mm_storeu_si128(first.eight(k).as_mut_ptr().cast(), _mm256_castsi256_si128(eight));
+                    _mm_storeu_si128(second.eight(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(eight));
                 }
             }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_column_of_a_group_is_named() {
-        // The lists of `in_order`.
-        let named: [&[usize]; SIDE] = [
-            &[0, 1, 2, 3],
-            &[0, 1, 2, 3, 4, 5],
-            &[0, 1, 2, 3, 4],
-            &[3, 4, 5, 6, 7],
-            &[0, 1, 2, 3, 4],
-            &[3, 4, 5, 6, 7],
-            &[2, 3, 4, 5, 6, 7],
-            &[4, 5, 6, 7],
-        ];
-        for (shuffles, named) in SHUFFLES.iter().zip(named) {
-            let used: Vec<usize> = (0..SIDE).filter(|x| shuffles[*x].iter().any(|byte| *byte < 0x80)).collect();
-            assert_eq!(used, named);
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::x86::lanes;
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, ZIGZAG};
@@ -22,8 +22,8 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
-    bits.group(blocks, order, codes, last, out);
+fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+    bits.put_group(blocks, order, codes, last, out);
 }
 
 /// Made by `wide` only.
@@ -106,14 +106,14 @@ fn by_block([a, b, c, d]: [Avx512; 4]) -> [__m512i; 4] {
 }
 
 lanes! {
-    Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, add: _mm512_add_epi16, saturate: _mm512_adds_epi16,
+    Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, add: _mm512_add_epi16,
     sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, high: _mm512_mulhi_epu16,
     mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
     unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32,
     _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 

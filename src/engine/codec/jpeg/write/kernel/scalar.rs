@@ -1,6 +1,6 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
-use crate::codec::jpeg::write::coder::{BitWriter, Block, Blocks, Coded, Codes, Last, NEAR};
+use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, NEAR, Predictors};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
 
@@ -54,11 +54,6 @@ impl Lanes for Scalar {
             let (high, low) = (((i32::from(a) * i32::from(b)) >> 16) as i16, a.wrapping_mul(b).cast_unsigned());
             high.wrapping_add(high).wrapping_add((((low >> 14) + 1) >> 1).cast_signed())
         })
-    }
-
-    #[inline(always)]
-    fn plus_saturating(self, other: Self) -> Self {
-        self.each(other, i16::saturating_add)
     }
 
     #[inline(always)]
@@ -131,8 +126,8 @@ impl Lanes for Scalar {
     }
 
     #[inline(never)]
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[Coded], codes: &[Codes; 2], last: &mut Last, out: &mut Vec<u8>) {
-        bits.group(blocks, order, codes, last, out);
+    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+        bits.put_group(blocks, order, codes, last, out);
     }
 
     #[inline(always)]
@@ -144,9 +139,9 @@ impl Lanes for Scalar {
             }
             block.is_near = block.coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
             block.nonzero = 0;
-            for (group, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
+            for (eight, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
                 let mut bits = 0_u16;
-                for (k, coefficient) in group.iter().enumerate() {
+                for (k, coefficient) in eight.iter().enumerate() {
                     bits |= if *coefficient == 0 { 0 } else { 1 << k };
                 }
                 block.nonzero |= u64::from(bits) << at;

@@ -4,7 +4,7 @@
 macro_rules! lanes {
     (
         $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident,
-        add: $add:ident, saturate: $saturate:ident, sub: $sub:ident,
+        add: $add:ident, sub: $sub:ident,
         times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident,
         unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
         own: { $($own:item)* }
@@ -26,11 +26,6 @@ macro_rules! lanes {
             #[inline(always)]
             fn plus(self, other: Self) -> Self {
                 Self(unsafe { $add(self.0, other.0) })
-            }
-
-            #[inline(always)]
-            fn plus_saturating(self, other: Self) -> Self {
-                Self(unsafe { $saturate(self.0, other.0) })
             }
 
             #[inline(always)]
