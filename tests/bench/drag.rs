@@ -2,6 +2,7 @@
 //! cores. A frame's age is the time between sending its pose and having all of it. Best of three.
 //!
 //! `cargo bench --bench drag [-- FILTER]`; a filter is a part of a title (`1 client`, `8 clients`) or of a row's name (`3840 x 2160`, `mesh`).
+//! A filter that begins with `links` runs the table of links instead (`drag/links.rs`).
 
 #![allow(
     missing_docs,
@@ -17,8 +18,12 @@
 mod client;
 #[path = "harness/mod.rs"]
 mod harness;
+#[path = "drag/links.rs"]
+mod links;
 #[path = "drag/recording.rs"]
 mod recording;
+#[path = "../link/relay.rs"]
+mod relay;
 #[path = "request/service.rs"]
 mod service;
 #[path = "drag/socket.rs"]
@@ -30,9 +35,9 @@ use std::time::{Duration, Instant};
 use client::Client;
 use harness::pictures::{FULL_HD, UHD, bytes, encode, extent, handles, photograph, size};
 use harness::{Goal, Report, Times, time};
-use mlswarp::pixmap::Channels;
+use mlswarp::pixmap::{Channels, Pixmap};
 use service::{Service, places};
-use socket::{Run, drag, text};
+use socket::{HEAD, PATIENCE, Run, Shown, Socket, text};
 
 const SQUARE: (u32, u32) = (512, 512);
 const HANDLES: usize = 12;
@@ -62,20 +67,25 @@ const CASES: [Case; 12] = [
 struct Scene {
     file: Vec<u8>,
     warp: String,
+    /// As JSON, and as messages.
+    q: Vec<String>,
     poses: Vec<Vec<u8>>,
     times: Vec<Duration>,
 }
 
 impl Scene {
     fn new(sides: (u32, u32)) -> Self {
-        let extent = extent(sides);
-        let photo = photograph(extent, Channels::Rgb);
+        Self::of(&photograph(extent(sides), Channels::Rgb))
+    }
+
+    fn of(photo: &Pixmap) -> Self {
+        let extent = photo.extent();
         let mut file = Vec::new();
-        encode(extent, Channels::Rgb, bytes(&photo), (png::Compression::Fastest, None), &mut file);
+        encode(extent, Channels::Rgb, bytes(photo), (png::Compression::Fastest, None), &mut file);
         let (rest, target) = handles(HANDLES, extent, 1.0);
-        let poses = recording::poses(&rest, &target, f64::from(extent.height()));
-        let poses = (0..).zip(&poses).map(|(seq, q): (u64, _)| text(&format!(r#"{{"seq":{seq},"q":{}}}"#, places(q)))).collect();
-        Self { file, warp: format!(r#"{{"p": {}}}"#, places(&rest)), poses, times: recording::times() }
+        let q: Vec<_> = recording::poses(&rest, &target, f64::from(extent.height())).iter().map(|q| places(q)).collect();
+        let poses = (0..).zip(&q).map(|(seq, q): (u64, _)| text(&format!(r#"{{"seq":{seq},"q":{q}}}"#))).collect();
+        Self { file, warp: format!(r#"{{"p": {}}}"#, places(&rest)), q, poses, times: recording::times() }
     }
 
     /// So many clients at once, each on a session of its own.
@@ -85,8 +95,7 @@ impl Scene {
             (0..clients).map(|_| format!("{}/drag?{query}", service.session(&mut client, &self.file, &self.warp))).collect();
         let start = Instant::now() + BEFORE;
         let runs = std::thread::scope(|scope| {
-            let clients: Vec<_> =
-                paths.iter().map(|path| scope.spawn(move || drag(service.address, path, start, &self.times, &self.poses))).collect();
+            let clients: Vec<_> = paths.iter().map(|path| scope.spawn(move || self.client(service, path, start))).collect();
             clients.into_iter().map(|client| client.join().expect("the last pose is shown")).collect()
         });
         for path in paths {
@@ -94,6 +103,12 @@ impl Scene {
             client.send(format!("DELETE {session} HTTP/1.1\r\nHost: {}\r\n\r\n", service.address).as_bytes(), |_| {});
         }
         runs
+    }
+
+    fn client(&self, service: &Service, path: &str, start: Instant) -> Run {
+        let run = Socket::open(service.address, path).expect("a drag").drag(start, &self.times, &self.poses, PATIENCE, HEAD);
+        assert_eq!(run.shown.last().map_or(0, |frame| frame.seq), recording::POSES - 1, "the last pose is shown");
+        run
     }
 }
 
@@ -117,7 +132,7 @@ impl Figures {
             rates.push(first.len() as f64 / (last.at - sent[0]).as_secs_f64());
             frames.push(first.len());
             ages.extend(first.iter().map(|frame| (frame.at - sent[frame.seq as usize]).as_secs_f64()));
-            widths.extend(first.iter().map(|frame| frame.width));
+            widths.extend(first.iter().map(Shown::width));
             sizes.extend(first.iter().map(|frame| frame.bytes));
         }
         widths.sort_unstable();
@@ -140,6 +155,10 @@ impl Figures {
 }
 
 fn main() {
+    if harness::filter().starts_with(links::TITLE) {
+        links::run();
+        return;
+    }
     let mut report = Report::new("drag", "the socket under a recorded drag, 600 poses at 125 Hz, 12 handles");
     for clients in [1, 8] {
         let title = if clients == 1 { "1 client".to_owned() } else { format!("{clients} clients, each on a session of its own") };

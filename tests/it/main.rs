@@ -29,6 +29,7 @@ mod landmarks;
 mod laws;
 mod layers;
 mod leaving;
+mod links;
 mod maps;
 mod metrics;
 mod mistakes;

@@ -147,11 +147,18 @@ pub struct Report {
     goals: String,
     /// Of the last table.
     times: Vec<Times>,
+    /// Whether only a part of it was asked for.
+    is_part: bool,
 }
 
 impl Report {
     pub fn new(name: &'static str, what: &str) -> Self {
-        let mut report = Self { name, text: String::new(), goals: String::new(), times: Vec::new() };
+        Self::chosen(name, what, !filter().is_empty())
+    }
+
+    /// A report that the argument selects, all of it or a part.
+    pub fn chosen(name: &'static str, what: &str, is_part: bool) -> Self {
+        let mut report = Self { name, text: String::new(), goals: String::new(), times: Vec::new(), is_part };
         report.line(&format!("# {name}: {what}\n"));
         report.line(&format!("Machine: {}; level {}.\n", machine(), mlswarp::level::Level::detect().name()));
         report
@@ -241,7 +248,7 @@ impl Drop for Report {
             self.line(&goals);
         }
         // A part of a report does not replace a whole one.
-        if std::thread::panicking() || !filter().is_empty() {
+        if std::thread::panicking() || self.is_part {
             return;
         }
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/bench/results");
