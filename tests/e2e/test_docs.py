@@ -75,6 +75,8 @@ def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
         assert done.returncode == 0, f"{file.name}: {done.stdout}{done.stderr}"
         if file.stem == "errors":
             assert "unknown_field" in done.stdout and "method" in done.stdout, done.stdout
+        if file.stem == "plan":
+            assert 0 < float(done.stdout.rsplit(" ", 1)[1]) < 1e-4, done.stdout
     heads = {file.name: file.read_bytes()[:2] for file in tmp_path.glob("*.[pj][np]g") if file.name != "cat.jpg"}
     assert set(heads) >= {"warped.png", "lines.png", "rigid.jpg", "small.jpg", "drag-130.png"}, heads
     assert all(head == (b"\x89P" if name.endswith("png") else b"\xff\xd8") for name, head in heads.items()), heads
@@ -121,6 +123,8 @@ def test_every_run_button_shows_a_result(docs, server):
         assert example.locator("figure img").count() == pictures, f"{name}: {text}"
         if name == "errors":
             assert "unknown_field" in text, text
+        if name == "plan":
+            assert 0 < float(re.search(r'Server": ([-\d.e]+)', text)[1]) < 1e-4, text
     page.screenshot(path=KEPT / "docs-results.png", full_page=True)
 
 

@@ -116,7 +116,7 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
     let upload = multipart(&photo(400, 300), r#"{"p": [[2, 2], [50, 50]], "q": [[3, 2], [51, 50]]}"#);
     let name = |n: u32| format!("/sessions/{:08x}-0000-4000-8000-000000000000", n % 5);
     let q = br#"{"q": [[3, 2], [50, 52]], "seq": 1}"#;
-    for kind in 0..9 {
+    for kind in 0..10 {
         let mut ended = 0;
         for polls in 0..400 {
             let path = name(polls);
@@ -141,6 +141,7 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
                     "application/json",
                     br#"{"q": [[3, 2], [50, 52]], "points": [[1, 1]]}"#,
                 )),
+                8 => Box::pin(send(&app, Method::GET, &format!("{path}/plan"), "application/json", b"")),
                 _ => Box::pin(send(&app, Method::GET, &path, "application/json", b"{}")),
             };
             ended += u32::from(dropped_after(polls, request).await);

@@ -43,6 +43,7 @@ mod openapi_examples;
 mod oracle;
 mod overload;
 mod page;
+mod plans;
 mod points;
 mod problems;
 mod public_path;

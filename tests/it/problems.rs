@@ -219,6 +219,9 @@ async fn the_page_shows_what_is_said() {
     let pose = |seq: u32| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[3, 2]], "seq": seq}));
     png(pose(42).send().await.unwrap()).await;
     same("superseded", pose(41)).await;
+    let spline: Vec<[f64; 2]> = (0..65).map(|k| [f64::from(k % 9), f64::from(k / 9)]).collect();
+    let spline = server.session(&image, &json!({"p": spline, "method": "tps"})).await;
+    same("no_table", server.get(&format!("/sessions/{spline}/plan"))).await;
     same("misdirected", server.get("/sessions/x").header("host", "evil.example")).await;
     same("upgrade_required", server.get(&format!("/sessions/{id}/drag"))).await;
 

@@ -45,6 +45,8 @@ mod leave_one_out;
 #[forbid(unsafe_code)]
 mod measured;
 #[forbid(unsafe_code)]
+mod members;
+#[forbid(unsafe_code)]
 mod moments;
 #[forbid(unsafe_code)]
 mod plan;
@@ -76,6 +78,7 @@ pub use field::Field;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;
+pub use members::ColumnMember;
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 pub use refine::{Refined, Refiner};
 

@@ -17,8 +17,6 @@ use crate::geometry::{Grid, Mesh, Point, Vec2};
 const BLOCKS_PER_TASK: usize = 8;
 /// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
-/// A spline of more sites has no table: a drag of this many frames takes about as long as its table alone.
-const SPLINE_SITES: usize = 64;
 /// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds; cancellation is checked between them.
 const PIECE_BYTES: usize = 16 << 20;
 
@@ -42,6 +40,9 @@ pub struct PoseQuality {
 }
 
 impl Plan {
+    /// A spline of more sites has no table: a drag of this many frames takes about as long as its table alone.
+    pub const MOST_SITES: usize = 64;
+
     /// Memory that the table of `vertices` vertices takes, bytes; known before anything is allocated.
     #[must_use]
     pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
@@ -52,7 +53,7 @@ impl Plan {
     /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves of each pose is O(sites).
     #[must_use]
     pub fn pays(field: &Field) -> bool {
-        field.solved().is_none_or(|spline| spline.len() <= SPLINE_SITES)
+        field.solved().is_none_or(|spline| spline.len() <= Self::MOST_SITES)
     }
 
     /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading
@@ -165,6 +166,34 @@ impl Plan {
         let mut out = out.into_flattened();
         out.truncate(self.vertices);
         Some((out, quality))
+    }
+
+    /// Numbers per vertex in [`Plan::planes`].
+    #[must_use]
+    pub fn planes_for(field: &Field) -> usize {
+        field.handles().columns() * lanes_per_block(field.family(), 1).min(3)
+    }
+
+    /// The coefficients for clients that pose by themselves, plane by plane: each plane has one number per vertex. A column has one plane
+    /// (affine: C), two (similarity: re and im of C) or three (rigid: re and im of `B = e H`, and wn). With the position of each column at
+    /// rest (P) and posed (Q), `p* = sum wn P`, `q* = sum wn Q` and `e = v - p*`, rigid is `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
+    pub fn planes(&self) -> impl Iterator<Item = impl Iterator<Item = f32> + '_> + '_ {
+        let per_block = lanes_per_block(self.family, self.columns);
+        let per_column = lanes_per_block(self.family, 1).min(3);
+        (0..self.columns * per_column).map(move |plane| {
+            let blocks = self.table.chunks_exact(per_block);
+            blocks.flat_map(move |block| self.plane_of_block(block, plane).0).take(self.vertices)
+        })
+    }
+
+    fn plane_of_block(&self, block: &[Lanes], plane: usize) -> Lanes {
+        let (Method::Rigid, [.., ex, ey]) = (self.family, block) else { return block[plane] };
+        let first = plane - plane % 3;
+        let product = |lane: usize| {
+            let ([re, im], [ex, ey]) = ([block[first].0[lane], block[first + 1].0[lane]], [ex.0[lane], ey.0[lane]]);
+            if plane == first { ex * re - ey * im } else { ex * im + ey * re }
+        };
+        if plane - first == 2 { block[plane] } else { Lanes(std::array::from_fn(product)) }
     }
 
     /// The posed mesh of the grid that the plan was made for.

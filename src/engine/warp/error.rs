@@ -36,7 +36,7 @@ pub enum WarpError {
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
         /// `output_pixels`, `canvas_side`, `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
-        /// `outline_samples`.
+        /// `outline_samples`, `plan_bytes`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -63,6 +63,9 @@ pub enum WarpError {
         /// The number of distinct points.
         actual: usize,
     },
+    /// A thin-plate spline of too many points.
+    #[error("a thin-plate spline of more than {} points is evaluated without a table of coefficients", deform::Plan::MOST_SITES)]
+    NoTable,
     /// An invalid grid.
     #[error("{0}")]
     BadGrid(String),
@@ -152,6 +155,7 @@ fn measured(what: &str, actual: u64) -> String {
         "map_pixels" => format!("the map would have {actual} pixels"),
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
         "canvas_edge" => format!("the canvas would reach {actual} px from the corner of the image"),
+        "plan_bytes" => format!("the coefficients would take {actual} bytes"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => format!("{what}: {actual}"),
     }

@@ -22,6 +22,7 @@ mod setup;
 mod spec;
 mod strip_scheduler;
 mod subject;
+mod table;
 mod target;
 #[cfg(test)]
 mod tests;
@@ -42,6 +43,7 @@ pub use self::setup::{Plan, Setup};
 pub use self::spec::{Folds, GridSpec, Holes, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::subject::Subject;
+pub use self::table::Table;
 pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
 pub use self::transform::{Edges, Outline, Transform};
 pub use crate::codec::Limits as ImageLimits;

@@ -99,7 +99,7 @@ impl Setup {
     }
 
     /// `field` on a resolved grid.
-    fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, bool, Vec<Warning>), limits: &Limits) -> Self {
+    pub(super) fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, bool, Vec<Warning>), limits: &Limits) -> Self {
         let (units, mixed, warnings) = rest;
         let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
@@ -256,8 +256,13 @@ impl Setup {
         warnings
     }
 
-    pub(super) fn field(&self) -> &Field {
+    pub(super) const fn field(&self) -> &Arc<Field> {
         &self.field
+    }
+
+    /// The picture's size, px, and the client's units.
+    pub(super) const fn on(&self) -> (f64, f64, Units) {
+        (self.grid.width(), self.grid.height(), self.units)
     }
 
     /// The posed mesh; without a table every row is computed again, which may take long. Stops when `cancelled` returns true.
@@ -318,7 +323,7 @@ pub(super) fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_
     Field::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
 }
 
-fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
+pub(super) fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
     // Per axis too, because the working memory of a row, one per thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]

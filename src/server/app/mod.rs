@@ -13,6 +13,7 @@ pub(crate) mod layers;
 pub(crate) mod lifecycle;
 pub mod map;
 mod metrics_text;
+pub(crate) mod plan;
 pub(crate) mod points;
 pub(crate) mod report;
 pub mod sequence;

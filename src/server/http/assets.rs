@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use axum::Router;
 use axum::extract::Path;
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
@@ -14,7 +14,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::app::App;
 use crate::config::Config;
-use crate::http::headers::elements;
+use crate::http::headers::sends_tag;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::store::StoreUrl;
@@ -76,9 +76,7 @@ impl Asset {
             (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
             (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
         ];
-        // Tags are compared weakly (RFC 9110, section 13.1.2).
-        let is_known = |tag: &str| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == self.tag;
-        if elements(request, IF_NONE_MATCH).any(is_known) {
+        if self.tag.to_str().is_ok_and(|tag| sends_tag(request, tag)) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
         }
         (headers, [(CONTENT_TYPE, self.media.clone())], self.bytes.clone()).into_response()

@@ -1,6 +1,6 @@
 //! Request headers and queries as values.
 
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, IF_NONE_MATCH};
 use axum::http::{HeaderMap, HeaderName};
 
 use crate::problem::words::{advice, list, nearest, quote};
@@ -48,6 +48,11 @@ pub(crate) fn bad_query_value(name: &str, value: &str, expected: &str) -> Proble
 pub(crate) fn elements(headers: &HeaderMap, name: HeaderName) -> impl Iterator<Item = &str> {
     let fields = headers.get_all(name).into_iter().filter_map(|field| field.to_str().ok());
     fields.flat_map(|field| field.split(',')).map(str::trim).filter(|element| !element.is_empty())
+}
+
+/// Whether the client has the response of this entity tag. Tags are compared weakly (RFC 9110, section 13.1.2).
+pub(crate) fn sends_tag(headers: &HeaderMap, tag: &str) -> bool {
+    elements(headers, IF_NONE_MATCH).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
 }
 
 /// The length that a request declares for its body.

@@ -44,6 +44,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         (LAYER, Keyed, get(routes::layers::read).delete(routes::layers::delete).merge(uploads(put(routes::layers::put)))),
         ("/sessions/{id}/warp", Keyed, post(routes::warp::drag)),
         ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
+        ("/sessions/{id}/plan", Keyed, get(routes::plan::plan)),
         ("/sessions/{id}/drag", Keyed, any(socket::drag)),
         ("/sessions/{id}/batch", Keyed, uploads(post(routes::batch::batch))),
         ("/sessions/{id}/points", Keyed, uploads(post(routes::points::of_session))),

@@ -35,6 +35,7 @@ impl From<WarpError> for Problem {
             WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),
             WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail).pointer(format!("/p/{handle}")).handle(handle),
             WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail).pointer("/p").actual(actual),
+            WarpError::NoTable => Self::new(Code::NoTable, detail),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::LabelFormat { .. } => Self::new(Code::BadValue, detail).pointer("/output/format"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),

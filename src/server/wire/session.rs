@@ -36,6 +36,8 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) coincident_policy: Option<AsJson<Coincident>>,
     pub(crate) units: AsJson<Units>,
     pub(crate) grid: SessionGrid,
+    /// Hexadecimal; that of the table of coefficients.
+    pub(crate) rest_revision: &'a str,
     pub(crate) folds: AsJson<Folds>,
     pub(crate) output: AsJson<&'a OutputSpec>,
     /// By name.

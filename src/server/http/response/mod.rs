@@ -7,7 +7,7 @@ use std::task::{Poll, ready};
 
 use axum::body::Body;
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG, TE, TRAILER, VARY};
-use axum::http::{HeaderMap, HeaderName, HeaderValue};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use futures_util::stream::{Stream, StreamExt as _, once, poll_fn, unfold};
@@ -20,6 +20,7 @@ use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Picture, Piece};
 use crate::app::landmarks::HeldLandmarks;
 use crate::app::map::MapFile;
+use crate::app::plan::PlanFile;
 use crate::app::warp::Upload;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
@@ -131,6 +132,14 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
         }
     };
     (headers, body).into_response()
+}
+
+/// A table of coefficients, or 304 if the client has it.
+pub(crate) fn plan(PlanFile { etag, file }: PlanFile) -> Response {
+    let headers = [(ETAG, text(etag)), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
+    let Some((timing, bytes)) = file else { return (StatusCode::NOT_MODIFIED, headers).into_response() };
+    let media_type = HeaderValue::from_static("application/octet-stream");
+    (headers, [(CONTENT_TYPE, media_type), (SERVER_TIMING, text(timing_text(Some(timing), None)))], bytes).into_response()
 }
 
 /// A coordinate map, computed as it is sent.

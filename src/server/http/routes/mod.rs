@@ -12,6 +12,7 @@ pub(crate) mod landmarks;
 pub(crate) mod layers;
 pub(crate) mod map;
 pub(crate) mod mesh;
+pub(crate) mod plan;
 pub(crate) mod points;
 pub(crate) mod problems;
 pub(crate) mod report;

@@ -6,6 +6,7 @@ use axum::extract::{Path, Request};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
+use data_encoding::HEXLOWER;
 use mlswarp::deform::Coincident;
 use mlswarp::warp::Setup;
 
@@ -21,7 +22,7 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
-use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
+use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision};
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 /// Maximum length of a number and its comma in JSON.
@@ -138,6 +139,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         coincident: setup.groups().into_iter().map(|handles| CoincidentGroup { handles }).collect(),
         units: AsJson(record.rest.units),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
+        rest_revision: &HEXLOWER.encode(&rest_revision(setup.rest_digest())),
         folds: AsJson(record.folds),
         output: AsJson(&record.output),
         layers: record.layers.iter().map(|(name, layer)| (name.as_str(), SessionLayer { kind: AsJson(layer.kind) })).collect(),

@@ -1,0 +1,115 @@
+//! The coefficients on a lattice of the client's choice, for clients that pose by themselves.
+
+use std::sync::Arc;
+
+use super::digest::Collector;
+use super::setup::resolve_grid;
+use super::spec::at_most;
+use super::{Digest, GridSpec, Limits, Setup, Units, WarpError};
+use crate::deform::{ColumnMember, Field, IsCancelled, Method, Plan};
+use crate::geometry::Grid;
+
+/// A lattice of vertices at equal distances over the picture, and the deformation of a [`Setup`].
+#[derive(Clone, Debug)]
+pub struct Table {
+    field: Arc<Field>,
+    grid: Grid,
+    rest: Digest,
+}
+
+impl Setup {
+    /// Digest of everything but the grid that the coefficients depend on: picture size, rest handles, method and parameters.
+    #[must_use]
+    pub fn rest_digest(&self) -> Digest {
+        let (field, (width, height, units)) = (self.field(), self.on());
+        let mut key = Collector::new("mlswarp rest 1")
+            .float(width)
+            .float(height)
+            .integer((units == Units::Normalized).into())
+            .integer(field.family() as u64);
+        for parameter in [self.alpha(), self.point_mass(), self.smoothing()] {
+            key = key.integer(parameter.is_some().into()).float(parameter.unwrap_or_default());
+        }
+        for (handle, &weight) in field.given().handles().iter().zip(field.given().weights()) {
+            key = key.float(weight).integer(handle.places().len() as u64);
+            for p in handle.places() {
+                key = key.float(p.x).float(p.y);
+            }
+        }
+        // Handles are grouped by a distance that the client may choose.
+        field.column_members().iter().fold(key, |key, member| key.integer(member.column as u64)).finish()
+    }
+}
+
+impl Table {
+    /// The lattice of `columns` x `rows` vertices.
+    ///
+    /// # Errors
+    /// The lattice or its coefficients exceed a limit, or the method has no table.
+    pub fn new(setup: &Setup, columns: u32, rows: u32, limits: &Limits) -> Result<Self, WarpError> {
+        let (width, height, _) = setup.on();
+        let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
+        let table = Self { field: Arc::clone(setup.field()), grid, rest: setup.rest_digest() };
+        if !Plan::pays(&table.field) {
+            return Err(WarpError::NoTable);
+        }
+        at_most("plan_bytes", limits.plan_bytes, table.bytes())?;
+        Ok(table)
+    }
+
+    /// Memory of the coefficients, bytes; known before anything is allocated.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        Plan::bytes_for(&self.field, self.grid.len())
+    }
+
+    /// Computes the coefficients in parallel on the current rayon pool. CPU work. Stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn fill_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
+        Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled)
+    }
+
+    /// The lattice.
+    #[must_use]
+    pub const fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The family of maps.
+    #[must_use]
+    pub fn family(&self) -> Method {
+        self.field.family()
+    }
+
+    /// Columns of the table.
+    #[must_use]
+    pub fn columns(&self) -> usize {
+        self.field.handles().columns()
+    }
+
+    /// Numbers per vertex.
+    #[must_use]
+    pub fn planes(&self) -> usize {
+        Plan::planes_for(&self.field)
+    }
+
+    /// The handles behind the columns.
+    #[must_use]
+    pub fn members(&self) -> Vec<ColumnMember> {
+        self.field.column_members()
+    }
+
+    /// Number of [`Table::members`].
+    #[must_use]
+    pub fn members_len(&self) -> usize {
+        self.field.given().columns()
+    }
+
+    /// [`Setup::rest_digest`] of the setup.
+    #[must_use]
+    pub const fn rest_digest(&self) -> Digest {
+        self.rest
+    }
+}
