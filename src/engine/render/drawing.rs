@@ -8,7 +8,7 @@ use super::border::{Border, Rows, Search};
 use super::canvas::Window;
 use super::cell;
 use super::edge::Edge;
-use super::footprint::{AveragedSamples, Footprints};
+use super::footprint::{AveragedSamples, Footprints, Sampled};
 use super::kernel::{Kernel, LANES, NOTES, Raster, Spans, UNCOVERED};
 use super::lattice::{BLOCK, Lattice, row_centre};
 use super::row_split::{DOUBT, RowSplit};
@@ -82,14 +82,14 @@ impl Drawing {
 
     /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
     pub(super) fn band(&self, source: &Source, channels: Channels, rows: &Range<u32>, out: &mut [u8]) {
-        let Window { columns, first: (left, _), .. } = &self.window;
         let pixel = channels.count() * source.pixmap().depth().bytes();
-        let pitch = out.len() / rows.len();
-        let part = left * pixel..(left + columns.len()) * pixel;
-        let mut samples = AveragedSamples::default();
-        self.each_line(rows, |at, line, scratch| {
-            self.paint(source, channels, line, scratch, &mut samples, &mut out[at * pitch..][part.clone()]);
-        });
+        let pitch = out.len() / rows.len() / pixel;
+        let sampled = Sampled { kernel: self.kernel, source, level: self.level, filter: self.filter, channels };
+        let mut samples = self.footprints.is_some().then(AveragedSamples::default);
+        self.each_line(rows, |at, line, scratch| self.paint(sampled, line, scratch, samples.as_mut(), (at * pitch, out)));
+        if let Some(samples) = &mut samples {
+            samples.finish(sampled, out);
+        }
     }
 
     /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves the others. The filter is
@@ -353,43 +353,40 @@ impl Drawing {
         Edge::new(self.lattice.corner(column, above), self.lattice.corner(column, below))?.crossing(y).map(|crossing| crossing.pixel)
     }
 
-    /// Samples a row with known coordinates and fills what is outside.
+    /// Samples a row with known coordinates and fills what is outside. `first`: index of the row's first pixel in `out`.
     fn paint(
         &self,
-        source: &Source,
-        channels: Channels,
+        sampled: Sampled<'_>,
         (row, start): (u32, usize),
         scratch: &Scratch,
-        samples: &mut AveragedSamples,
-        out: &mut [u8],
+        mut samples: Option<&mut AveragedSamples>,
+        (first, out): (usize, &mut [u8]),
     ) {
+        let Sampled { kernel, source, level, filter, channels } = sampled;
         let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
-        let left = self.window.columns.start;
-        // What is drawn of a run, and its bytes.
+        let Window { columns, first: (left, _), .. } = &self.window;
+        // What is drawn of a run, and its pixels in `out`.
         let drawn = |run: &Range<usize>| {
-            let run = run.start.max(left)..run.end;
-            (!run.is_empty()).then(|| (run.clone(), (run.start - left) * pixel..(run.end - left) * pixel))
+            let run = run.start.max(columns.start)..run.end;
+            let at = |column: usize| first + left + column - columns.start;
+            (!run.is_empty()).then(|| (run.clone(), at(run.start)..at(run.end)))
         };
         if let Some(colour) = sampler::outside_pixel(self.outside, depth) {
-            for (_, bytes) in gaps(&scratch.runs, width).filter_map(|gap| drawn(&gap)) {
-                sampler::fill(&mut out[bytes], &colour[..pixel]);
+            for (_, pixels) in gaps(&scratch.runs, width).filter_map(|gap| drawn(&gap)) {
+                sampler::fill(&mut out[pixels.start * pixel..pixels.end * pixel], &colour[..pixel]);
             }
         }
-        for (run, bytes) in scratch.runs.iter().filter_map(drawn) {
+        for (run, pixels) in scratch.runs.iter().filter_map(drawn) {
             let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
-            match &self.footprints {
-                None => sampler::sample(self.kernel, source.level(self.level), self.filter, u, v, channels, &mut out[bytes]),
-                Some(footprints) => {
-                    footprints.sample(
-                        self.kernel,
-                        (source, self.level),
-                        self.filter,
-                        (row, run.start),
-                        (u, v),
-                        (samples, channels, &mut out[bytes]),
-                    );
+            match (&self.footprints, &mut samples) {
+                (Some(footprints), Some(samples)) => {
+                    footprints.sample(sampled, (row, run.start), (u, v), samples, (pixels.start, out));
+                }
+                _ => {
+                    let out = &mut out[pixels.start * pixel..pixels.end * pixel];
+                    sampler::sample(kernel, source.level(level), filter, u, v, channels, out);
                 }
             }
         }

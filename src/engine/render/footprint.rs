@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use super::Filter;
-use super::kernel::{Averaged, BATCH, FootprintBatch, FootprintGrid, Kernel, MOST, TOGETHER, jacobian, one_sample_up_to};
+use super::kernel::{Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, Kernel, MOST, TOGETHER, jacobian, one_sample_up_to};
 use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
 use super::source::Source;
@@ -18,7 +18,6 @@ use crate::pixmap::{Channels, Depth};
 const MARGIN: f32 = 0.967;
 /// Rows of a target up to which the columns of a cell are kept for each.
 const HIGH: usize = 16;
-const _: () = assert!(2 * TOGETHER * MOST <= BATCH, "a batch is not passed on for each look");
 
 /// The footprints of a mesh that shrinks the source somewhere.
 #[derive(Debug)]
@@ -28,11 +27,26 @@ pub(super) struct Footprints {
     drawn: DrawnColumns,
 }
 
+/// What is sampled, at a reduction by 2 to the power of `level`, and how.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sampled<'a> {
+    pub(super) kernel: Kernel,
+    pub(super) source: &'a Source,
+    pub(super) level: u32,
+    pub(super) filter: Filter,
+    pub(super) channels: Channels,
+}
+
 /// The buffers of averaged pixels; one per band.
 #[derive(Debug, Default)]
 pub(super) struct AveragedSamples {
     batch: FootprintBatch,
+    /// Pixels whose samples are read from another copy.
+    rest: Box<Alike>,
+    u: Vec<f32>,
+    v: Vec<f32>,
     bytes: Vec<u8>,
+    sums: Vec<u16>,
 }
 
 /// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there are none.
@@ -100,62 +114,104 @@ impl Footprints {
         Self { grid: FootprintGrid { columns, rows, jacobians, marked, origin, cells, scale, limit }, drawn }
     }
 
-    /// Samples a run of pixels of a row at a reduction by `2^level`, as [`sampler::sample`] does where the source is not shrunk. `at`: the row
-    /// and the column of the first pixel.
+    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first pixel;
+    /// `first`: its index in the target. Other pixels are complete after [`AveragedSamples::finish`].
     pub(super) fn sample(
         &self,
-        kernel: Kernel,
-        (source, level): (&Source, u32),
-        filter: Filter,
+        sampled: Sampled<'_>,
         (row, column): (u32, usize),
         (u, v): (&[f32], &[f32]),
-        (samples, channels, out): (&mut AveragedSamples, Channels, &mut [u8]),
+        samples: &mut AveragedSamples,
+        (first, out): (usize, &mut [u8]),
     ) {
-        sampler::sample(kernel, source.level(level), filter, u, v, channels, out);
+        let Sampled { kernel, source, level, filter, channels } = sampled;
+        let pixel = channels.count() * source.pixmap().depth().bytes();
+        sampler::sample(kernel, source.level(level), filter, u, v, channels, &mut out[first * pixel..][..u.len() * pixel]);
         for marked in self.drawn.runs(row as usize) {
             let at = |column_of: usize| column_of.saturating_sub(column).min(u.len());
             let (mut start, end) = (at(marked.start), at(marked.end));
             while start < end {
                 let next = end.min(start + TOGETHER);
-                kernel.footprints(&self.grid, &u[start..next], &v[start..next], start, &mut samples.batch);
+                kernel.footprints(&self.grid, &u[start..next], &v[start..next], first + start, &mut samples.batch);
                 start = next;
-                if samples.batch.len > BATCH - TOGETHER * MOST {
-                    samples.average(kernel, (source, level), filter, channels, out);
-                }
+                samples.average(BATCH - TOGETHER + 1, sampled, out);
             }
         }
-        samples.average(kernel, (source, level), filter, channels, out);
     }
 }
 
 impl AveragedSamples {
-    /// Averages the samples of the batch into the pixels of a run, and empties the batch.
-    fn average(&mut self, kernel: Kernel, (source, level): (&Source, u32), filter: Filter, channels: Channels, out: &mut [u8]) {
-        let depth = source.pixmap().depth();
-        // Four bytes are averaged faster than three.
-        let read = if depth == Depth::Eight { Channels::Rgba } else { channels };
-        let (size, pixel) = (read.count() * depth.bytes(), channels.count() * depth.bytes());
-        let mut start = 0;
-        for pixels in self.batch.pixels.chunk_by(|a, b| a.reduction == b.reduction) {
-            let end = start + pixels.iter().map(|pixel| pixel.count).sum::<usize>();
-            self.bytes.resize((end - start) * size, 0);
-            let source = source.level(level + pixels[0].reduction);
-            sampler::sample(kernel, source, filter, &self.batch.u[start..end], &self.batch.v[start..end], read, &mut self.bytes);
-            let mut at = 0;
-            for Averaged { pixel: index, count, .. } in pixels {
-                let samples = &self.bytes[at * size..(at + count) * size];
-                at += count;
-                let out = &mut out[index * pixel..(index + 1) * pixel];
-                let mean = if depth == Depth::Eight { mean_of_opaque(samples) } else { None };
-                match mean {
-                    Some(mean) => out.copy_from_slice(&mean[..pixel]),
-                    None => average(samples, out, depth, source.pixmap().channels() == Channels::Rgb),
+    /// Averages the samples of all pixels that are waiting.
+    pub(super) fn finish(&mut self, sampled: Sampled<'_>, out: &mut [u8]) {
+        self.average(1, sampled, out);
+    }
+
+    /// Averages the samples of pixels into those of the target, wherever at least `least` of a kind are waiting.
+    fn average(&mut self, least: usize, sampled: Sampled<'_>, out: &mut [u8]) {
+        let depth = sampled.source.pixmap().depth();
+        for kind in 0..2 * KINDS {
+            while self.batch.alike[kind].len >= least {
+                if kind >= KINDS {
+                    self.batch.alike[kind].split(&mut self.rest);
+                }
+                let log = (kind % KINDS) as u32 + 1;
+                match depth {
+                    Depth::Eight => self.average_bytes(kind, log, sampled, out),
+                    Depth::Sixteen => self.average_samples(kind, log, sampled, out),
+                }
+                self.batch.alike[kind].len = 0;
+                if self.rest.len > 0 {
+                    std::mem::swap(&mut self.batch.alike[kind], &mut self.rest);
                 }
             }
-            start = end;
         }
-        self.batch.pixels.clear();
-        self.batch.len = 0;
+    }
+
+    /// Reads the samples of all pixels of a kind: the first of each, then the second ones.
+    fn read(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, channels: Channels) {
+        let Sampled { kernel, source, level, filter, .. } = sampled;
+        let alike = &self.batch.alike[kind];
+        let count = alike.len << log;
+        self.u.resize(BATCH * MOST, 0.0);
+        self.v.resize(BATCH * MOST, 0.0);
+        kernel.positions(alike, log, &mut self.u, &mut self.v);
+        let source = source.level(level + alike.reductions[0]);
+        self.bytes.resize(count * channels.count() * source.pixmap().depth().bytes(), 0);
+        sampler::sample(kernel, source, filter, &self.u[..count], &self.v[..count], channels, &mut self.bytes);
+    }
+
+    /// Averages the samples of pixels of a kind, 8 bit.
+    fn average_bytes(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, out: &mut [u8]) {
+        // Four bytes are averaged faster than three.
+        self.read(kind, log, sampled, Channels::Rgba);
+        let (alike, pixel) = (&self.batch.alike[kind], sampled.channels.count());
+        self.sums.clear();
+        self.sums.resize(4 * alike.len, 0);
+        for line in self.bytes.chunks_exact(4 * alike.len) {
+            self.sums.iter_mut().zip(line).for_each(|(sum, byte)| *sum += u16::from(*byte));
+        }
+        let all_opaque = sampled.source.pixmap().is_opaque();
+        let (sums, half) = (self.sums.as_chunks::<4>().0, 1 << (log - 1));
+        for (k, (index, sums)) in alike.pixels.iter().zip(sums).enumerate() {
+            let out = &mut out[index * pixel..][..pixel];
+            if all_opaque || sums[3] == 255 << log {
+                #[expect(clippy::cast_possible_truncation, reason = "means stay in the range of the samples")]
+                let mean = sums.map(|sum| ((sum + half) >> log) as u8);
+                out.copy_from_slice(&mean[..pixel]);
+            } else {
+                average(self.bytes.chunks_exact(4).skip(k).step_by(alike.len), out, Depth::Eight, false);
+            }
+        }
+    }
+
+    /// Averages the samples of pixels of a kind, 16 bit.
+    fn average_samples(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, out: &mut [u8]) {
+        self.read(kind, log, sampled, sampled.channels);
+        let (alike, pixel) = (&self.batch.alike[kind], 2 * sampled.channels.count());
+        for (k, index) in alike.pixels[..alike.len].iter().enumerate() {
+            let opaque = sampled.source.pixmap().channels() == Channels::Rgb;
+            average(self.bytes.chunks_exact(pixel).skip(k).step_by(alike.len), &mut out[index * pixel..][..pixel], Depth::Sixteen, opaque);
+        }
     }
 }
 
@@ -231,32 +287,17 @@ impl DrawnColumns {
     }
 }
 
-/// The mean of 2 to [`MOST`] RGBA samples of 8 bit, a power of two of them, if all are opaque.
-fn mean_of_opaque(samples: &[u8]) -> Option<[u8; 4]> {
-    const EVEN: u64 = 0x00ff_00ff_00ff_00ff;
-    const ALPHA: u64 = 0xff00_0000_ff00_0000;
-    let (mut all, mut even, mut odd) = (ALPHA, 0, 0);
-    for two in samples.as_chunks().0 {
-        let two = u64::from_le_bytes(*two);
-        (all, even, odd) = (all & two, even + (two & EVEN), odd + (two >> 8 & EVEN));
-    }
-    let shift = (samples.len() / 4).ilog2();
-    let mean = |sums: u64| ((sums + (sums >> 32) + (0x0001_0001 << (shift - 1))) >> shift) & EVEN;
-    #[expect(clippy::cast_possible_truncation, reason = "both halves were added")]
-    (all == ALPHA).then(|| ((mean(even) | mean(odd) << 8) as u32).to_le_bytes())
-}
-
-/// The mean of the pixels in `samples`, which have at least the channels of `out`; colours weighted by alpha.
+/// The mean of pixels with the channels of `out`; colours weighted by alpha.
 #[expect(clippy::cast_possible_truncation, reason = "means stay in the range of the samples")]
-fn average(samples: &[u8], out: &mut [u8], depth: Depth, opaque: bool) {
+fn average<'a>(samples: impl Iterator<Item = &'a [u8]>, out: &mut [u8], depth: Depth, opaque: bool) {
     let read = |bytes: &[u8], k: usize| match depth {
         Depth::Eight => u64::from(bytes[k]),
         Depth::Sixteen => u64::from(u16::from_be_bytes([bytes[2 * k], bytes[2 * k + 1]])),
     };
     let channels = out.len() / depth.bytes();
-    let count = (samples.len() / out.len()) as u64;
-    let mut sums = [0_u64; 4];
-    for pixel in samples.chunks_exact(out.len()) {
+    let (mut sums, mut count) = ([0_u64; 4], 0);
+    for pixel in samples {
+        count += 1;
         let alpha = if opaque { 1 } else { read(pixel, 3) };
         for (k, sum) in sums.iter_mut().enumerate().take(channels) {
             *sum += if k == 3 { read(pixel, 3) } else { alpha * read(pixel, k) };

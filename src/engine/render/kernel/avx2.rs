@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::Kernel;
 use super::cells::{CellBlock, Raster};
-use super::footprints::{FootprintBatch, FootprintGrid};
+use super::footprints::{Alike, FootprintBatch, FootprintGrid};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::Level;
 use crate::pixmap::Channels;
@@ -37,6 +37,7 @@ widened! {
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
     shrinks(lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]);
     footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch);
+    positions(alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]);
     classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
 

@@ -10,7 +10,9 @@ use crate::level::Level;
 use crate::render::lattice::ONE;
 use crate::render::lattice::STEP;
 
-pub(super) use super::avx2::{bends, classify, crossings, edges, footprints, sample, shrinks, snap, soundness, spans, steepness, y_ranges};
+pub(super) use super::avx2::{
+    bends, classify, crossings, edges, footprints, positions, sample, shrinks, snap, soundness, spans, steepness, y_ranges,
+};
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {

@@ -3,7 +3,7 @@
 //! per pixel with more samples.
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "columns and rows of a grid are exact in f32")]
-#![expect(clippy::cast_possible_wrap, reason = "binary logarithms and numbers up to 16")]
+#![expect(clippy::cast_possible_wrap, reason = "numbers up to 16")]
 #![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
 
 use super::rounding::ROUND_F32;
@@ -18,12 +18,14 @@ const LONGEST: f32 = 64.0;
 pub(in crate::render) const MOST: usize = 16;
 /// Largest distance of samples, px of the picture from which they are read.
 const APART: f32 = 1.5;
-/// Samples that are processed together.
-const LANES: usize = 8;
 /// Pixels that are looked at together.
 pub(in crate::render) const TOGETHER: usize = 64;
-/// Positions that a batch holds.
-pub(in crate::render) const BATCH: usize = 2048;
+/// Pixels with the same number of samples that a batch holds.
+pub(in crate::render) const BATCH: usize = 2 * TOGETHER;
+/// Different numbers of samples.
+pub(in crate::render) const KINDS: usize = MOST.ilog2() as usize;
+/// Pixels that compilers process together: passes are over whole groups, because the rest would be processed one by one.
+const LANES: usize = 8;
 
 /// The Jacobians of a mesh that shrinks the source somewhere.
 #[derive(Debug)]
@@ -44,31 +46,55 @@ pub(in crate::render) struct FootprintGrid {
     pub(in crate::render) limit: f32,
 }
 
-/// Positions of samples, in the order of the pixels that they belong to.
-#[derive(Debug)]
+/// Pixels that need several samples.
+#[derive(Debug, Default)]
 pub(in crate::render) struct FootprintBatch {
-    pub(in crate::render) u: Vec<f32>,
-    pub(in crate::render) v: Vec<f32>,
-    pub(in crate::render) len: usize,
-    pub(in crate::render) pixels: Vec<Averaged>,
+    /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the picture itself, then the others.
+    pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
     /// Kept, because zeroing it costs as much as a pass.
     lanes: Box<Lanes>,
 }
 
-/// A pixel that is the mean of several samples.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::render) struct Averaged {
-    /// Its index in the run.
-    pub(in crate::render) pixel: usize,
-    /// A power of two.
-    pub(in crate::render) count: usize,
+/// Pixels that need the same number of samples.
+#[derive(Debug)]
+pub(in crate::render) struct Alike {
+    pub(in crate::render) len: usize,
+    /// Their indices in the target.
+    pub(in crate::render) pixels: [usize; BATCH],
     /// The samples are read from a copy that is reduced by 2 to this power.
-    pub(in crate::render) reduction: u32,
+    pub(in crate::render) reductions: [u32; BATCH],
+    /// u, v and the sides of the footprint.
+    places: [[f32; BATCH]; 6],
+    /// Binary logarithm of the number of samples along the first side.
+    across: [u32; BATCH],
 }
 
-impl Default for FootprintBatch {
+impl Default for Alike {
     fn default() -> Self {
-        Self { u: vec![0.0; BATCH], v: vec![0.0; BATCH], len: 0, pixels: Vec::new(), lanes: Box::default() }
+        Self { len: 0, pixels: [0; BATCH], reductions: [0; BATCH], places: [[0.0; BATCH]; 6], across: [0; BATCH] }
+    }
+}
+
+impl Alike {
+    /// Keeps the pixels whose samples are read from the same copy as those of the first, and moves the others to `rest`.
+    pub(in crate::render) fn split(&mut self, rest: &mut Self) {
+        let all = std::mem::take(&mut self.len);
+        for k in 0..all {
+            let (place, shape) = (self.places.each_ref().map(|of| of[k]), [self.reductions[k], self.across[k]]);
+            if shape[0] == self.reductions[0] { self.push(self.pixels[k], place, shape) } else { rest.push(self.pixels[k], place, shape) }
+        }
+    }
+
+    /// Appends a pixel.
+    #[inline(always)]
+    fn push(&mut self, pixel: usize, place: [f32; 6], [reduction, across]: [u32; 2]) {
+        let at = self.len;
+        assert!(at < BATCH, "there is room");
+        self.len += 1;
+        for k in 0..6 {
+            self.places[k][at] = place[k];
+        }
+        (self.pixels[at], self.reductions[at], self.across[at]) = (pixel, reduction, across);
     }
 }
 
@@ -79,12 +105,12 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     0.999 * (0.5 * LEAST + (0.25 * LEAST * LEAST + share).sqrt())
 }
 
-/// Appends the positions of the samples of every pixel that needs several; at most [`TOGETHER`] pixels, and there must be room for [`MOST`]
-/// positions of each. `first`: index of the first pixel. Passes over arrays, which compilers vectorise; each keeps fewer pixels.
+/// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be room for as many of each kind. `first`:
+/// index of the first pixel. Passes over arrays, which compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
 pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
-    let FootprintBatch { u: us, v: vs, len, pixels: averaged, lanes } = batch;
-    let Lanes { pixels, cells, shares: [s, t], jacobians, several, shapes } = &mut **lanes;
+    let FootprintBatch { alike, lanes } = batch;
+    let Lanes { pixels, cells, shares: [s, t], mixed, jacobians, several, shapes } = &mut **lanes;
     cells.fill(0);
     locate(u, (grid.origin[0], grid.cells[0], grid.columns), 1, cells, s);
     locate(v, (grid.origin[1], grid.cells[1], grid.rows), grid.columns as u32, cells, t);
@@ -93,23 +119,31 @@ pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usiz
         pixels[count] = k;
         count += usize::from(grid.marked[*cell as usize]);
     }
-    for (jacobian, k) in jacobians.iter_mut().zip(&pixels[..count]) {
+    if count == 0 {
+        return;
+    }
+    for (mixed, k) in mixed.iter_mut().zip(&pixels[..count]) {
         let at = cells[*k] as usize;
         let top: &[[f32; 4]; 2] = grid.jacobians[at..].first_chunk().expect("a cell has a right side");
         let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..].first_chunk().expect("a cell has a lower side");
-        *jacobian = mix(&mix(&top[0], &top[1], s[*k]), &mix(&bottom[0], &bottom[1], s[*k]), t[*k]);
+        *mixed = mix(&mix(&top[0], &top[1], s[*k]), &mix(&bottom[0], &bottom[1], s[*k]), t[*k]);
     }
-    for (several, jacobian) in several.iter_mut().zip(&jacobians[..count]) {
-        let (det, [a, b]) = squares(jacobian);
+    let [xx, yx, xy, yy] = &mut *jacobians;
+    let groups = count.next_multiple_of(LANES).min(TOGETHER);
+    for k in 0..groups {
+        [xx[k], yx[k], xy[k], yy[k]] = mixed[k];
+    }
+    for k in 0..groups {
+        let (det, [a, b]) = squares(&[xx[k], yx[k], xy[k], yy[k]]);
         let limit = grid.limit * grid.limit * det * det;
-        *several = u8::from((a > limit) | (b > limit));
+        several[k] = u32::from((a > limit) | (b > limit));
     }
     let marked = std::mem::take(&mut count);
     for k in 0..marked {
-        (jacobians[count], pixels[count]) = (jacobians[k], pixels[k]);
-        count += usize::from(several[k]);
+        (xx[count], yx[count], xy[count], yy[count], pixels[count]) = (xx[k], yx[k], xy[k], yy[k], pixels[k]);
+        count += several[k] as usize;
     }
-    shapes.fill(&jacobians[..count.min(TOGETHER)], &grid.scale);
+    shapes.fill(jacobians, count, &grid.scale);
     for (n, k) in pixels[..count].iter().enumerate() {
         let (across, down) = (shapes.across[n], shapes.down[n]);
         if across + down == 0 {
@@ -117,12 +151,29 @@ pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usiz
         }
         let reduction = (0..16_u32).find(|r| shapes.distance[n] <= APART * (1_u32 << r) as f32).unwrap_or(16);
         let [ax, ay, bx, by] = &shapes.sides;
-        let count = 1_usize << (across + down);
-        let room = *len..*len + count.next_multiple_of(LANES);
-        let (us, vs) = (&mut us[room.clone()], &mut vs[room]);
-        spread((u[*k], v[*k]), [[ax[n], ay[n]], [bx[n], by[n]]], (across, down), reduction, us, vs);
-        *len += count;
-        averaged.push(Averaged { pixel: first + k, count, reduction });
+        let place = [u[*k], v[*k], ax[n], ay[n], bx[n], by[n]];
+        let kind = (across + down) as usize - 1 + KINDS * usize::from(reduction > 0);
+        alike[kind].push(first + k, place, [reduction, across]);
+    }
+}
+
+/// The positions of `2^log` samples of each pixel: the first samples of all, then the second ones.
+#[inline(always)]
+pub(super) fn positions(alike: &Alike, log: u32, us: &mut [f32], vs: &mut [f32]) {
+    let n = alike.len;
+    let [u, v, ax, ay, bx, by] = alike.places.each_ref().map(|of| &of[..n]);
+    let (across, reductions) = (&alike.across[..n], &alike.reductions[..n]);
+    for sample in 0..1_u32 << log {
+        let (us, vs) = (&mut us[sample as usize * n..][..n], &mut vs[sample as usize * n..][..n]);
+        for k in 0..n {
+            let share = inverse(reductions[k]);
+            // 128 times the position, px, is 63.5 larger than the coordinate.
+            let reduced = |coordinate: f32| (coordinate + 63.5) * share - 63.5;
+            let x = ((sample & !(u32::MAX << across[k])) as i32 as f32 + 0.5) * inverse(across[k]) - 0.5;
+            let y = ((sample >> across[k]) as i32 as f32 + 0.5) * inverse(log - across[k]) - 0.5;
+            us[k] = reduced(u[k] + x * ax[k] + y * bx[k]);
+            vs[k] = reduced(v[k] + x * ay[k] + y * by[k]);
+        }
     }
 }
 
@@ -132,8 +183,9 @@ struct Lanes {
     pixels: [usize; TOGETHER],
     cells: [u32; TOGETHER],
     shares: [[f32; TOGETHER]; 2],
-    jacobians: [[f32; 4]; TOGETHER],
-    several: [u8; TOGETHER],
+    mixed: [[f32; 4]; TOGETHER],
+    jacobians: [[f32; TOGETHER]; 4],
+    several: [u32; TOGETHER],
     shapes: Shapes,
 }
 
@@ -141,7 +193,8 @@ impl Default for Lanes {
     fn default() -> Self {
         let shapes = Shapes { sides: [[0.0; TOGETHER]; 4], across: [0; TOGETHER], down: [0; TOGETHER], distance: [0.0; TOGETHER] };
         let (pixels, cells, several) = ([0; TOGETHER], [0; TOGETHER], [0; TOGETHER]);
-        Self { pixels, cells, shares: [[0.0; TOGETHER]; 2], jacobians: [[0.0; 4]; TOGETHER], several, shapes }
+        let (mixed, jacobians) = ([[0.0; 4]; TOGETHER], [[0.0; TOGETHER]; 4]);
+        Self { pixels, cells, shares: [[0.0; TOGETHER]; 2], mixed, jacobians, several, shapes }
     }
 }
 
@@ -194,11 +247,11 @@ struct Shapes {
 
 impl Shapes {
     #[inline(always)]
-    fn fill(&mut self, jacobians: &[[f32; 4]], scale: &[[f32; 2]; 2]) {
+    fn fill(&mut self, jacobians: &[[f32; TOGETHER]; 4], count: usize, scale: &[[f32; 2]; 2]) {
         let [ax, ay, bx, by] = &mut self.sides;
-        for k in 0..jacobians.len().min(TOGETHER) {
-            let (det, [square_a, square_b]) = squares(&jacobians[k]);
-            let [xx, yx, xy, yy] = jacobians[k];
+        for k in 0..count.next_multiple_of(LANES).min(TOGETHER) {
+            let [xx, yx, xy, yy] = [jacobians[0][k], jacobians[1][k], jacobians[2][k], jacobians[3][k]];
+            let (det, [square_a, square_b]) = squares(&[xx, yx, xy, yy]);
             let (a_x, a_y, a) = side((yy, -yx), square_a, det, &scale[0]);
             let (b_x, b_y, b) = side((-xy, xx), square_b, det, &scale[1]);
             let step = |length: f32, power: f32| u32::from(length > APART * power);
@@ -235,24 +288,4 @@ fn side((x, y): (f32, f32), square: f32, det: f32, scale: &[f32; 2]) -> (f32, f3
 #[inline(always)]
 fn inverse(log: u32) -> f32 {
     f32::from_bits((127 - log) << 23)
-}
-
-/// The positions of a pixel's samples, in whole groups.
-#[inline(always)]
-fn spread((u, v): (f32, f32), [a, b]: [[f32; 2]; 2], (across, down): (u32, u32), reduction: u32, us: &mut [f32], vs: &mut [f32]) {
-    let share = inverse(reduction);
-    // 128 times the position, px, is 63.5 larger than the coordinate.
-    let reduced = |coordinate: f32| (coordinate + 63.5) * share - 63.5;
-    let (step_x, step_y) = (inverse(across), inverse(down));
-    for (group, (us, vs)) in us.as_chunks_mut().0.iter_mut().zip(vs.as_chunks_mut().0).enumerate() {
-        let (mut new_us, mut new_vs) = ([0.0; LANES], [0.0; LANES]);
-        for k in 0..LANES {
-            let sample = (group * LANES + k) as u32;
-            let x = ((sample & ((1 << across) - 1)) as i32 as f32 + 0.5) * step_x - 0.5;
-            let y = ((sample >> across) as i32 as f32 + 0.5) * step_y - 0.5;
-            new_us[k] = reduced(u + x * a[0] + y * b[0]);
-            new_vs[k] = reduced(v + x * a[1] + y * b[1]);
-        }
-        (*us, *vs) = (new_us, new_vs);
-    }
 }

@@ -29,7 +29,7 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
-pub(super) use footprints::{Averaged, BATCH, FootprintBatch, FootprintGrid, MOST, TOGETHER, one_sample_up_to};
+pub(super) use footprints::{Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, MOST, TOGETHER, one_sample_up_to};
 pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian};
 
 /// The kernels of a level that this machine has.
@@ -98,10 +98,14 @@ impl Kernel {
         dispatch!(self, shrinks(lines, per, least, shrinking));
     }
 
-    /// Appends the positions of the samples of pixels that need several. `first`: index of the first pixel. There must be room for
-    /// [`MOST`] positions of each.
+    /// Appends the pixels that need several samples. `first`: index of the first pixel. There must be room for as many of each kind.
     pub(super) fn footprints(self, grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
         dispatch!(self, footprints(grid, u, v, first, batch));
+    }
+
+    /// The positions of `2^log` samples of each pixel: the first samples of all, then the second ones.
+    pub(super) fn positions(self, alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]) {
+        dispatch!(self, positions(alike, log, u, v));
     }
 
     /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is

@@ -10,7 +10,7 @@
 use std::ops::Range;
 
 pub(super) use super::cells::{classify, fill};
-pub(super) use super::footprints::footprints;
+pub(super) use super::footprints::{footprints, positions};
 use super::rounding::ROUND;
 pub(super) use super::rounding::ROUND_F32;
 use crate::pixmap::Channels;
