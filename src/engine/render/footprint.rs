@@ -115,7 +115,7 @@ impl Footprints {
     }
 
     /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first pixel;
-    /// `first`: its index in the target. Other pixels are complete after [`AveragedSamples::finish`].
+    /// `first`: its index in `out`. Pixels that need several samples are complete after [`AveragedSamples::finish`].
     pub(super) fn sample(
         &self,
         sampled: Sampled<'_>,
@@ -146,15 +146,14 @@ impl AveragedSamples {
         self.average(1, sampled, out);
     }
 
-    /// Averages the samples of pixels into those of the target, wherever at least `least` of a kind are waiting.
+    /// Averages the samples of pixels into those of `out`, wherever at least `least` of a kind are waiting.
     fn average(&mut self, least: usize, sampled: Sampled<'_>, out: &mut [u8]) {
         let depth = sampled.source.pixmap().depth();
-        for kind in 0..2 * KINDS {
+        for (kind, log) in (0..2 * KINDS).zip((1..=MOST.ilog2()).cycle()) {
             while self.batch.alike[kind].len >= least {
                 if kind >= KINDS {
                     self.batch.alike[kind].split(&mut self.rest);
                 }
-                let log = (kind % KINDS) as u32 + 1;
                 match depth {
                     Depth::Eight => self.average_bytes(kind, log, sampled, out),
                     Depth::Sixteen => self.average_samples(kind, log, sampled, out),

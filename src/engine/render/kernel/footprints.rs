@@ -59,7 +59,7 @@ pub(in crate::render) struct FootprintBatch {
 #[derive(Debug)]
 pub(in crate::render) struct Alike {
     pub(in crate::render) len: usize,
-    /// Their indices in the target.
+    /// Their indices in the band.
     pub(in crate::render) pixels: [usize; BATCH],
     /// The samples are read from a copy that is reduced by 2 to this power.
     pub(in crate::render) reductions: [u32; BATCH],
@@ -91,8 +91,8 @@ impl Alike {
         let at = self.len;
         assert!(at < BATCH, "there is room");
         self.len += 1;
-        for k in 0..6 {
-            self.places[k][at] = place[k];
+        for (of, value) in self.places.iter_mut().zip(place) {
+            of[at] = value;
         }
         (self.pixels[at], self.reductions[at], self.across[at]) = (pixel, reduction, across);
     }
