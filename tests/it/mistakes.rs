@@ -413,7 +413,10 @@ async fn mistakes_in_the_query_are_named() {
     told(socket("frames=jpg"), 422, "bad_value", None, &["`frames` in the query must be one of", "found `jpg`"]).await;
     told(socket("width=9&width=9"), 400, "malformed_request", None, &["the field `width` is given twice in the query"]).await;
     told(socket("frames=auto"), 422, "not_supported", None, &["supported: `png`, `jpeg`, `webp`, `tiff`, `mesh`"]).await;
-    told(socket("window=auto"), 422, "not_supported", None, &["`window`; supported: `frames`, `width`, `report`"]).await;
+    for window in ["0", "9", "-1", "1.5", "all"] {
+        let words = ["`window` in the query must be `auto` or a whole number of 1 to 8", window];
+        told(socket(&format!("window={window}")), 422, "bad_value", None, &words).await;
+    }
     told(socket("width=0"), 422, "bad_value", None, &["`width` in the query must be `auto` or a whole number", "found `0`"]).await;
 }
 

@@ -242,8 +242,56 @@ async fn a_bad_message_is_a_problem_and_the_socket_stays_open() {
     assert_eq!(drag.problem("bad_value").await["pointer"], "/ack");
     drag.socket_binary(vec![1, 2, 3]).await;
     drag.problem("malformed_request").await;
-    drag.pose(6, &posed(1)).await;
-    assert_eq!(drag.frame().await.0, 6);
+    drag.socket_binary(binary_pose(6, &[1.0; 7])).await;
+    assert_eq!(drag.problem("shape_mismatch").await["seq"], 6);
+    drag.socket_binary(binary_pose(7, &[1.0, 1.0, 1.0, f32::NAN, 1.0, 1.0, 1.0, 1.0])).await;
+    let bad = drag.problem("not_finite").await;
+    assert_eq!((&bad["seq"], &bad["pointer"], &bad["handle"]), (&json!(7), &json!("/q/1"), &json!(1)));
+    drag.pose(8, &posed(1)).await;
+    assert_eq!(drag.frame().await.0, 8);
+}
+
+/// The message of a binary pose.
+fn binary_pose(seq: u64, numbers: &[f32]) -> Vec<u8> {
+    let numbers = numbers.iter().flat_map(|number| number.to_le_bytes());
+    seq.to_le_bytes().into_iter().chain(numbers).collect()
+}
+
+#[tokio::test]
+async fn a_binary_pose_gives_the_frame_of_the_same_numbers_as_text() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    let mut drag = DragClient::open(server.address, &id, "").await;
+    drag.socket_binary(binary_pose(1, &[22.5, 20.0, 100.0, 24.25, 30.0, 72.0, 94.0, 80.0])).await;
+    let (seq, frame) = drag.frame().await;
+    let q = json!([[22.5, 20], [100, 24.25], [[30, 72], [94, 80]]]);
+    assert_eq!(seq, 1);
+    assert!(frame == requested(&server, &id, &q, &json!({})).await);
+}
+
+#[tokio::test]
+async fn as_many_frames_are_unacknowledged_as_the_window_says() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    for (query, window) in [("?window=1", 1), ("?window=auto", 1), ("", 1), ("?window=3", 3), ("?window=8&frames=mesh", 8)] {
+        let mut drag = DragClient::open(server.address, &id, query).await;
+        for seq in 0..window {
+            drag.pose(seq, &posed(seq)).await;
+            assert_eq!(drag.frame().await.0, seq, "{query}");
+        }
+        drag.pose(100, &posed(1)).await;
+        assert!(drag.next_within(Duration::from_millis(200)).await.is_none(), "{query}");
+        // The newest frame acknowledges all.
+        drag.ack(window - 1).await;
+        assert_eq!(drag.frame().await.0, 100);
+        drag.ack(101).await;
+        drag.problem("bad_value").await;
+        for seq in [0, 50, 100, 100, 0] {
+            drag.ack(seq).await;
+        }
+        drag.pose(200, &posed(2)).await;
+        assert_eq!(drag.frame().await.0, 200, "{query}");
+    }
 }
 
 #[tokio::test]

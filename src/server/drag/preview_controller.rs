@@ -1,6 +1,6 @@
 //! The width of previews: as wide as about sixty frames per second allow. The controller measures the drawing time of a frame and the time
-//! until its acknowledgement; the longer of the two is the period, because the next frame is drawn while one is being sent. Times are
-//! arguments. O(1) per frame.
+//! until its acknowledgement, divided by the number of unacknowledged frames; the longer of the two is the period, because the next frame
+//! is drawn while others are being sent. Times are arguments. O(1) per frame.
 //!
 //! A model predicts the period of another width: it is proportional to the pixels. That is wrong where the latency of the connection or a
 //! slow screen dominates, so each step is a trial: a narrower width that is hardly faster is taken back, a wider one that is hardly slower
@@ -39,6 +39,8 @@ pub struct PreviewController {
     /// Averages at this width, seconds.
     draw: f64,
     ack: f64,
+    /// Average time until an acknowledgement, per frame that was unacknowledged meanwhile, seconds.
+    gap: f64,
     frames: u32,
     since: Option<Instant>,
     trial: Option<Trial>,
@@ -91,7 +93,18 @@ impl PreviewController {
     }
 
     fn of(widths: Vec<u32>) -> Self {
-        Self { widths, at: 0, draw: 0.0, ack: 0.0, frames: 0, since: None, trial: None, narrower: Pause::NONE, wider: Pause::NONE }
+        Self {
+            widths,
+            at: 0,
+            draw: 0.0,
+            ack: 0.0,
+            gap: 0.0,
+            frames: 0,
+            since: None,
+            trial: None,
+            narrower: Pause::NONE,
+            wider: Pause::NONE,
+        }
     }
 
     /// The width of the next preview.
@@ -109,8 +122,9 @@ impl PreviewController {
         Duration::from_secs_f64(self.ack)
     }
 
-    /// A preview of this width was acknowledged, with its drawing time and the time until the acknowledgement.
-    pub fn acknowledged(&mut self, now: Instant, width: u32, draw: Duration, ack: Duration) {
+    /// A preview of this width was acknowledged, with its drawing time and the time until the acknowledgement. `unacknowledged`: the number
+    /// of frames that were unacknowledged when it was sent, itself included.
+    pub fn acknowledged(&mut self, now: Instant, width: u32, draw: Duration, ack: Duration, unacknowledged: u32) {
         if width != self.width() {
             return;
         }
@@ -119,6 +133,7 @@ impl PreviewController {
         let share = NEWEST.max(1.0 / f64::from(self.frames));
         self.draw += share * (draw.as_secs_f64() - self.draw);
         self.ack += share * (ack.as_secs_f64() - self.ack);
+        self.gap += share * (ack.as_secs_f64() / f64::from(unacknowledged.max(1)) - self.gap);
         let passed = now.saturating_duration_since(since);
         if self.frames >= JUDGED || passed >= JUDGED_SLOW {
             self.judge(now, passed);
@@ -126,7 +141,7 @@ impl PreviewController {
     }
 
     fn judge(&mut self, now: Instant, passed: Duration) {
-        let period = self.draw.max(self.ack);
+        let period = self.draw.max(self.gap);
         match self.trial.take() {
             Some(Trial { from, period: before }) if from < self.at && period * HARDLY > before => {
                 self.narrower.begin(now);
@@ -155,6 +170,7 @@ impl PreviewController {
         let scale = (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
         self.draw *= scale;
         self.ack *= scale;
+        self.gap *= scale;
         self.at = to;
         self.frames = 0;
         self.since = None;
@@ -183,7 +199,7 @@ mod tests {
             let pixels = f64::from(width) * f64::from(width) * 9.0 / 16.0;
             let (make, ack) = ((world.make)(pixels), (world.ack)(pixels));
             time += make.max(ack).max(0.008);
-            pace.acknowledged(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack));
+            pace.acknowledged(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack), 1);
             widths.push(width);
         }
         widths

@@ -1,6 +1,7 @@
-//! The messages of the drag socket: `{"seq", "q"}` and `{"ack"}` from the client; the report that precedes a frame.
+//! The messages of the drag socket: poses, as `{"seq", "q"}` or binary, and `{"ack"}` from the client; the report that precedes a frame.
 
 use mlswarp::deform::{Contradiction, Handle};
+use mlswarp::geometry::Point;
 use mlswarp::render::Canvas;
 use mlswarp::warp::RestSpec;
 use serde::Serialize;
@@ -14,6 +15,8 @@ use super::{AsJson, HANDLES};
 use crate::problem::{Code, Problem};
 
 const NUMBER: &str = "a whole number, at least 0";
+/// Bytes of a number of a binary pose.
+const NUMBER_BYTES: usize = 4;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum DragMessage {
@@ -25,24 +28,69 @@ pub(crate) enum DragMessage {
     Ack(u64),
 }
 
-/// Handles as well-formed JSON that is not parsed yet: most poses are superseded before they are drawn.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct UnreadHandles {
-    text: Box<str>,
-    strength: f64,
+/// Handles that are not parsed yet: most poses are superseded before they are drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub enum UnreadHandles {
+    /// Well-formed JSON.
+    Json {
+        /// The array of handles.
+        text: Box<str>,
+        /// See [`RestSpec::posed_at`].
+        strength: f64,
+    },
+    /// The numbers of all handles, as little-endian f32.
+    Binary(Box<[u8]>),
+}
+
+impl Default for UnreadHandles {
+    fn default() -> Self {
+        Self::Binary(Box::default())
+    }
 }
 
 impl UnreadHandles {
-    /// Bytes of text.
+    /// Bytes.
     pub(crate) const fn len(&self) -> usize {
-        self.text.len()
+        match self {
+            Self::Json { text, .. } => text.len(),
+            Self::Binary(bytes) => bytes.len(),
+        }
     }
 
-    /// `rest`: what the handles are at rest, which a strength needs.
+    /// `rest`: the handles at rest. A strength needs their positions, and numbers their shapes.
     pub(crate) fn read(&self, rest: &RestSpec) -> Result<Vec<Handle>, Problem> {
-        let q = handles(&Node { text: &self.text, at: At::Field(&At::Root, "q") })?;
-        Ok(rest.posed_at(self.strength, q))
+        match self {
+            Self::Json { text, strength } => {
+                let q = handles(&Node { text, at: At::Field(&At::Root, "q") })?;
+                Ok(rest.posed_at(*strength, q))
+            }
+            Self::Binary(bytes) => read_binary(bytes, &rest.p),
+        }
     }
+}
+
+/// The handles whose numbers these are, in the order and shape of those at rest.
+fn read_binary(bytes: &[u8], rest: &[Handle]) -> Result<Vec<Handle>, Problem> {
+    let (numbers, _) = bytes.as_chunks::<NUMBER_BYTES>();
+    let expected = 2 * rest.iter().map(|handle| handle.places().len()).sum::<usize>();
+    if numbers.len() != expected {
+        let detail = format!("`q` must have {expected} numbers, x and y of each position of the handles at rest; found {}", numbers.len());
+        return Err(Problem::new(Code::ShapeMismatch, detail).pointer("/q").actual(numbers.len()));
+    }
+    let mut numbers = numbers.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes)));
+    let mut place = |index| {
+        let (x, y) = (numbers.next().unwrap_or(f64::NAN), numbers.next().unwrap_or(f64::NAN));
+        if x.is_finite() && y.is_finite() {
+            return Ok(Point::new(x, y));
+        }
+        let problem = Problem::new(Code::NotFinite, "a coordinate must be finite; found NaN or an infinite number");
+        Err(problem.pointer(format!("/q/{index}")).handle(index))
+    };
+    let handle = |(index, handle): (usize, &Handle)| match handle {
+        Handle::Point(_) => place(index).map(Handle::Point),
+        Handle::Polyline(line) => line.iter().map(|_| place(index)).collect::<Result<_, _>>().map(Handle::Polyline),
+    };
+    rest.iter().enumerate().map(handle).collect()
 }
 
 /// The problem of a message, and its `seq` where that could be read.
@@ -53,6 +101,22 @@ pub(crate) struct BadMessage {
 }
 
 impl DragMessage {
+    /// Reads a binary pose: `seq` (u64), then the numbers of `q` (f32), little-endian.
+    pub(crate) fn parse_binary(bytes: &[u8]) -> Result<Self, BadMessage> {
+        let (seq, q) = match bytes.split_first_chunk() {
+            Some((seq, q)) => (Some(u64::from_le_bytes(*seq)), q),
+            None => (None, bytes),
+        };
+        match seq {
+            Some(seq) if q.len().is_multiple_of(NUMBER_BYTES) => Ok(Self::Pose { seq, q: UnreadHandles::Binary(q.into()) }),
+            _ => {
+                let detail = "a binary message is a pose: `seq` (8 bytes), then the numbers of `q` (4 bytes each); found";
+                let problem = Problem::new(Code::MalformedRequest, format!("{detail} {} bytes", bytes.len()));
+                Err(BadMessage { seq, problem: Box::new(problem) })
+            }
+        }
+    }
+
     pub(crate) fn parse(json: &[u8]) -> Result<Self, BadMessage> {
         let mut seq = None;
         Self::read(json, &mut seq).map_err(|problem| BadMessage { seq, problem: Box::new(problem) })
@@ -67,7 +131,7 @@ impl DragMessage {
             (Some(ack), None, None) if strength.is_none() => Ok(Self::Ack(ack)),
             (Some(_), ..) => Err(Problem::new(Code::BadValue, "send `ack` in a message of its own, without a pose").pointer("/ack")),
             (None, Some(seq), Some(q)) => {
-                Ok(Self::Pose { seq, q: UnreadHandles { text: q.text.into(), strength: strength.unwrap_or(1.0) } })
+                Ok(Self::Pose { seq, q: UnreadHandles::Json { text: q.text.into(), strength: strength.unwrap_or(1.0) } })
             }
             (None, None, _) => Err(root.missing("seq", NUMBER)),
             (None, _, None) => Err(root.missing("q", HANDLES)),
@@ -115,7 +179,6 @@ pub(crate) struct FrameTiming {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mlswarp::geometry::Point;
 
     #[test]
     fn messages_are_poses_and_acknowledgements() {
@@ -153,6 +216,38 @@ mod tests {
             let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
             let bad = q.read(&RestSpec::default()).unwrap_err();
             assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
+        }
+    }
+
+    #[test]
+    fn binary_poses_have_the_shape_of_the_handles_at_rest() {
+        let place = |x: f32, y: f32| Point::new(x.into(), y.into());
+        let p = vec![Handle::Point(Point::new(0.0, 0.0)), Handle::Polyline(vec![Point::new(1.0, 1.0); 3])];
+        let rest = RestSpec { p, ..RestSpec::default() };
+        let message = |seq: u64, numbers: &[f32]| {
+            let numbers = numbers.iter().flat_map(|number| number.to_le_bytes());
+            seq.to_le_bytes().into_iter().chain(numbers).collect::<Vec<_>>()
+        };
+        let read = |numbers: &[f32]| match DragMessage::parse_binary(&message(9, numbers)) {
+            Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest),
+            other => panic!("{other:?}"),
+        };
+        let numbers = [0.1, -2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 1e6];
+        let line = Handle::Polyline(vec![place(3.0, 4.0), place(5.0, 6.0), place(7.0, 1e6)]);
+        assert_eq!(read(&numbers), Ok(vec![Handle::Point(place(0.1, -2.5)), line]));
+        for (numbers, code, pointer, handle) in [
+            (&[][..], Code::ShapeMismatch, "/q", None),
+            (&numbers[..7], Code::ShapeMismatch, "/q", None),
+            (&[0.0; 9], Code::ShapeMismatch, "/q", None),
+            (&[f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], Code::NotFinite, "/q/0", Some(0)),
+            (&[0.0, 0.0, 0.0, 0.0, 0.0, f32::NEG_INFINITY, 0.0, 0.0], Code::NotFinite, "/q/1", Some(1)),
+        ] {
+            let problem = read(numbers).unwrap_err();
+            assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (code, Some(pointer), handle), "{numbers:?}");
+        }
+        for (bytes, seq) in [(vec![], None), (vec![7; 7], None), (message(9, &[1.0])[..11].to_vec(), Some(9))] {
+            let bad = DragMessage::parse_binary(&bytes).unwrap_err();
+            assert_eq!((bad.seq, bad.problem.code), (seq, Code::MalformedRequest));
         }
     }
 }

@@ -1,6 +1,6 @@
-//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_message`]; [`Drag::next_outgoing`] returns what is to be sent.
-//! The order and width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest pose, at most one frame in
-//! progress or ready, and what the socket has not sent yet.
+//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_text`] and [`Drag::on_binary`]; [`Drag::next_outgoing`]
+//! returns what is to be sent. The order and width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest
+//! pose, at most one frame in progress or ready, and what the socket has not sent yet: at most the frames of the window.
 
 mod frame;
 
@@ -17,6 +17,7 @@ use super::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
 use crate::drag::preview_controller::PreviewController;
+pub use crate::drag::send_window::{MAX_WINDOW, Window};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::limits::sockets::SocketSlot;
 use crate::observe::Scope;
@@ -45,6 +46,8 @@ pub struct DragOptions {
     pub width: PreviewWidth,
     /// Whether a report precedes each frame.
     pub report: bool,
+    /// The number of frames that may be unacknowledged.
+    pub window: Window,
 }
 
 /// A message to send.
@@ -101,7 +104,7 @@ impl App {
             app: self.clone(),
             id,
             client,
-            scheduler: FrameScheduler::new(previews(options, &record), full(options, &record)),
+            scheduler: FrameScheduler::new(previews(options, &record), full(options, &record), options.window),
             options,
             drawing: None,
             newest: None,
@@ -139,9 +142,18 @@ fn full(options: DragOptions, record: &Record) -> u32 {
 }
 
 impl Drag {
-    /// A message arrived.
-    pub fn on_message(&mut self, text: &[u8], now: Instant) {
-        match DragMessage::parse(text) {
+    /// A text message arrived.
+    pub fn on_text(&mut self, text: &[u8], now: Instant) {
+        self.on_message(DragMessage::parse(text), now);
+    }
+
+    /// A binary message arrived.
+    pub fn on_binary(&mut self, bytes: &[u8], now: Instant) {
+        self.on_message(DragMessage::parse_binary(bytes), now);
+    }
+
+    fn on_message(&mut self, message: Result<DragMessage, BadMessage>, now: Instant) {
+        match message {
             Ok(DragMessage::Ack(seq)) => {
                 if self.scheduler.ack(seq, now).is_err() {
                     self.send_problem(
@@ -215,7 +227,8 @@ impl Drag {
                     self.record = Arc::clone(&frame.record);
                     self.scheduler.resize(previews(self.options, &self.record), full(self.options, &self.record));
                 }
-                self.scheduler.drawn(frame, now);
+                let bytes = 8 + frame.pieces.iter().map(Bytes::len).sum::<usize>() as u64;
+                self.scheduler.drawn(frame, bytes, now);
             }
             Err(problem) if problem.code == Code::Overloaded => self.scheduler.rejected(now),
             Err(problem) => {
@@ -260,7 +273,7 @@ impl Drag {
         &self.record
     }
 
-    /// When the frame was sent that the client has not acknowledged.
+    /// When the oldest frame was sent that the client has not acknowledged.
     pub fn owed_since(&self) -> Option<Instant> {
         self.scheduler.owed_since()
     }

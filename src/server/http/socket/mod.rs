@@ -20,7 +20,7 @@ use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
 use crate::app::App;
-use crate::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
+use crate::app::drag_socket::{Drag, DragOptions, Form, MAX_WINDOW, Outgoing, PreviewWidth, Window};
 use crate::app::warp::columns;
 use crate::auth::keys::Credential;
 use crate::config::Config;
@@ -56,10 +56,10 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     Ok(response)
 }
 
-/// Reads `?frames=png|jpeg|webp|tiff|mesh&width=auto|N&report=true|false`. Unknown fields are rejected.
+/// Reads `?frames=png|jpeg|webp|tiff|mesh&width=auto|N&window=auto|N&report=true|false`. Unknown fields are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
-    let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
-    let [frames, width, report] = query_fields(query, ["frames", "width", "report"])?;
+    let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
+    let [frames, width, window, report] = query_fields(query, ["frames", "width", "window", "report"])?;
     if let Some(value) = frames {
         options.form = form(value)?;
     }
@@ -67,6 +67,11 @@ fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
         let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
         let expected = || format!("`auto` or a whole number of 1 to {max_side}");
         options.width = PreviewWidth::Fixed(width.ok_or_else(|| bad_query_value("width", value, &expected()))?);
+    }
+    if let Some(value) = window.filter(|value| *value != "auto") {
+        let window = value.parse().ok().filter(|window| (1..=MAX_WINDOW).contains(window));
+        let expected = || format!("`auto` or a whole number of 1 to {MAX_WINDOW}");
+        options.window = Window::Fixed(window.ok_or_else(|| bad_query_value("window", value, &expected()))?);
     }
     if let Some(value) = report {
         options.report = query_bool("report", value)?;
@@ -129,11 +134,8 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
                     return Ending::Close(CloseCode::Policy, "too many messages a second");
                 }
                 match event {
-                    Event::Text(text) => drag.on_message(text.as_bytes(), heard),
-                    Event::Binary => {
-                        let detail = "binary messages are not supported: send JSON as text";
-                        drag.send_problem(None, &Problem::new(Code::MalformedRequest, detail));
-                    }
+                    Event::Text(text) => drag.on_text(text.as_bytes(), heard),
+                    Event::Binary(bytes) => drag.on_binary(&bytes, heard),
                     Event::Ping => {}
                     Event::Ended(ending) => return ending,
                 }
@@ -198,9 +200,10 @@ mod tests {
     #[test]
     fn the_query_says_what_frames_are() {
         let read = |query: &str| options(Some(query), 16384);
-        let usual = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false };
+        let usual = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
         assert_eq!(options(None, 16384), Ok(usual));
-        assert_eq!(read("width=auto&report=false"), Ok(usual));
+        assert_eq!(read("width=auto&report=false&window=auto"), Ok(usual));
+        assert_eq!(read("window=8"), Ok(DragOptions { window: Window::Fixed(8), ..usual }));
         assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
         assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));
         for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP), ("tiff", Format::Tiff)] {
@@ -215,7 +218,12 @@ mod tests {
             ("frames=mesh&width=100", Code::BadValue),
             ("report=yes", Code::BadValue),
             ("frames=auto", Code::NotSupported),
-            ("window=2", Code::NotSupported),
+            ("window=0", Code::BadValue),
+            ("window=9", Code::BadValue),
+            ("window=-1", Code::BadValue),
+            ("window=1.5", Code::BadValue),
+            ("window", Code::BadValue),
+            ("window=1&window=1", Code::MalformedRequest),
             ("report=true&report=false", Code::MalformedRequest),
             ("q=1", Code::UnknownField),
             ("Frames=png", Code::UnknownField),

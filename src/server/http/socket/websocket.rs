@@ -53,7 +53,7 @@ const TOO_LARGE: Ending = Ending::Close(CloseCode::Size, "the message is too lar
 #[derive(Debug)]
 pub(crate) enum Event {
     Text(Utf8Bytes),
-    Binary,
+    Binary(Bytes),
     /// A ping, or the answer to one.
     Ping,
     Ended(Ending),
@@ -174,7 +174,9 @@ impl WebSocketConnection {
         self.unread.store(unread.saturating_sub(counted), Ordering::Relaxed);
         Event::Ended(match next {
             Some(Ok(Message::Text(text))) => return Event::Text(text),
-            Some(Ok(Message::Binary(_) | Message::Frame(_))) => return Event::Binary,
+            Some(Ok(Message::Binary(bytes))) => return Event::Binary(bytes),
+            // Read messages are whole.
+            Some(Ok(Message::Frame(frame))) => return Event::Binary(frame.into_payload()),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Event::Ping,
             Some(Err(Error::Capacity(_))) => TOO_LARGE,
             Some(Err(Error::Utf8(_))) => Ending::Close(CloseCode::Invalid, "a text message is UTF-8"),

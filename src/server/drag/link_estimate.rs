@@ -1,0 +1,138 @@
+//! What acknowledgements tell about a connection: its rate, and the time that a frame takes if nothing is in front of it.
+//!
+//! - **Rate.** A frame's sample is the number of bytes that were acknowledged since the last acknowledgement before the frame was sent, per
+//!   time. It never exceeds the rate of the connection, except by jitter, and reaches it when the connection is never idle. The estimate is
+//!   the maximum of the samples of the last [`RATE_MEMORY`].
+//! - **Time of a frame.** Without a queue a frame takes a constant latency and its bytes divided by the rate. The estimate for a frame is
+//!   the minimum over the frames of the last [`MEMORY`], each of them corrected if it was smaller. Of each [`THIN`], the fastest frame is
+//!   kept.
+//! - **Queue.** What a frame takes beyond that has been spent behind other frames.
+//!
+//! Times are arguments. O(number of kept samples) per frame.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Age of the samples of the time of a frame.
+const MEMORY: Duration = Duration::from_secs(10);
+/// Age of the samples of the rate: a rate that falls is noticed in this time.
+const RATE_MEMORY: Duration = Duration::from_secs(2);
+/// One sample of the time of a frame is kept in each interval of this length.
+const THIN: Duration = Duration::from_millis(200);
+/// Samples of the rate.
+const RATES: usize = 64;
+/// Weight of the newest frame in the mean difference.
+const NEWEST: f64 = 1.0 / 16.0;
+
+/// The state of the connection when a frame was sent.
+#[derive(Clone, Copy, Debug)]
+pub struct SendMark {
+    at: Instant,
+    bytes: u64,
+    delivered: u64,
+    delivered_at: Instant,
+}
+
+impl SendMark {
+    /// When the frame was sent.
+    pub const fn at(&self) -> Instant {
+        self.at
+    }
+}
+
+/// What an acknowledged frame says about the connection; times in seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured {
+    /// From sending the frame to its acknowledgement.
+    pub took: f64,
+    /// The part of it that the frame has spent behind other frames.
+    pub queue: f64,
+    /// The sending time of the frame at the estimated rate.
+    pub frame: f64,
+    /// The mean difference between the queues of successive frames: a queue of this length may be jitter.
+    pub jitter: f64,
+    /// Sending times of this frame that fit in the time of a frame, at the rate of the newest sample.
+    pub fits: f64,
+}
+
+/// The estimate of one connection.
+#[derive(Debug, Default)]
+pub struct LinkEstimate {
+    delivered: u64,
+    delivered_at: Option<Instant>,
+    /// Rates, bytes per second.
+    rates: VecDeque<(Instant, f64)>,
+    times: VecDeque<FrameTime>,
+    queue: f64,
+    jitter: f64,
+}
+
+/// Seconds and bytes of an acknowledged frame.
+#[derive(Clone, Copy, Debug)]
+struct FrameTime {
+    at: Instant,
+    took: f64,
+    bytes: f64,
+}
+
+impl FrameTime {
+    /// The time of a frame of another size. A smaller one is not assumed to be faster: while the connection is idle at times, the rate is
+    /// too low, and would explain more than the time of the larger frame.
+    fn of(&self, bytes: f64, rate: f64) -> f64 {
+        self.took + (bytes - self.bytes).max(0.0) / rate
+    }
+}
+
+impl LinkEstimate {
+    /// A frame is sent. `is_alone`: every earlier one was acknowledged.
+    pub fn sent(&mut self, now: Instant, bytes: u64, is_alone: bool) -> SendMark {
+        let delivered_at = self.delivered_at.filter(|_| !is_alone).unwrap_or(now);
+        SendMark { at: now, bytes, delivered: self.delivered, delivered_at }
+    }
+
+    /// Frames were acknowledged: the newest of them, and the bytes of all.
+    pub fn acknowledged(&mut self, now: Instant, newest: SendMark, bytes: u64) -> Measured {
+        self.delivered += bytes;
+        self.delivered_at = Some(now);
+        let seconds = |from: Instant| now.saturating_duration_since(from).as_secs_f64().max(1e-6);
+        let size = newest.bytes.max(1) as f64;
+        let sample = (self.delivered - newest.delivered).max(1) as f64 / seconds(newest.delivered_at);
+        self.rates.push_back((now, sample));
+        while self.rates.len() > RATES || self.rates.front().is_some_and(|(at, _)| now.saturating_duration_since(*at) > RATE_MEMORY) {
+            self.rates.pop_front();
+        }
+        let rate = self.rates.iter().fold(sample, |most, (_, rate)| most.max(*rate));
+        let time = FrameTime { at: now, took: seconds(newest.at), bytes: size };
+        self.keep(time, rate);
+        let base = self.times.iter().fold(time.took, |least, kept| least.min(kept.of(size, rate)));
+        let queue = time.took - base;
+        self.jitter += NEWEST * ((queue - self.queue).abs() - self.jitter);
+        self.queue = queue;
+        Measured { took: time.took, queue, jitter: self.jitter, frame: size / rate, fits: base * sample / size }
+    }
+
+    fn keep(&mut self, time: FrameTime, rate: f64) {
+        while self.times.front().is_some_and(|kept| time.at.saturating_duration_since(kept.at) > MEMORY) {
+            self.times.pop_front();
+        }
+        match self.times.back_mut() {
+            Some(last) if time.at.saturating_duration_since(last.at) < THIN => {
+                if time.took <= last.of(time.bytes, rate) {
+                    *last = FrameTime { at: last.at, ..time };
+                }
+            }
+            _ => self.times.push_back(time),
+        }
+    }
+
+    /// Bytes per second that the connection has carried at most; `None` before the first acknowledgement.
+    pub fn rate(&self) -> Option<f64> {
+        self.rates.iter().map(|(_, rate)| *rate).max_by(f64::total_cmp)
+    }
+
+    /// Seconds that a frame of this size takes from sending to its acknowledgement if nothing is in front of it.
+    pub fn frame_time(&self, bytes: u64) -> Option<f64> {
+        let rate = self.rate()?;
+        self.times.iter().map(|kept| kept.of(bytes as f64, rate)).min_by(f64::total_cmp)
+    }
+}

@@ -1,0 +1,170 @@
+//! How many frames may be unacknowledged. A fixed window is a number. The automatic one is 1 at first and changes by trial, so that the
+//! connection is busy and no queue stands in front of it:
+//!
+//! | state | rule | reason |
+//! |---|---|---|
+//! | for a round trip, poses waited and the fastest frame had almost no queue | one more; at the start, twice as many | idle times |
+//! | the fastest frame of a round trip was in a queue for more than half a sending time | one less | a frame more only waits |
+//! | the step up was taken back | no step up for 2 s, then twice as long, up to 20 s | each trial makes a few frames older |
+//! | a frame was in a queue for more than two sending times | what fits at the newest rate, at once | the rate has fallen |
+//! | the period is that of sixty frames per second | no step up | more frames are not seen |
+//! | never alone for 10 s | half of the window for a round trip | the time of a frame without a queue is measured again |
+//!
+//! Jitter looks like a queue: each rule allows for a multiple of the mean difference between successive frames. Times are arguments.
+
+use std::time::{Duration, Instant};
+
+use super::link_estimate::Measured;
+
+/// Maximum window.
+pub const MAX_WINDOW: usize = 8;
+/// Frames per second beyond which the window does not grow.
+const RATE: f64 = 60.0;
+/// Part of a frame by which the window may fall short of that rate: a screen that shows sixty frames per second acknowledges late.
+const MARGIN: f64 = 0.25;
+/// Lengths of a queue: in sending times of a frame, plus in mean differences by jitter, plus in seconds.
+type Length = (f64, f64, f64);
+/// A step up is taken below this queue.
+const EMPTY: Length = (0.15, 1.1, 0.0);
+/// A step down is taken above this queue.
+const STANDING: Length = (0.5, 1.5, 0.003);
+/// At this queue, the window is reduced at once.
+const LONG: Length = (2.0, 4.0, 0.03);
+/// No step up is taken if a frame takes longer than this to send, seconds: the step may make a frame that much older.
+const MAX_TRIAL: f64 = 0.3;
+/// Pause after a failed step up; it doubles up to the second value.
+const PAUSE: Duration = Duration::from_secs(2);
+const MAX_PAUSE: Duration = Duration::from_secs(20);
+/// A queue that stands for this time is emptied.
+const DRAIN: Duration = Duration::from_secs(10);
+
+/// The window that a client asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Window {
+    /// Adapted to the connection.
+    Auto,
+    /// This number of frames, 1 to [`MAX_WINDOW`].
+    Fixed(usize),
+}
+
+/// The window of one drag.
+#[derive(Debug)]
+pub struct SendWindow {
+    is_auto: bool,
+    frames: usize,
+    /// Number of the first frame of this round trip.
+    round: u64,
+    /// The least queue of this round trip, seconds.
+    least: Option<f64>,
+    /// Whether a pose waited for an acknowledgement in this round trip.
+    is_limit: bool,
+    is_trial: bool,
+    /// Whether no queue was seen yet.
+    is_start: bool,
+    pause: Duration,
+    not_before: Option<Instant>,
+    alone: Option<Instant>,
+    /// The window after the round trip with half of it.
+    drained: Option<usize>,
+}
+
+impl SendWindow {
+    /// The window at the start.
+    pub const fn new(window: Window) -> Self {
+        let (is_auto, frames) = match window {
+            Window::Auto => (true, 1),
+            Window::Fixed(frames) => (false, frames),
+        };
+        Self {
+            is_auto,
+            frames,
+            round: 0,
+            least: None,
+            is_limit: false,
+            is_trial: false,
+            is_start: true,
+            pause: PAUSE,
+            not_before: None,
+            alone: None,
+            drained: None,
+        }
+    }
+
+    /// The number of frames that may be unacknowledged.
+    pub const fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// A pose waits although a frame of it could be drawn: the window is full.
+    pub const fn is_full(&mut self) {
+        self.is_limit = true;
+    }
+
+    /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the next frame; `is_alone`: no other frame
+    /// was unacknowledged when it was sent.
+    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured) {
+        if !self.is_auto {
+            return;
+        }
+        if is_alone || self.alone.is_none() {
+            self.alone = Some(now);
+        }
+        let length = |(frames, jitter, seconds): Length| frames * link.frame + jitter * link.jitter + seconds;
+        if link.queue > length(LONG) && self.frames > 1 {
+            self.is_start = false;
+            return self.step(self.fitting(link), next);
+        }
+        if number < self.round {
+            return;
+        }
+        let least = self.least.map_or(link.queue, |least| least.min(link.queue));
+        self.least = Some(least);
+        // The last frame of the round trip is the last that was sent before the first was acknowledged.
+        if number + 1 < self.round + self.frames as u64 && self.is_limit {
+            return;
+        }
+        let most = (RATE * (link.took - link.queue) - MARGIN).ceil().clamp(1.0, MAX_WINDOW as f64);
+        if let Some(frames) = self.drained.take() {
+            self.step(frames, next);
+        } else if least > length(STANDING) && self.frames > 1 {
+            if self.is_trial {
+                self.not_before = Some(now + self.pause);
+                self.pause = (2 * self.pause).min(MAX_PAUSE);
+            }
+            let frames = if self.is_start { self.fitting(link) } else { self.frames - 1 };
+            self.is_start = false;
+            self.step(frames, next);
+        } else if self.frames > 1 && self.alone.is_some_and(|alone| now.saturating_duration_since(alone) > DRAIN) {
+            let frames = self.frames;
+            self.alone = Some(now);
+            self.step(frames / 2, next);
+            self.drained = Some(frames);
+        } else if self.is_limit
+            && least < length(EMPTY)
+            && (self.frames as f64) < most
+            && link.frame < MAX_TRIAL
+            && self.not_before.is_none_or(|time| now >= time)
+        {
+            let steps = if self.is_start { self.frames } else { 1 };
+            let is_short = |steps: &usize| *steps as f64 * link.frame <= MAX_TRIAL && (self.frames + steps) as f64 <= most;
+            let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
+            // A queue has built up a round trip later.
+            self.step(frames, next + frames as u64);
+            self.is_trial = true;
+        } else {
+            if self.is_trial {
+                self.pause = PAUSE;
+            }
+            self.step(self.frames, next);
+        }
+    }
+
+    /// A smaller window, without a queue at the rate of the newest frame.
+    fn fitting(&self, link: Measured) -> usize {
+        (1..self.frames).rev().find(|frames| *frames as f64 <= link.fits).unwrap_or(1)
+    }
+
+    fn step(&mut self, frames: usize, next: u64) {
+        *self = Self { frames, round: next, least: None, is_limit: false, is_trial: false, drained: None, ..*self };
+    }
+}

@@ -1,0 +1,276 @@
+//! Drags over simulated connections: a pointer at 125 Hz, a server, and a path with a rate, a delay, jitter and outages. All times are
+//! simulated, so the results are the same every time.
+
+#![allow(clippy::cast_possible_truncation, reason = "small numbers")]
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::frame_scheduler::{FrameScheduler, Pose, Step};
+use super::preview_controller::PreviewController;
+use super::send_window::{MAX_WINDOW, Window};
+
+/// Steps per millisecond.
+const STEPS: u64 = 4;
+/// The pointer moves for this time, and the frames of the first second are not counted, ms.
+const MOVES: u64 = 30_000;
+const WARM_UP: u64 = 1_000;
+/// Time between poses, ms.
+const PERIOD: u64 = 8;
+/// Width of the pictures, px.
+const WIDTH: u32 = 512;
+
+/// A path in both directions. Rates of the direction to the client in Mbit/s, times in ms.
+#[derive(Clone, Copy)]
+struct Link {
+    name: &'static str,
+    rate: f64,
+    /// From the middle of the drag.
+    later_rate: f64,
+    delay: u64,
+    /// The maximum additional delay.
+    jitter: u64,
+    /// Nothing passes between these times.
+    outage: (u64, u64),
+    /// Drawing time.
+    draw: u64,
+    /// The client acknowledges when its screen is refreshed, every so many ms.
+    refresh: u64,
+}
+
+const fn link(name: &'static str, rate: f64, delay: u64) -> Link {
+    Link { name, rate, later_rate: rate, delay, jitter: 0, outage: (0, 0), draw: 2, refresh: 0 }
+}
+
+const LINKS: [Link; 13] = [
+    link("loopback", 10_000.0, 0),
+    Link { refresh: 16, ..link("loopback, screen of 60 Hz", 10_000.0, 0) },
+    Link { draw: 20, ..link("loopback, drawing 20 ms", 10_000.0, 0) },
+    link("100 Mbit/s, 5 ms", 100.0, 5),
+    link("20 Mbit/s, 25 ms", 20.0, 25),
+    link("5 Mbit/s, 50 ms", 5.0, 50),
+    link("1 Mbit/s, 50 ms", 1.0, 50),
+    link("100 Mbit/s, 75 ms", 100.0, 75),
+    Link { jitter: 20, ..link("5 Mbit/s, 50 ms, jitter 20 ms", 5.0, 50) },
+    Link { jitter: 40, refresh: 16, ..link("20 Mbit/s, 75 ms, jitter 40 ms, screen of 60 Hz", 20.0, 75) },
+    Link { outage: (12_000, 13_000), ..link("5 Mbit/s, 50 ms, 1 s of loss", 5.0, 50) },
+    Link { later_rate: 2.5, ..link("5, then 2.5 Mbit/s, 50 ms", 5.0, 50) },
+    Link { later_rate: 20.0, ..link("5, then 20 Mbit/s, 50 ms", 5.0, 50) },
+];
+
+/// A frame on its way.
+#[derive(Clone, Copy)]
+struct Parcel {
+    seq: u64,
+    bytes: u64,
+    sent: u64,
+}
+
+struct Shown {
+    seq: u64,
+    /// Steps.
+    at: u64,
+}
+
+/// What was observed.
+struct Observed {
+    shown: Vec<Shown>,
+    /// The longest time that a frame waited behind others, ms, without outages.
+    queue: u64,
+    /// The most frames on the way.
+    under_way: usize,
+    drawn: usize,
+}
+
+impl Observed {
+    fn moving(&self) -> impl Iterator<Item = &Shown> {
+        self.shown.iter().filter(|shown| (WARM_UP * STEPS..MOVES * STEPS).contains(&shown.at))
+    }
+
+    fn rate(&self) -> f64 {
+        self.moving().count() as f64 * 1e3 / (MOVES - WARM_UP) as f64
+    }
+
+    /// A quantile of the ages, ms: from sending a pose to showing its frame.
+    fn age(&self, share: f64) -> f64 {
+        let mut ages: Vec<u64> = self.moving().map(|shown| shown.at - shown.seq * PERIOD * STEPS).collect();
+        ages.sort_unstable();
+        ages[((ages.len() - 1) as f64 * share).round() as usize] as f64 / STEPS as f64
+    }
+}
+
+/// Numbers in 0 to 1 that look random.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f64 / (1_u64 << 24) as f64
+    }
+}
+
+/// One direction of a path after its rate: delays, in order.
+struct Path<T> {
+    link: Link,
+    noise: Noise,
+    items: VecDeque<(u64, T)>,
+}
+
+impl<T> Path<T> {
+    const fn new(link: Link, seed: u64) -> Self {
+        Self { link, noise: Noise(seed), items: VecDeque::new() }
+    }
+
+    fn send(&mut self, step: u64, item: T) {
+        let jitter = (self.noise.next() * (self.link.jitter * STEPS) as f64) as u64;
+        let mut at = step + self.link.delay * STEPS + jitter;
+        if self.link.is_out(step) {
+            at += self.link.outage.1 * STEPS - step;
+        }
+        let last = self.items.back().map_or(0, |(at, _)| *at);
+        self.items.push_back((at.max(last), item));
+    }
+
+    fn arrived(&mut self, step: u64) -> Option<T> {
+        self.items.front().is_some_and(|(at, _)| *at <= step).then(|| self.items.pop_front().map(|(_, item)| item))?
+    }
+}
+
+impl Link {
+    fn is_out(&self, step: u64) -> bool {
+        (self.outage.0 * STEPS..self.outage.1 * STEPS).contains(&step)
+    }
+
+    /// Bytes per step.
+    fn bytes(&self, step: u64) -> f64 {
+        let rate = if step < MOVES * STEPS / 2 { self.rate } else { self.later_rate };
+        if self.is_out(step) { 0.0 } else { rate * 1e6 / 8.0 / 1e3 / STEPS as f64 }
+    }
+}
+
+/// Drags for [`MOVES`], then rests for a while. Frames have this number of bytes.
+fn drag(link: Link, window: Window, bytes: u64) -> Observed {
+    let mut scheduler = FrameScheduler::new(PreviewController::fixed(WIDTH), WIDTH, window);
+    let start = Instant::now();
+    let (mut up, mut down, mut acks) = (Path::new(link, 1), Path::new(link, 2), Path::new(link, 3));
+    let mut drawing: Option<(u64, u64)> = None;
+    let mut wire: VecDeque<(Parcel, f64)> = VecDeque::new();
+    let mut to_show: VecDeque<u64> = VecDeque::new();
+    let mut seen = Observed { shown: Vec::new(), queue: 0, under_way: 0, drawn: 0 };
+    let mut under_way = 0;
+    for step in 0..(MOVES + 5_000) * STEPS {
+        let now = start + Duration::from_micros(step * 1000 / STEPS);
+        if step < MOVES * STEPS && step % (PERIOD * STEPS) == 0 {
+            up.send(step, step / (PERIOD * STEPS));
+        }
+        while let Some(seq) = up.arrived(step) {
+            scheduler.pose(Pose { seq, q: Arc::default(), at: now });
+        }
+        while let Some(seq) = acks.arrived(step) {
+            scheduler.ack(seq, now).unwrap();
+            under_way -= 1;
+        }
+        if let Some((seq, _)) = drawing.take_if(|(_, at)| *at <= step) {
+            scheduler.drawn(seq, bytes, now);
+            seen.drawn += 1;
+        }
+        loop {
+            match scheduler.next(now) {
+                Step::Draw(request) => drawing = Some((request.pose.seq, step + link.draw * STEPS)),
+                Step::Cancel => drawing = None,
+                Step::Send(seq) => {
+                    under_way += 1;
+                    seen.under_way = seen.under_way.max(under_way);
+                    wire.push_back((Parcel { seq, bytes, sent: step }, bytes as f64));
+                }
+                Step::Wait(_) => break,
+            }
+        }
+        let mut budget = link.bytes(step);
+        while let Some((parcel, left)) = wire.front_mut() {
+            if *left == parcel.bytes as f64 && budget > 0.0 && !(link.outage.1 > 0 && step > link.outage.0 * STEPS) {
+                seen.queue = seen.queue.max((step - parcel.sent) / STEPS);
+            }
+            let part = left.min(budget);
+            *left -= part;
+            budget -= part;
+            if *left > 0.0 {
+                break;
+            }
+            down.send(step, parcel.seq);
+            wire.pop_front();
+        }
+        to_show.extend(std::iter::from_fn(|| down.arrived(step)));
+        if link.refresh == 0 || step % (link.refresh * STEPS) == 0 {
+            for seq in to_show.drain(..) {
+                seen.shown.push(Shown { seq, at: step });
+                acks.send(step, seq);
+            }
+        }
+    }
+    seen
+}
+
+/// Bounds of the automatic window, by the order of [`LINKS`]: bytes of a frame, frames per second at least, ages p50 and p99 at most.
+const BOUNDS: [[(u64, f64, f64, f64); 2]; LINKS.len()] = [
+    [(10_000, 118.0, 3.0, 3.0), (20_000, 118.0, 3.0, 3.0)],
+    [(10_000, 58.0, 26.0, 26.0), (20_000, 58.0, 26.0, 26.0)],
+    [(10_000, 47.0, 26.0, 26.0), (20_000, 47.0, 26.0, 26.0)],
+    [(10_000, 88.0, 19.0, 23.0), (20_000, 82.0, 20.0, 24.0)],
+    [(10_000, 53.0, 64.0, 68.0), (20_000, 65.0, 68.0, 73.0)],
+    [(10_000, 57.0, 130.0, 134.0), (20_000, 28.0, 147.0, 253.0)],
+    [(10_000, 10.0, 198.0, 344.0), (20_000, 5.0, 344.0, 517.0)],
+    [(10_000, 49.0, 167.0, 170.0), (20_000, 49.0, 168.0, 171.0)],
+    [(10_000, 52.0, 153.0, 172.0), (20_000, 28.0, 180.0, 277.0)],
+    [(10_000, 33.0, 221.0, 255.0), (20_000, 33.0, 229.0, 263.0)],
+    [(10_000, 53.0, 130.0, 134.0), (20_000, 22.0, 147.0, 278.0)],
+    [(10_000, 37.0, 131.0, 182.0), (20_000, 18.0, 149.0, 278.0)],
+    [(10_000, 59.0, 120.0, 134.0), (20_000, 41.0, 123.0, 185.0)],
+];
+
+#[test]
+fn the_automatic_window_keeps_links_busy_without_a_queue() {
+    for (link, bounds) in LINKS.iter().zip(BOUNDS) {
+        for (bytes, rate, p50, p99) in bounds {
+            let seen = drag(*link, Window::Auto, bytes);
+            let (found, name) = ((seen.rate(), seen.age(0.5), seen.age(0.99)), link.name);
+            assert!(found.0 >= rate && found.1 <= p50 && found.2 <= p99, "{name}, {bytes}: {found:?}");
+            assert!(seen.queue < 300, "{name}, {bytes}: {}", seen.queue);
+            assert!(seen.shown.is_sorted_by(|a, b| a.seq < b.seq), "{name}: nothing old after something new");
+            assert_eq!(seen.shown.last().map(|shown| shown.seq), Some(MOVES / PERIOD - 1), "{name}: the last pose arrives");
+            assert!(seen.drawn <= 2 * seen.shown.len(), "{name}: {} frames drawn", seen.drawn);
+        }
+    }
+}
+
+#[test]
+fn on_loopback_one_frame_is_under_way() {
+    for link in &LINKS[..3] {
+        let [auto, one] = [Window::Auto, Window::Fixed(1)].map(|window| drag(*link, window, 250_000));
+        assert_eq!((auto.under_way, one.under_way), (1, 1), "{}", link.name);
+        assert_eq!((auto.rate(), auto.age(0.5), auto.age(0.99)), (one.rate(), one.age(0.5), one.age(0.99)), "{}", link.name);
+    }
+}
+
+#[test]
+fn a_fixed_window_is_never_exceeded() {
+    for frames in 1..=MAX_WINDOW {
+        assert_eq!(drag(LINKS[5], Window::Fixed(frames), 20_000).under_way, frames);
+    }
+}
+
+#[test]
+#[ignore = "prints the table of the notes"]
+fn table() {
+    for link in LINKS {
+        for bytes in [10_000, 20_000, 60_000, 250_000] {
+            let mut line = format!("| {} | {} kB ", link.name, bytes / 1000);
+            for window in [Window::Fixed(1), Window::Fixed(4), Window::Fixed(8), Window::Auto] {
+                let seen = drag(link, window, bytes);
+                line += &format!("| {:.0}, {:.0} / {:.0}, {} ", seen.rate(), seen.age(0.5), seen.age(0.99), seen.queue);
+            }
+            println!("{line}|");
+        }
+    }
+}
