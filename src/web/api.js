@@ -139,6 +139,12 @@ export async function mesh(id, body, signal) {
   return { places: floats(bytes, 0), report: reportOf(response, bytes.byteLength) };
 }
 
+/** The coefficients on a lattice, in half precision. */
+export async function plan(id, columns, rows, signal) {
+  const response = await ask("GET", `${session(id)}/plan?columns=${columns}&rows=${rows}&precision=f16`, { signal });
+  return read(response, "arrayBuffer");
+}
+
 /** A picture, and the figures in its headers. */
 export async function picture(id, body, signal) {
   const begun = performance.now();

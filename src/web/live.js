@@ -27,6 +27,7 @@ export class Live {
   #overdue = 0;
   #asking = null; // AbortController of the outstanding POST
   #report = null;
+  #lost = false; // the open socket has closed by itself
 
   /**
    * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
@@ -40,6 +41,16 @@ export class Live {
 
   get way() {
     return this.#id === null ? "off" : this.#open ? "socket" : "http";
+  }
+
+  /** Whether the socket has closed by itself, and the server has not responded since. */
+  get lost() {
+    return this.#lost;
+  }
+
+  /** The server has responded to a request. */
+  found() {
+    this.#lost = false;
   }
 
   /** `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers. */
@@ -63,7 +74,7 @@ export class Live {
     this.#id = null;
     this.#waiting = null;
     this.#answered();
-    this.#open = false;
+    this.#open = this.#lost = false;
     const socket = this.#socket;
     this.#socket = null;
     // Closing a socket that is not open yet would log an error.
@@ -98,6 +109,7 @@ export class Live {
     const current = (then) => (event) => socket === this.#socket && then(event);
     socket.onopen = current(() => {
       this.#open = true;
+      this.#lost = false;
       this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
@@ -113,6 +125,7 @@ export class Live {
     this.#waiting ??= this.#sent;
     this.#answered();
     this.#failures = failures;
+    this.#lost ||= this.#open;
     this.#open = false;
     this.#socket = null;
     this.told.way();

@@ -23,7 +23,7 @@ import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
-import { PINS_ONLY, REGION, limitWords } from "./words.js";
+import { BEHIND, PINS_ONLY, REGION, limitWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
@@ -32,7 +32,7 @@ const limits = Object.fromEntries(document.querySelector("meta[name=limits]").co
 const stage = find("stage");
 const store = new Store();
 const view = new View(stage, wishes.get("webgl") !== "off");
-const sync = new Sync(store, view, wishes.get("socket") !== "off");
+const sync = new Sync(store, view, wishes.get("socket") !== "off", wishes.get("plan") !== "off");
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back));
 const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state), toast);
@@ -136,6 +136,8 @@ function observe() {
     source: view.source === "source" ? "source" : shown.source,
     moving: state.before !== null,
     live: sync.live.way,
+    plan: sync.lattice ? `${sync.lattice.columns},${sync.lattice.rows}` : "",
+    behind: sync.behind,
     webgl: view.webgl,
     handles: state.document.handles.length,
     selected: state.selection.length,
@@ -155,6 +157,7 @@ function observe() {
     problem: state.problem?.code ?? "",
     kept: keeper.kept,
   };
+  find("behind").textContent = BEHIND[told.behind] ?? "";
   for (const [name, value] of Object.entries(told)) if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = value;
 }
 store.subscribe(observe);

@@ -1,15 +1,18 @@
-// Synchronises document, server and picture. During a drag, `live` sends the poses and its responses are drawn at once; when the pointer
-// rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
+// Synchronises document, server and picture. During a drag, `plans` poses the grid here; until it has the coefficients, `live` sends the poses
+// and its responses are drawn at once. When the pointer rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
 
 import * as api from "./api.js";
 import { boxFrom } from "./canvas.js";
 import { movedApart, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
+import { Plans } from "./plan.js";
 import { maskFile, regionOf, sameRegion } from "./region.js";
 
 /** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
+/** Time without the server's picture of a resting pose, ms, after which the page says that it is behind. */
+const LATE = 1000;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
@@ -21,7 +24,7 @@ const NOTHING = { revision: null, source: "none", folds: 0, report: null, rate: 
 
 export class Sync {
   /**
-   * The session: { id, grid, rest (JSON that it was created with), region (as in the document; null: unknown), setup (the server's form),
+   * The session: { id, grid, revision (of the rest handles), rest (JSON that it was created with), region (as in the document; null: unknown), setup (the server's form),
    * borrowed (from a link of another user) }.
    */
   session = null;
@@ -42,6 +45,9 @@ export class Sync {
   #meshRevision = -1;
   #seq = 0;
   #changed = 0;
+  #plans = new Plans();
+  #late = 0;
+  #showed = 0;
   #burst = false;
   #timer = 0;
   #retries = 0;
@@ -49,9 +55,10 @@ export class Sync {
   #frames = [];
   #views = new Set();
 
-  constructor(store, view, allowSocket) {
+  constructor(store, view, allowSocket, allowPlan) {
     this.store = store;
     this.view = view;
+    this.allowPlan = allowPlan && view.webgl !== "none";
     this.live = new Live(view.webgl === "none" ? "png" : "mesh", allowSocket, {
       mesh: (places, grid, revision, report, done) => this.#liveMesh(new Mesh(grid, places), revision, report, done),
       frame: (blob, revision, report, done) => this.#liveFrame(blob, revision, report, done),
@@ -77,6 +84,21 @@ export class Sync {
     return this.#settled === revision && !before ? "ready" : "busy";
   }
 
+  /** Vertices of the coefficients that poses are drawn by, or null. */
+  get lattice() {
+    return this.#plans.of(this.session)?.grid ?? null;
+  }
+
+  /** What is missing: `server` if it has stopped responding, `picture` if its newest one is late, otherwise empty. */
+  get behind() {
+    const { phase, before, revision } = this.store.state;
+    if (phase !== "open" || this.condition === "ready") return "";
+    if (this.live.lost) return "server";
+    const now = performance.now();
+    const late = before ? this.shown.revision !== revision && now - this.#showed > LATE : now - this.#changed >= REST + LATE - 1;
+    return late && this.condition === "busy" && this.shown.source !== "none" ? "picture" : "";
+  }
+
   /** Sets the session and its picture, before the document is set in the store. */
   begin(object, rest, file, region, borrowed = false) {
     this.#cancel?.abort();
@@ -94,16 +116,18 @@ export class Sync {
     this.#cancel?.abort();
     this.session = this.file = this.mesh = this.png = null;
     this.shown = { ...NOTHING };
+    this.#plans.drop();
     this.live.close();
     this.#tell();
   }
 
   #adopt(object, rest, region, borrowed = false) {
-    this.session = { id: object.id, grid: gridOf(object), rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
+    this.session = { id: object.id, grid: gridOf(object), revision: object.rest_revision, rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
     if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
+    if (this.allowPlan) this.#plans.want(this.session, () => this.#run());
     this.#tell();
   }
 
@@ -122,6 +146,8 @@ export class Sync {
       this.#cancel?.abort();
       clearTimeout(this.#timer);
       this.#timer = setTimeout(() => this.#run(), REST + 1);
+      clearTimeout(this.#late);
+      this.#late = setTimeout(() => this.#tell(), REST + LATE);
     }
     if (state.before && !previous.before) this.#frames = [];
     if (!state.before && previous.before) this.#burst = false;
@@ -175,7 +201,7 @@ export class Sync {
     }
     const moving = before || this.#burst;
     if (moving && performance.now() - this.#changed < REST) {
-      if (this.#sent !== revision) this.live.send(wire(document, "q"), revision);
+      if (!this.#poseHere(document, revision) && this.#sent !== revision) this.live.send(wire(document, "q"), revision);
       this.#sent = revision;
       return false;
     }
@@ -216,6 +242,10 @@ export class Sync {
     this.live.rest();
     const cancel = new AbortController();
     this.#cancel = cancel;
+    // The link first carries the coefficients, which are smaller than the picture.
+    await Promise.race([this.#plans.arrived, new Promise((stop) => cancel.signal.addEventListener("abort", stop))]);
+    if (cancel.signal.aborted) return;
+    if (this.png?.revision !== revision) this.#poseHere(document, revision);
     const { id, grid } = this.session;
     const body = { q: wire(document, "q"), seq: this.#nextSeq() };
     const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
@@ -225,10 +255,23 @@ export class Sync {
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision, canvas: report.canvas };
+    this.live.found();
     this.#settled = revision;
     const apart = movedApart(document, object.coincident ?? []);
     if (apart.length) this.store.do("apart", { handles: apart });
     this.#show(revision, "png", { folds: report.folds, report, warnings: report.warnings });
+  }
+
+  /** Draws the pose by the coefficients, if they are here. */
+  #poseHere(document, revision) {
+    const plan = this.#plans.of(this.session);
+    if (!plan) return false;
+    const { revision: shown, plan: by } = this.shown;
+    if (shown === revision && by === plan) return true;
+    this.mesh = plan.pose(wire(document, "p"), wire(document, "q"));
+    this.view.showMesh(this.mesh, () => {});
+    this.#show(revision, "mesh", { plan, folds: this.view.folds, rate: this.#rate() });
+    return true;
   }
 
   async #fetchMesh(id, grid, body, revision, signal) {
@@ -248,7 +291,8 @@ export class Sync {
   }
 
   #show(revision, source, more) {
-    this.shown = { ...this.shown, revision, source, ...more };
+    this.#showed = performance.now();
+    this.shown = { ...this.shown, plan: null, revision, source, ...more };
     this.#tell();
   }
 

@@ -9,6 +9,12 @@ export function bytes(n) {
   return `${size >= 100 || unit === "bytes" ? Math.round(size) : size.toFixed(1).replace(/\.0$/, "")} ${unit}`;
 }
 
+/** What the stage says while the shown picture is not the server's newest. */
+export const BEHIND = {
+  picture: "Preview: the server's picture is late",
+  server: "Preview: the server does not respond",
+};
+
 /** Title and advice by problem code. Other codes use the title of the server. */
 const PROBLEMS = {
   network: ["The server does not respond", "Your handles are safe in this browser. Retrying automatically."],

@@ -1,4 +1,4 @@
-"""Live poses during a drag: by socket or by requests, with and without WebGL."""
+"""Live poses of the server during a drag: by socket or by requests, with and without WebGL. `test_plan` has those without the server."""
 
 import json
 
@@ -39,7 +39,8 @@ def follows(visit, source):
     return moving, visit.look()
 
 
-def test_frames_come_by_the_socket_as_meshes(visit, picture):
+def test_frames_come_by_the_socket_as_meshes(visits, picture):
+    visit = visits(query="?plan=off")
     sockets, frames, sent = [], [], []
 
     def watch(socket):
@@ -63,8 +64,9 @@ def test_frames_come_by_the_socket_as_meshes(visit, picture):
     assert [m["q"] for m in messages if "q" in m][-1][0] == visit.warp()["q"][0]
 
 
-def test_a_socket_that_nobody_answers_is_given_up(visit, picture):
+def test_a_socket_that_nobody_answers_is_given_up(visits, picture):
     """A machine that is gone closes nothing: the pose takes another way."""
+    visit = visits(query="?plan=off")
     pin(visit.open(picture))
     visit.page.route_web_socket("**/drag?*", lambda socket: None)
     visit.page.reload()
@@ -79,7 +81,7 @@ def test_a_socket_that_nobody_answers_is_given_up(visit, picture):
 
 
 def test_a_page_without_the_socket_asks_for_meshes(visits, picture):
-    visit = visits(query="?socket=off")
+    visit = visits(query="?socket=off&plan=off")
     pin(visit.open(picture))
     assert visit["live"] == "http"
     asked = []

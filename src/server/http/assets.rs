@@ -41,7 +41,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "edits.js" JS, "export.js" JS, "fit.js" JS, "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "loupe.js" JS, "main.js" JS,
         "mesh.js" JS, "numbers.js" JS, "open.js" JS,
-        "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "player.js" JS, "pointer.js" JS, "region.js" JS,
+        "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "plan.js" JS, "player.js" JS, "pointer.js" JS, "region.js" JS,
         "regionpaint.js" JS, "regiontool.js" JS, "samples.js" JS, "share.js" JS, "slider.js" JS,
         "state.js" JS, "strength.js" JS, "sync.js" JS, "table.js" JS, "twist.js" JS, "view.js" JS, "words.js" JS,
         "icon.svg" "image/svg+xml",

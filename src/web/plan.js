@@ -1,0 +1,150 @@
+// Poses without the server: the coefficients of a session (`GET /sessions/{id}/plan`; /docs describes the file), and when they are fetched.
+
+import * as api from "./api.js";
+import { Mesh } from "./mesh.js";
+
+/** Vertices of the first lattice, about as many along a unit of both sides. */
+const VERTICES = 2500;
+/** A larger file is not requested, bytes. */
+const LARGEST = 2e6;
+/** The first file may be followed by a finer one if that takes at most this time, ms. */
+const FINER = 400;
+/** The server has no table of larger splines. */
+const SPLINE = 64;
+
+const HEADER = 64;
+const MEMBER = 16;
+
+/** The value of a half-precision number. */
+function half(bits) {
+  const [exponent, fraction] = [(bits >> 10) & 31, bits & 1023];
+  const size = exponent ? (1024 + fraction) * 2 ** (exponent - 25) : fraction * 2 ** -24;
+  return bits >> 15 ? -size : size;
+}
+
+/** A file of coefficients in half precision. */
+export class Plan {
+  constructor(bytes) {
+    const data = new DataView(bytes);
+    const integer = (at) => data.getUint32(at, true);
+    const [family, , columns, rows, count, members, width, height] = [8, 12, 16, 20, 24, 28, 32, 36].map(integer);
+    this.revision = Array.from(new Uint8Array(bytes, 40, 16), (byte) => byte.toString(16).padStart(2, "0")).join("");
+    this.grid = { columns, rows, width, height, cell: [width / (columns - 1), height / (rows - 1)] };
+    Object.assign(this, { family, count, bytes: bytes.byteLength });
+    const member = (at) => [integer(at), integer(at + 4), integer(at + 8), data.getFloat32(at + 12, true)];
+    this.members = Array.from({ length: members }, (_, k) => member(HEADER + MEMBER * k));
+    const first = HEADER + MEMBER * members;
+    this.numbers = Float32Array.from({ length: (bytes.byteLength - first) >> 1 }, (_, k) => half(data.getUint16(first + 2 * k, true)));
+    this.rest = Mesh.atRest(this.grid);
+  }
+
+  /** Positions of the columns: x, y of each. */
+  #columns(handles) {
+    const sums = new Float64Array(2 * this.count);
+    for (const [column, handle, place, share] of this.members) {
+      const [x, y] = Array.isArray(handles[handle][0]) ? handles[handle][place] : handles[handle];
+      sums[2 * column] += share * x;
+      sums[2 * column + 1] += share * y;
+    }
+    return sums;
+  }
+
+  /** The posed grid, of handles in the server's form. */
+  pose(p, q) {
+    const { family, count, numbers } = this;
+    const [P, Q] = [this.#columns(p), this.#columns(q)];
+    const vertices = this.grid.columns * this.grid.rows;
+    const places = new Float32Array(this.rest.places);
+    for (let k = 0; k < vertices; k++) {
+      // The sums of B (Q - P) or C (Q - P), of w P and of w Q.
+      let [mx, my, px, py, qx, qy] = [0, 0, 0, 0, 0, 0];
+      for (let c = 0, at = k; c < count; c++, at += (family + 1) * vertices) {
+        const [x, y] = [Q[2 * c] - P[2 * c], Q[2 * c + 1] - P[2 * c + 1]];
+        const re = numbers[at];
+        const im = family > 0 ? numbers[at + vertices] : 0;
+        mx += re * x - im * y;
+        my += re * y + im * x;
+        if (family < 2) continue;
+        const w = numbers[at + 2 * vertices];
+        px += w * P[2 * c];
+        py += w * P[2 * c + 1];
+        qx += w * Q[2 * c];
+        qy += w * Q[2 * c + 1];
+      }
+      let [x, y] = [places[2 * k] - px + mx, places[2 * k + 1] - py + my];
+      if (family === 2) {
+        const [before, after] = [Math.hypot(x - mx, y - my), Math.hypot(x, y)];
+        // Without a direction nothing turns.
+        const turned = after > 1e-5 * before;
+        x = qx + (turned ? (x * before) / after : x - mx);
+        y = qy + (turned ? (y * before) / after : y - my);
+      }
+      places[2 * k] = x;
+      places[2 * k + 1] = y;
+    }
+    return new Mesh(this.grid, places);
+  }
+}
+
+/** Bytes of a file. */
+function bytesOf({ p, method }, vertices) {
+  const columns = p.reduce((sum, handle) => sum + (Array.isArray(handle[0]) ? 2 * (handle.length - 1) : 1), 0);
+  const planes = { rigid: 3, similarity: 2 }[method] ?? 1;
+  return HEADER + columns * (MEMBER + 2 * planes * vertices);
+}
+
+/** The coefficients of the current session. */
+export class Plans {
+  #plan = null;
+  #wanted = null; // AbortController of the requests
+  /** Resolves when the first file is here, or none is expected. */
+  arrived = Promise.resolve();
+
+  /** The plan of these rest handles, or null. */
+  of(session) {
+    return session?.rest && this.#plan?.revision === session.revision ? this.#plan : null;
+  }
+
+  /** Requests the coefficients of a session, unless they are here. `shown`: called when a file arrives. */
+  want(session, shown) {
+    if (this.#plan?.revision === session.revision) return;
+    this.drop();
+    const rest = JSON.parse(session.rest);
+    // The session of a link may have other rest handles than the document.
+    if (!rest || (rest.method === "tps" && rest.p.length > SPLINE)) return;
+    const { width, height, columns, rows } = session.grid;
+    const along = (side) => Math.max(2, Math.round(Math.sqrt((VERTICES * side * side) / (width * height))));
+    const first = [along(width), along(height)];
+    this.#wanted = new AbortController();
+    this.arrived = this.#fetch(session, rest, first, [columns, rows], shown, this.#wanted.signal);
+  }
+
+  drop() {
+    this.#wanted?.abort();
+    this.#plan = null;
+    this.arrived = Promise.resolve();
+  }
+
+  async #fetch(session, rest, first, finer, shown, signal) {
+    const bytes = ([columns, rows]) => bytesOf(rest, columns * rows);
+    if (bytes(first) > LARGEST) return;
+    const begun = performance.now();
+    if (!(await this.#take(session, first, shown, signal))) return;
+    const time = ((performance.now() - begun) * bytes(finer)) / bytes(first);
+    if (bytes(finer) > bytes(first) && bytes(finer) <= LARGEST && time <= FINER) this.#take(session, finer, shown, signal);
+  }
+
+  /** Whether a file has arrived. Without one, meshes come from the server. */
+  async #take(session, [columns, rows], shown, signal) {
+    try {
+      const plan = new Plan(await api.plan(session.id, columns, rows, signal));
+      if (signal.aborted || plan.revision !== session.revision) return false;
+      this.#plan = plan;
+      shown();
+      return true;
+    } catch (error) {
+      if (error instanceof api.Problem || api.wasAborted(error)) return false;
+      throw error;
+    }
+  }
+}

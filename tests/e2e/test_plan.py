@@ -1,0 +1,133 @@
+"""Poses that the page computes by the server's coefficients, without requests."""
+
+import json
+
+import pytest
+
+from support import BLUE, GREEN, RED, SOCKET, Server, near
+
+@pytest.fixture
+def mortal():
+    server = Server()
+    yield server
+    server.stop()
+
+
+def pinned(visit, picture):
+    visit.open(picture)
+    for place in (RED, GREEN, BLUE):
+        visit.click(*place)
+    visit.body("[data-handles='3']").ready()
+    visit.body("[data-plan]:not([data-plan=''])")
+    return visit
+
+
+def computed(visit, p, q):
+    """The mesh of the page's own code for a session, as [grid, places]."""
+    return visit.page.evaluate(
+        """async ([id, p, q]) => {
+          const { plan } = await import("./page/api.js");
+          const { Plan } = await import("./page/plan.js");
+          const mesh = new Plan(await plan(id, 41, 31)).pose(p, q);
+          return [mesh.grid, [...mesh.places]];
+        }""",
+        [visit["session"], p, q],
+    )
+
+
+def test_a_drag_asks_the_server_for_nothing(visit, picture):
+    sent, asked = [], []
+    visit.page.on("websocket", lambda socket: socket.on("framesent", lambda frame: sent.append(frame)))
+    pinned(visit, picture)
+    visit.page.on("request", lambda request: asked.append(request.url))
+    # Poses are sent until the coefficients of new handles are here.
+    sent.clear()
+    with visit.without_pictures():
+        visit.press(RED, (140, 130), steps=20)
+        visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
+        moving = visit.look()
+        assert near(moving.centre("red"), (140, 130), 2.5)
+        assert not [url for url in asked if not url.endswith(("/warp", visit["session"], "/mesh"))], asked
+        visit.page.mouse.up()
+    visit.ready()
+    assert not [message for message in sent if '"q"' in message], sent
+    resting = visit.look()
+    assert near(resting.centre("red"), (140, 130), 2.5)
+    assert resting.differs(moving) < 0.02 * resting.image.width * resting.image.height
+    assert visit.saved("download")[1] == visit.of_server().body
+
+
+def test_what_is_drawn_is_the_mesh_of_the_server(visit, picture):
+    """Points, a line, a twist, and each family."""
+    pinned(visit, picture)
+    visit.page.click("#tool-line")
+    visit.click(60, 250)
+    visit.click(340, 260)
+    visit.page.click("#tool-point")
+    visit.drag(RED, (130, 120))
+    visit.drag((60, 250), (70, 235))
+    for method in ("rigid", "similarity", "affine"):
+        visit.page.click(f"#method-{method}")
+        visit.ready()
+        warp = visit.warp()
+        grid, places = computed(visit, warp["p"], warp["q"])
+        points = [[400 * i / 40, 300 * j / 30] for j in range(31) for i in range(41)]
+        assert (grid["columns"], grid["rows"], grid["width"], grid["height"]) == (41, 31, 400, 300)
+        answer = visit.server.ask("POST", f"/sessions/{visit['session']}/points", {"q": warp["q"], "points": points})
+        exact = json.loads(answer.body)["points"]
+        worst = max(abs(a - b) for k, point in enumerate(exact) for a, b in zip(point, places[2 * k : 2 * k + 2]))
+        assert worst < 0.1, (method, worst)
+
+
+def test_new_handles_have_new_coefficients(visit, picture):
+    """A file of other rest handles is never used."""
+    pinned(visit, picture)
+    held = []
+    visit.page.route("**/plan?*", lambda route: held.append(route))
+    visit.click(60, 250)
+    visit.body("[data-handles='4']")
+    visit.body("[data-plan='']")
+    visit.press((60, 250), (80, 240))
+    visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}'][data-plan='']")
+    assert held
+    for route in held:
+        route.continue_()
+    visit.page.unroute("**/plan?*")
+    visit.body("[data-plan]:not([data-plan=''])")
+    visit.page.mouse.move(*visit.at(90, 230), steps=4)
+    visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
+    visit.page.mouse.up()
+    visit.ready()
+    assert visit.saved("download")[1] == visit.of_server().body
+
+
+def test_a_drag_continues_without_the_server_and_says_so(visits, picture, mortal):
+    visit = pinned(visits(of=mortal), picture)
+    visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET)
+    visit.press(RED, (120, 110))
+    visit.body("[data-moving=true][data-source=mesh]")
+    mortal.kill()
+    visit.body("[data-behind=server]")
+    assert visit.text("behind") == "Preview: the server does not respond"
+    for x in (130, 140, 150):
+        visit.page.mouse.move(*visit.at(x, 120), steps=3)
+        visit.body(f"[data-moving=true][data-shown='{visit['revision']}']")
+        assert near(visit.look().centre("red"), (x, 120), 2.5)
+    visit.keep("without-a-server")
+    visit.page.mouse.up()
+    visit.body("[data-problem=network]")
+    mortal.start()
+    visit.ready()
+    assert visit["behind"] == "" and visit.text("behind") == ""
+    assert visit.saved("download")[1] == visit.of_server().body
+
+
+def test_the_page_says_that_a_picture_is_late(visit, picture):
+    pinned(visit, picture)
+    with visit.without_pictures():
+        visit.drag(RED, (130, 120))
+        visit.body("[data-behind=picture]")
+        assert "late" in visit.text("behind")
+        visit.keep("late-picture")
+    visit.ready()
+    assert visit.text("behind") == ""
