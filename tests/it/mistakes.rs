@@ -410,9 +410,8 @@ async fn mistakes_in_the_query_are_named() {
     };
     let words = ["unknown field in the query: `frame`; did you mean `frames`?"];
     told(socket("frame=png"), 422, "unknown_field", None, &words).await;
-    told(socket("frames=jpg"), 422, "bad_value", None, &["`frames` in the query must be one of", "found `jpg`"]).await;
+    told(socket("frames=jpg"), 422, "bad_value", None, &["`frames` in the query must be one of `auto`, `png`", "found `jpg`"]).await;
     told(socket("width=9&width=9"), 400, "malformed_request", None, &["the field `width` is given twice in the query"]).await;
-    told(socket("frames=auto"), 422, "not_supported", None, &["supported: `png`, `jpeg`, `webp`, `tiff`, `mesh`"]).await;
     for window in ["0", "9", "-1", "1.5", "all"] {
         let words = ["`window` in the query must be `auto` or a whole number of 1 to 8", window];
         told(socket(&format!("window={window}")), 422, "bad_value", None, &words).await;

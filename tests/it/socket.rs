@@ -270,6 +270,30 @@ async fn a_binary_pose_gives_the_frame_of_the_same_numbers_as_text() {
 }
 
 #[tokio::test]
+async fn automatic_frames_are_pictures_and_the_last_one_is_full() {
+    let server = Server::start(&[]).await;
+    let id = server.session(&photo(128, 96), &rest()).await;
+    for (query, width) in [("?frames=auto&report=true", 128), ("?frames=auto&width=64&report=true", 64)] {
+        let mut drag = DragClient::open(server.address, &id, query).await;
+        drag.pose(1, &posed(3)).await;
+        // The connection is not known yet.
+        let report = drag.text().await;
+        assert_eq!((&report["format"], &report["width"], &report["full"]), (&json!("jpeg"), &json!(width), &json!(false)), "{query}");
+        let output = json!({"format": "jpeg", "quality": report["quality"], "width": width});
+        assert_eq!(decoded(&drag.frame().await.1).width, decoded(&requested(&server, &id, &posed(3), &output).await).width);
+        drag.ack(1).await;
+        // The pointer rests, and the connection is fast.
+        let report = drag.text().await;
+        assert_eq!((&report["format"], &report["width"], &report["full"]), (&json!("png"), &json!(128), &json!(true)), "{query}");
+        assert!(report.get("quality").is_none());
+        let (seq, frame) = drag.frame().await;
+        assert!(seq == 1 && frame == requested(&server, &id, &posed(3), &json!({"format": "png"})).await, "{query}");
+        drag.ack(1).await;
+        assert!(drag.next_within(Duration::from_millis(400)).await.is_none(), "{query}");
+    }
+}
+
+#[tokio::test]
 async fn as_many_frames_are_unacknowledged_as_the_window_says() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;

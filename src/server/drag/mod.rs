@@ -3,6 +3,7 @@
 
 pub mod frame_scheduler;
 pub mod link_estimate;
+pub mod picture_ladder;
 pub mod preview_controller;
 pub mod send_window;
 #[cfg(test)]

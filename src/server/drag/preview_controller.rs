@@ -75,13 +75,19 @@ impl Pause {
     }
 }
 
+/// The widths of previews of pictures of this width, widest first.
+pub fn preview_widths(width: u32) -> Vec<u32> {
+    let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
+    widths[0] = width;
+    widths.retain(|w| *w >= MIN_WIDTH.min(width));
+    widths.dedup();
+    widths
+}
+
 impl PreviewController {
     /// A controller that adapts the width, for images of this size.
     pub fn adaptive((width, height): (u32, u32)) -> Self {
-        let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
-        widths[0] = width;
-        widths.retain(|w| *w >= MIN_WIDTH.min(width));
-        widths.dedup();
+        let widths = preview_widths(width);
         let pixels = |w: u32| f64::from(w) * f64::from(w) * f64::from(height) / f64::from(width);
         let first = widths.iter().position(|w| pixels(*w) <= FIRST_PIXELS).unwrap_or(widths.len() - 1);
         Self { at: first, ..Self::of(widths) }

@@ -9,12 +9,14 @@
 //! | a frame was in a queue for more than two sending times | what fits at the newest rate, at once | the rate has fallen |
 //! | the period is that of sixty frames per second | no step up | more frames are not seen |
 //! | never alone for 10 s | half of the window for a round trip | the time of a frame without a queue is measured again |
+//! | frames can become smaller or larger, and there are about [`picture_ladder::RATE`] per second | they do, in place of a step | quality |
 //!
 //! Jitter looks like a queue: each rule allows for a multiple of the mean difference between successive frames. Times are arguments.
 
 use std::time::{Duration, Instant};
 
 use super::link_estimate::Measured;
+use super::picture_ladder::{self, Advice};
 
 /// Maximum window.
 pub const MAX_WINDOW: usize = 8;
@@ -26,12 +28,16 @@ const MARGIN: f64 = 0.25;
 type Length = (f64, f64, f64);
 /// A step up is taken below this queue.
 const EMPTY: Length = (0.15, 1.1, 0.0);
+/// Above this queue, frames become smaller.
+const SMALL: Length = (0.25, 1.5, 0.002);
 /// A step down is taken above this queue.
 const STANDING: Length = (0.5, 1.5, 0.003);
 /// At this queue, the window is reduced at once.
 const LONG: Length = (2.0, 4.0, 0.03);
 /// No step up is taken if a frame takes longer than this to send, seconds: the step may make a frame that much older.
 const MAX_TRIAL: f64 = 0.3;
+/// More than one step is taken if the frames take at most this time to send, seconds.
+const MAX_STEPS: f64 = 0.15;
 /// Pause after a failed step up; it doubles up to the second value.
 const PAUSE: Duration = Duration::from_secs(2);
 const MAX_PAUSE: Duration = Duration::from_secs(20);
@@ -54,6 +60,8 @@ pub struct SendWindow {
     frames: usize,
     /// Number of the first frame of this round trip.
     round: u64,
+    /// Number of the first frame after the last reduction by a long queue.
+    reduced: u64,
     /// The least queue of this round trip, seconds.
     least: Option<f64>,
     /// Whether a pose waited for an acknowledgement in this round trip.
@@ -79,6 +87,7 @@ impl SendWindow {
             is_auto,
             frames,
             round: 0,
+            reduced: 0,
             least: None,
             is_limit: false,
             is_trial: false,
@@ -102,30 +111,41 @@ impl SendWindow {
 
     /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the next frame; `is_alone`: no other frame
     /// was unacknowledged when it was sent.
-    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured) {
-        if !self.is_auto {
-            return;
-        }
+    /// `can`: whether frames can become larger, and smaller; the result says what they should do. Frames become smaller before there are
+    /// fewer than [`picture_ladder::RATE`] per second.
+    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured, can: (bool, bool)) -> Advice {
         if is_alone || self.alone.is_none() {
             self.alone = Some(now);
         }
         let length = |(frames, jitter, seconds): Length| frames * link.frame + jitter * link.jitter + seconds;
-        if link.queue > length(LONG) && self.frames > 1 {
+        if link.queue > length(LONG) {
+            // Frames that were sent before the last reduction say nothing of it.
+            if number < self.reduced {
+                return Advice::Same;
+            }
+            self.reduced = next;
             self.is_start = false;
-            return self.step(self.fitting(link), next);
+            self.step(self.fitting(link), next);
+            return Advice::MuchSmaller;
         }
         if number < self.round {
-            return;
+            return Advice::Same;
         }
         let least = self.least.map_or(link.queue, |least| least.min(link.queue));
         self.least = Some(least);
         // The last frame of the round trip is the last that was sent before the first was acknowledged.
         if number + 1 < self.round + self.frames as u64 && self.is_limit {
-            return;
+            return Advice::Same;
         }
+        let enough = (picture_ladder::RATE * (link.took - link.queue)).ceil();
+        let is_enough = self.frames as f64 >= enough;
         let most = (RATE * (link.took - link.queue) - MARGIN).ceil().clamp(1.0, MAX_WINDOW as f64);
         if let Some(frames) = self.drained.take() {
             self.step(frames, next);
+        } else if least > length(SMALL) && can.1 && self.frames as f64 <= enough {
+            self.is_start = false;
+            self.step(self.frames, next);
+            return Advice::Smaller;
         } else if least > length(STANDING) && self.frames > 1 {
             if self.is_trial {
                 self.not_before = Some(now + self.pause);
@@ -139,6 +159,9 @@ impl SendWindow {
             self.alone = Some(now);
             self.step(frames / 2, next);
             self.drained = Some(frames);
+        } else if self.is_limit && least < length(EMPTY) && can.0 && is_enough {
+            self.step(self.frames, next);
+            return Advice::Larger;
         } else if self.is_limit
             && least < length(EMPTY)
             && (self.frames as f64) < most
@@ -146,7 +169,7 @@ impl SendWindow {
             && self.not_before.is_none_or(|time| now >= time)
         {
             let steps = if self.is_start { self.frames } else { 1 };
-            let is_short = |steps: &usize| *steps as f64 * link.frame <= MAX_TRIAL && (self.frames + steps) as f64 <= most;
+            let is_short = |steps: &usize| *steps as f64 * link.frame <= MAX_STEPS && (self.frames + steps) as f64 <= most;
             let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
             // A queue has built up a round trip later.
             self.step(frames, next + frames as u64);
@@ -157,6 +180,7 @@ impl SendWindow {
             }
             self.step(self.frames, next);
         }
+        Advice::Same
     }
 
     /// A smaller window, without a queue at the rate of the newest frame.
@@ -165,6 +189,7 @@ impl SendWindow {
     }
 
     fn step(&mut self, frames: usize, next: u64) {
+        let frames = if self.is_auto { frames } else { self.frames };
         *self = Self { frames, round: next, least: None, is_limit: false, is_trial: false, drained: None, ..*self };
     }
 }

@@ -152,6 +152,11 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) canvas: Option<AsJson<Canvas>>,
     /// Not a preview.
     pub(crate) full: bool,
+    /// Of the file, or `mesh`.
+    pub(crate) format: &'a str,
+    /// Of a JPEG.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) quality: Option<u8>,
     /// Drawn cells that fold.
     pub(crate) folds: u64,
     /// Largest distance between a posed handle and where it is drawn, px.

@@ -14,6 +14,7 @@ use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
 use crate::app::session_warp::{AdmittedPlan, MeshForm, PosedMesh};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
+use crate::drag::picture_ladder::Encoding;
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -27,6 +28,8 @@ use crate::wire::{AsJson, FrameReport, FrameTiming, MeshShape, UnreadHandles};
 pub enum Form {
     /// Files of this format, or of the session's format.
     Picture(Option<Format>),
+    /// PNG or JPEG, as the connection allows.
+    Auto,
     /// Little-endian f32.
     Mesh,
 }
@@ -55,12 +58,18 @@ pub(crate) fn full_width(record: &Record) -> Option<u32> {
     })
 }
 
-/// The output of a frame of this width, and the largest width of a preview. Previews are compressed fast.
-fn output(record: &Record, format: Option<Format>, width: Option<u32>) -> (OutputSpec, Option<u32>) {
-    let output = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
-    match (width, full_width(record)) {
+/// The output of a frame, and the largest width of a preview. Previews are compressed fast.
+fn output(record: &Record, format: Option<Format>, request: &FrameRequest) -> (OutputSpec, Option<u32>) {
+    let base = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
+    let output = match request.encoding {
+        None => base,
+        Some(Encoding::Png) => OutputSpec { format: Format::Png, ..base },
+        Some(Encoding::Jpeg(quality)) => OutputSpec { format: Format::Jpeg, quality, ..base },
+    };
+    let is_lossy = matches!(request.encoding, Some(Encoding::Jpeg(_)));
+    match (request.width, full_width(record)) {
         (None, _) => (output, None),
-        (Some(width), Some(full)) if width == full => (output, None),
+        (Some(width), Some(full)) if width == full && !is_lossy => (output, None),
         (Some(width), Some(full)) if width > full => (OutputSpec { width: Some(width), ..output }, None),
         (Some(width), _) => (OutputSpec { compression: Compression::Fast, ..output }, Some(width)),
     }
@@ -96,18 +105,21 @@ async fn try_draw_frame(
     let record = app.touch(id, None).await?.record;
     let seq = request.pose.seq;
     match form {
-        Form::Picture(format) => {
+        Form::Picture(_) | Form::Auto => {
+            let format = if let Form::Picture(format) = form { format } else { None };
             let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
-            let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
+            let q = read_handles(&app, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
             let shape = plan.shape(record.extent);
-            let (output, preview) = output(&record, format, request.width);
+            let (output, preview) = output(&record, format, &request);
             let AdmittedPlan { ticket, planned } = plan;
             let job = DrawJob { content, planned, q, folds: record.folds, output, preview, force_alpha: false, quota };
             let drawn = app.draw(ticket, job).await?;
-            let Drawn { report, target, timing, picture, .. } = drawn;
+            let Drawn { report, target, timing, picture, format, .. } = drawn;
+            let quality = (format == Format::Jpeg).then_some(output.quality);
             let (pieces, cost) = collect(picture).await?;
-            let report = report_json(seq, target, preview.is_none(), &report, timing, cost);
+            let file = (format.media_type().trim_start_matches("image/"), quality);
+            let report = report_json(seq, target, preview.is_none(), file, &report, timing, cost);
             Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh => {
@@ -117,7 +129,7 @@ async fn try_draw_frame(
             let shape = plan.shape(record.extent);
             let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
             let target = Target { canvas: None, extent: record.extent, force_alpha: false };
-            let report = report_json(seq, target, true, &report, timing, Cost::default());
+            let report = report_json(seq, target, true, ("mesh", None), &report, timing, Cost::default());
             Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }
     }
@@ -155,7 +167,16 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     }
 }
 
-fn report_json(seq: u64, target: Target, full: bool, report: &Report, timing: Timing, cost: Cost) -> String {
+/// `file`: its format, and the quality of a JPEG.
+fn report_json(
+    seq: u64,
+    target: Target,
+    full: bool,
+    file: (&'static str, Option<u8>),
+    report: &Report,
+    timing: Timing,
+    cost: Cost,
+) -> String {
     let ms = |time: Duration| (time.as_secs_f64() * 1e6).round() / 1e3;
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
@@ -164,6 +185,7 @@ fn report_json(seq: u64, target: Target, full: bool, report: &Report, timing: Ti
     let exceeded = (exceeded > 0).then_some(exceeded);
     let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
     let canvas = target.canvas.map(AsJson);
-    let report = FrameReport { seq, width, height, canvas, full, folds, residual, warnings, exceeded, coincident, timing };
+    let (format, quality) = file;
+    let report = FrameReport { seq, width, height, canvas, full, format, quality, folds, residual, warnings, exceeded, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

@@ -1,6 +1,6 @@
 //! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_text`] and [`Drag::on_binary`]; [`Drag::next_outgoing`]
-//! returns what is to be sent. The order and width of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest
-//! pose, at most one frame in progress or ready, and what the socket has not sent yet: at most the frames of the window.
+//! returns what is to be sent. The order, width and encoding of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the
+//! newest pose, at most one frame in progress or ready, and what the socket has not sent yet: at most the frames of the window.
 
 mod frame;
 
@@ -16,6 +16,7 @@ use super::App;
 use super::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
+use crate::drag::picture_ladder::PictureLadder;
 use crate::drag::preview_controller::PreviewController;
 pub use crate::drag::send_window::{MAX_WINDOW, Window};
 use crate::limits::memory::{Purpose, Reservation};
@@ -104,7 +105,7 @@ impl App {
             app: self.clone(),
             id,
             client,
-            scheduler: FrameScheduler::new(previews(options, &record), full(options, &record), options.window),
+            scheduler: FrameScheduler::new(previews(options, &record), pictures(options, &record), full(options, &record), options.window),
             options,
             drawing: None,
             newest: None,
@@ -125,15 +126,28 @@ fn shape_message(shape: &MeshShape) -> Outgoing {
 /// The width that stands for a mesh.
 const MESH: u32 = 1;
 
-fn previews(options: DragOptions, record: &Record) -> PreviewController {
+/// The size of the session's images; of the source if it depends on the pose.
+fn size(record: &Record) -> (u32, u32) {
     let width = full_width(record).unwrap_or(record.extent.width());
     let (w, h) = (u64::from(record.extent.width()), u64::from(record.extent.height()));
-    let height = u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1);
+    (width, u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1))
+}
+
+fn previews(options: DragOptions, record: &Record) -> PreviewController {
     match (options.form, options.width) {
         (Form::Mesh, _) => PreviewController::fixed(MESH),
-        (_, PreviewWidth::Auto) => PreviewController::adaptive((width, height)),
-        (_, PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
+        (Form::Auto, _) => PreviewController::fixed(size(record).0),
+        (Form::Picture(_), PreviewWidth::Auto) => PreviewController::adaptive(size(record)),
+        (Form::Picture(_), PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
     }
+}
+
+fn pictures(options: DragOptions, record: &Record) -> Option<PictureLadder> {
+    let fixed = match options.width {
+        PreviewWidth::Auto => None,
+        PreviewWidth::Fixed(width) => Some(width),
+    };
+    (options.form == Form::Auto).then(|| PictureLadder::new(size(record), fixed))
 }
 
 fn full(options: DragOptions, record: &Record) -> u32 {
@@ -225,7 +239,8 @@ impl Drag {
             Ok(frame) => {
                 if !same(&self.record, &frame.record) {
                     self.record = Arc::clone(&frame.record);
-                    self.scheduler.resize(previews(self.options, &self.record), full(self.options, &self.record));
+                    let (options, record) = (self.options, &*self.record);
+                    self.scheduler.resize(previews(options, record), pictures(options, record), full(options, record));
                 }
                 let bytes = 8 + frame.pieces.iter().map(Bytes::len).sum::<usize>() as u64;
                 self.scheduler.drawn(frame, bytes, now);

@@ -8,6 +8,7 @@
 //!   old; later, the connection would be idle. If the client takes longer than expected and a newer pose waits, an outdated frame is drawn
 //!   again, once.
 //! - If the window is not full, frames are sent at equal distances of the time that a frame takes: sent at once, they would form a queue.
+//! - While a full-quality frame is unacknowledged, no more than one frame is: it may be large.
 //! - A frame is always completed, except the full-quality frame of a resting pointer, which is cancelled when the pointer moves.
 
 use std::collections::VecDeque;
@@ -15,6 +16,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::link_estimate::{LinkEstimate, SendMark};
+use super::picture_ladder::{Encoding, PictureLadder};
 use super::preview_controller::PreviewController;
 use super::send_window::{SendWindow, Window};
 use crate::wire::UnreadHandles;
@@ -46,6 +48,8 @@ pub struct FrameRequest {
     pub pose: Pose,
     /// The width, px; `None`: the session's width.
     pub width: Option<u32>,
+    /// The encoding, if the scheduler chooses it.
+    pub encoding: Option<Encoding>,
     /// Whether it follows a preview of the same pose, because the pointer rests.
     pub is_full_quality: bool,
 }
@@ -71,6 +75,8 @@ pub struct NotSent;
 #[derive(Debug)]
 pub struct FrameScheduler<F> {
     previews: PreviewController,
+    /// Chooses width and encoding, if they are chosen; then `previews` only has averages, of the full width.
+    pictures: Option<PictureLadder>,
     /// The full width.
     full: u32,
     waiting: Option<Pose>,
@@ -123,9 +129,11 @@ struct Sent {
 
 impl<F> FrameScheduler<F> {
     /// `full`: the full width; narrower previews are followed by a full frame when the pointer rests.
-    pub fn new(previews: PreviewController, full: u32, window: Window) -> Self {
+    /// `pictures`: chooses the encoding; then the width of `previews` is fixed.
+    pub fn new(previews: PreviewController, pictures: Option<PictureLadder>, full: u32, window: Window) -> Self {
         Self {
             previews,
+            pictures,
             full,
             waiting: None,
             not_before: None,
@@ -144,8 +152,9 @@ impl<F> FrameScheduler<F> {
     }
 
     /// The session's images have another size from now on.
-    pub fn resize(&mut self, previews: PreviewController, full: u32) {
+    pub fn resize(&mut self, previews: PreviewController, pictures: Option<PictureLadder>, full: u32) {
         self.previews = previews;
+        self.pictures = pictures;
         self.full = full;
         self.preview = None;
     }
@@ -188,11 +197,17 @@ impl<F> FrameScheduler<F> {
     /// `sent`: the newest acknowledged frame; `bytes`: those of all acknowledged frames.
     fn acknowledged(&mut self, sent: Sent, bytes: u64, now: Instant) {
         let measured = self.link.acknowledged(now, sent.mark, bytes);
-        self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured);
+        let can = self.pictures.as_ref().map_or((false, false), PictureLadder::scope);
+        let advice = self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured, can);
+        if let Some(pictures) = &mut self.pictures {
+            pictures.follow(advice);
+        }
         if let Some(width) = sent.request.width {
             let ack_time = now.saturating_duration_since(sent.mark.at());
-            self.previews.acknowledged(now, width, sent.draw_time, ack_time, sent.unacknowledged);
-            if width < self.full && self.ready.is_none() {
+            let averaged = if self.pictures.is_some() { self.previews.width() } else { width };
+            self.previews.acknowledged(now, averaged, sent.draw_time, ack_time, sent.unacknowledged);
+            let is_full = width >= self.full && !matches!(sent.request.encoding, Some(Encoding::Jpeg(_)));
+            if !is_full && self.ready.is_none() {
                 self.preview = Some(sent.request.pose);
             }
         }
@@ -210,7 +225,11 @@ impl<F> FrameScheduler<F> {
     pub fn drawn(&mut self, frame: F, bytes: u64, now: Instant) {
         if let Some(Drawing { request, began }) = self.drawing.take() {
             self.preview = None;
-            self.ready = Some(Ready { frame, bytes, request, draw_time: now.saturating_duration_since(began), since: now });
+            let draw_time = now.saturating_duration_since(began);
+            if let (Some(pictures), Some(encoding)) = (&mut self.pictures, request.encoding) {
+                pictures.drawn(request.width, encoding, bytes, draw_time);
+            }
+            self.ready = Some(Ready { frame, bytes, request, draw_time, since: now });
         }
     }
 
@@ -245,7 +264,7 @@ impl<F> FrameScheduler<F> {
                 self.preview = Some(ready.request.pose);
             }
         }
-        if self.sent.len() < self.window.frames()
+        if self.sent.len() < self.frames()
             && let Some(ready) = self.ready.take()
         {
             return Step::Send(self.send(ready, now));
@@ -265,8 +284,15 @@ impl<F> FrameScheduler<F> {
         self.not_before = None;
         let pose = if is_full_quality { self.preview.take() } else { self.waiting.take() };
         let Some(pose) = pose else { return Step::Wait(None) };
-        let width = (!is_full_quality).then(|| self.previews.width());
-        let request = FrameRequest { pose, width, is_full_quality };
+        let (width, encoding) = match (&self.pictures, is_full_quality) {
+            (None, _) => ((!is_full_quality).then(|| self.previews.width()), None),
+            (Some(pictures), true) => (None, Some(pictures.at_rest(self.link.rate()))),
+            (Some(pictures), false) => {
+                let (width, encoding) = pictures.next(self.link.rate());
+                (Some(width), Some(encoding))
+            }
+        };
+        let request = FrameRequest { pose, width, encoding, is_full_quality };
         self.drawing = Some(Drawing { request: request.clone(), began: now });
         Step::Draw(request)
     }
@@ -282,10 +308,15 @@ impl<F> FrameScheduler<F> {
         frame
     }
 
+    /// The number of frames that may be unacknowledged: one while that is a full frame, which may be large.
+    fn frames(&self) -> usize {
+        if self.sent.back().is_some_and(|sent| sent.request.is_full_quality) { 1 } else { self.window.frames() }
+    }
+
     /// When to start the frame of the waiting pose.
     fn begin(&mut self, now: Instant) -> Instant {
         let Some(oldest) = self.sent.front().map(|sent| sent.mark.at()) else { return now };
-        let window = self.window.frames();
+        let window = self.frames();
         let lead = self.previews.draw_time().mul_f64(EARLY);
         let mut begin = now;
         if self.sent.len() >= window {

@@ -23,7 +23,7 @@ struct World {
 
 impl World {
     fn new(pace: PreviewController, full: u32, make: u32, ack: u32) -> Self {
-        let desk = FrameScheduler::new(pace, full, Window::Fixed(1));
+        let desk = FrameScheduler::new(pace, None, full, Window::Fixed(1));
         let start = Instant::now();
         Self {
             desk,
@@ -191,7 +191,7 @@ fn a_hand_that_moves_on_gives_up_the_full_frame() {
 #[test]
 fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
     for acknowledged_while_making in [false, true] {
-        let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(256), 512, Window::Fixed(1));
+        let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(256), None, 512, Window::Fixed(1));
         let start = Instant::now();
         let pose = |seq| Pose { seq, q: Arc::default(), at: start };
         desk.pose(pose(1));
@@ -225,7 +225,7 @@ fn acknowledgements_are_of_frames_that_were_sent() {
 
 #[test]
 fn a_pose_that_found_no_room_waits_unless_there_is_a_newer_one() {
-    let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(512), 512, Window::Fixed(1));
+    let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(512), None, 512, Window::Fixed(1));
     let now = Instant::now();
     let pose = |seq| Pose { seq, q: Arc::default(), at: now };
     desk.pose(pose(1));

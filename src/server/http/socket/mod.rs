@@ -56,7 +56,7 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     Ok(response)
 }
 
-/// Reads `?frames=png|jpeg|webp|tiff|mesh&width=auto|N&window=auto|N&report=true|false`. Unknown fields are rejected.
+/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&width=auto|N&window=auto|N&report=true|false`. Unknown fields are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
     let [frames, width, window, report] = query_fields(query, ["frames", "width", "window", "report"])?;
@@ -83,10 +83,10 @@ fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
 }
 
 fn form(name: &str) -> Result<Form, Problem> {
-    const FORMS: &str = "`png`, `jpeg`, `webp`, `tiff`, `mesh`";
+    const FORMS: &str = "`auto`, `png`, `jpeg`, `webp`, `tiff`, `mesh`";
     match name {
         "mesh" => Ok(Form::Mesh),
-        "auto" => Err(Problem::new(Code::NotSupported, format!("not supported by this version: `frames=auto`; supported: {FORMS}"))),
+        "auto" => Ok(Form::Auto),
         _ => {
             let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(name));
             format.map(|format| Form::Picture(Some(format))).ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
@@ -205,6 +205,7 @@ mod tests {
         assert_eq!(read("width=auto&report=false&window=auto"), Ok(usual));
         assert_eq!(read("window=8"), Ok(DragOptions { window: Window::Fixed(8), ..usual }));
         assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
+        assert_eq!(read("frames=auto"), Ok(DragOptions { form: Form::Auto, ..usual }));
         assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));
         for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP), ("tiff", Format::Tiff)] {
             assert_eq!(read(&format!("frames={name}")), Ok(DragOptions { form: Form::Picture(Some(format)), ..usual }));
@@ -217,7 +218,6 @@ mod tests {
             ("width=-1", Code::BadValue),
             ("frames=mesh&width=100", Code::BadValue),
             ("report=yes", Code::BadValue),
-            ("frames=auto", Code::NotSupported),
             ("window=0", Code::BadValue),
             ("window=9", Code::BadValue),
             ("window=-1", Code::BadValue),
