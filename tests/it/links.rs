@@ -16,12 +16,18 @@ use relay::{Link, Relay};
 /// The picture is narrower than any preview: all of its frames are of full size.
 const SIZE: (u32, u32) = (128, 96);
 const PERIOD: Duration = Duration::from_millis(8);
-/// Without a frame for this time, nothing more comes: longer than the wait for rest and a round trip.
-const SILENCE: Duration = Duration::from_millis(400);
+/// Without a frame for this time, nothing more comes: it is longer than the wait for rest, a round trip and the largest frame together.
+const SILENCE: Duration = Duration::from_millis(900);
 
-/// What a socket sends, and the request with the same bytes.
-const FRAMES: [(&str, &str, Option<&str>); 3] =
-    [("?frames=png", "warp", Some("png")), ("?frames=jpeg", "warp", Some("jpeg")), ("?frames=mesh", "mesh", None)];
+/// What sockets send.
+const FRAMES: [&str; 5] = ["frames=png", "frames=jpeg&window=1", "frames=jpeg&window=8", "frames=mesh", "frames=auto"];
+
+/// A frame with its report.
+struct Frame {
+    seq: u64,
+    bytes: Vec<u8>,
+    report: Value,
+}
 
 fn posed(seq: u64) -> Value {
     #[expect(clippy::cast_precision_loss, reason = "a small number")]
@@ -35,10 +41,10 @@ async fn drag(link: Link, poses: u64, changed: u64, change: impl Fn(&Relay)) -> 
     let server = Server::start(&[]).await;
     let id = &server.session(&photo(SIZE.0, SIZE.1), &json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]]]})).await;
     let (server, change) = (&server, &change);
-    join_all(FRAMES.map(|(query, route, format)| async move {
+    join_all(FRAMES.map(|query| async move {
         let relay = Relay::start(server.address, link, link).unwrap();
-        let mut client = DragClient::open(relay.address, id, query).await;
-        let (mut frames, start) = (Vec::new(), Instant::now());
+        let mut client = DragClient::open(relay.address, id, &format!("?{query}&report=true")).await;
+        let (mut frames, mut report, start) = (Vec::new(), Value::Null, Instant::now());
         for seq in 0..poses {
             if seq == changed {
                 change(&relay);
@@ -46,32 +52,50 @@ async fn drag(link: Link, poses: u64, changed: u64, change: impl Fn(&Relay)) -> 
             client.pose(seq, &posed(seq)).await;
             let due = start + PERIOD * (seq as u32 + 1);
             while let Some(received) = client.next_within(due.saturating_duration_since(Instant::now())).await {
-                keep(&mut client, received, &mut frames).await;
+                keep(&mut client, received, &mut report, &mut frames).await;
             }
         }
-        while frames.last().is_none_or(|(seq, _)| *seq != poses - 1) {
+        while frames.last().is_none_or(|frame: &Frame| frame.seq != poses - 1) {
             let received = client.next().await;
-            keep(&mut client, received, &mut frames).await;
+            keep(&mut client, received, &mut report, &mut frames).await;
         }
-        assert!(client.next_within(SILENCE).await.is_none(), "{query}: the last frame is sent once");
-        assert!(frames.is_sorted_by(|a, b| a.0 < b.0), "{query}: frames go forward");
-        for (seq, frame) in &frames {
-            let request = server.post(&format!("/sessions/{id}/{route}"));
-            let request = match format {
-                Some(format) => request.json(&json!({"q": posed(*seq), "output": {"format": format}})),
-                None => request.json(&json!({"q": posed(*seq)})).header("accept", "application/octet-stream"),
-            };
-            assert!(*frame == request.send().await.unwrap().bytes().await.unwrap(), "{query}: frame {seq} is of another pose");
+        while let Some(received) = client.next_within(SILENCE).await {
+            keep(&mut client, received, &mut report, &mut frames).await;
         }
-        frames.into_iter().map(|(seq, _)| seq).collect()
+        let last = frames.last().unwrap();
+        assert!(last.seq == poses - 1 && last.report["full"] == true, "{query}: {}", last.report);
+        assert!(frames.is_sorted_by(|a, b| a.seq < b.seq || a.seq == b.seq && b.report["full"] == true), "{query}: frames go forward");
+        for frame in &frames {
+            assert!(frame.bytes == requested(server, id, frame).await, "{query}: another pose than {}", frame.report);
+        }
+        frames.iter().map(|frame| frame.seq).collect()
     }))
     .await
 }
 
-async fn keep(client: &mut DragClient, received: Received, frames: &mut Vec<(u64, Vec<u8>)>) {
-    let Received::Frame(seq, bytes) = received else { panic!("a frame was expected: {received:?}") };
-    frames.push((seq, bytes));
-    client.ack(seq).await;
+/// The bytes of the request that a frame stands for.
+async fn requested(server: &Server, id: &str, frame: &Frame) -> Vec<u8> {
+    let (q, report) = (posed(frame.seq), &frame.report);
+    let request = if report["format"] == "mesh" {
+        server.post(&format!("/sessions/{id}/mesh")).json(&json!({"q": q})).header("accept", "application/octet-stream")
+    } else {
+        let output = json!({"format": report["format"], "quality": report["quality"], "width": report["width"]});
+        server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": q, "output": output}))
+    };
+    request.send().await.unwrap().bytes().await.unwrap().to_vec()
+}
+
+/// Keeps a frame, which follows its report, and acknowledges it.
+async fn keep(client: &mut DragClient, received: Received, report: &mut Value, frames: &mut Vec<Frame>) {
+    match received {
+        Received::Text(text) => *report = text,
+        Received::Frame(seq, bytes) => {
+            assert_eq!(report["seq"], seq, "the report comes before its frame");
+            frames.push(Frame { seq, bytes, report: report.take() });
+            client.ack(seq).await;
+        }
+        Received::Closed(code) => panic!("closed: {code}"),
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
