@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp_server::app::App;
-use mlswarp_server::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth};
+use mlswarp_server::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth, Window};
 use mlswarp_server::app::warp::Upload;
 use mlswarp_server::client::{Client, Owner};
 use mlswarp_server::session::SessionId;
@@ -24,16 +24,23 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
 
 pub(super) fn talk(bytes: &[u8]) {
     let Some((wishes, messages)) = bytes.split_first() else { return };
+    let is_binary = wishes % 128 >= 64;
+    let picture = if wishes % 32 < 16 { Form::Auto } else { Form::Picture(None) };
     let wishes = DragOptions {
-        form: if wishes % 2 == 0 { Form::Mesh } else { Form::Picture(None) },
+        form: if wishes % 2 == 0 { Form::Mesh } else { picture },
         width: if wishes % 4 < 2 { PreviewWidth::Auto } else { PreviewWidth::Fixed(1 + u32::from(*wishes)) },
         report: wishes % 8 < 4,
+        window: if wishes % 64 < 32 { Window::Auto } else { Window::Fixed(8) },
     };
     let (app, runtime, id) = &*SESSION;
     runtime.block_on(async {
         let mut drag = app.open_drag(Client::default(), *id, wishes).await.expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {
-            drag.on_message(message, Instant::now());
+            if is_binary {
+                drag.on_binary(message, Instant::now());
+            } else {
+                drag.on_text(message, Instant::now());
+            }
             go_on(&mut drag).await;
             assert!(!drag.is_over(), "nothing that is said ends a session");
         }
