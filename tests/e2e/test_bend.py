@@ -78,8 +78,9 @@ def test_the_smoothing_of_a_file_is_kept(opened):
     assert (opened.warp()["method"], opened.warp()["smoothing"]) == ("tps", 0.1)
     smooth = opened.saved("download")[1]
     assert smooth == opened.of_server().body
+    before = opened["revision"]
     opened.page.set_input_files("#file", [file | {"buffer": json.dumps(warp | {"method": "tps"}).encode()}])
-    opened.ready()
+    opened.body(f":not([data-revision='{before}'])").ready()
     assert "smoothing" not in opened.warp() and opened.saved("download")[1] != smooth
 
 

@@ -280,7 +280,8 @@ async fn automatic_frames_are_pictures_and_the_last_one_is_full() {
         let report = drag.text().await;
         assert_eq!((&report["format"], &report["width"], &report["full"]), (&json!("jpeg"), &json!(width), &json!(false)), "{query}");
         let output = json!({"format": "jpeg", "quality": report["quality"], "width": width});
-        assert_eq!(decoded(&drag.frame().await.1).width, decoded(&requested(&server, &id, &posed(3), &output).await).width);
+        let request = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(3), "output": output}));
+        assert!(drag.frame().await.1 == request.send().await.unwrap().bytes().await.unwrap(), "{query}");
         drag.ack(1).await;
         // The pointer rests, and the connection is fast.
         let report = drag.text().await;
