@@ -2,8 +2,8 @@
 
 use super::{Field, Handle};
 
-/// A position of a client's handle that a column belongs to. The column's position, at rest and posed, is the sum of its members' positions,
-/// each times its share.
+/// A position of a client's handle that a column belongs to. The column's position, at rest and posed, is the sum of its members'
+/// positions, each times its share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColumnMember {
     /// The column of the table.

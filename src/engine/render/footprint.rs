@@ -49,7 +49,8 @@ pub(super) struct AveragedSamples {
     sums: Vec<u16>,
 }
 
-/// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there are none.
+/// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there
+/// are none.
 /// `sampled`: px of the sampled picture for a px of the source, along each axis; `scale`: px of the target.
 pub(super) fn shrinking_cells(mesh: &Mesh, sampled: [f64; 2], scale: [f64; 2], kernel: Kernel) -> Vec<u8> {
     let grid = mesh.grid();
@@ -114,8 +115,8 @@ impl Footprints {
         Self { grid: FootprintGrid { columns, rows, jacobians, marked, origin, cells, scale, limit }, drawn }
     }
 
-    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first pixel;
-    /// `first`: its index in `out`. Pixels that need several samples are complete after [`AveragedSamples::finish`].
+    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first
+    /// pixel; `first`: its index in `out`. Pixels that need several samples are complete after [`AveragedSamples::finish`].
     pub(super) fn sample(
         &self,
         sampled: Sampled<'_>,

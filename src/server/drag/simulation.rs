@@ -36,7 +36,7 @@ struct Link {
     outage: (u64, u64),
     /// Drawing time.
     draw: u64,
-    /// The client acknowledges when its screen is refreshed, every so many ms.
+    /// The interval of the refreshes of the client's screen, at which it acknowledges, ms.
     refresh: u64,
 }
 

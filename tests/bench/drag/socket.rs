@@ -78,7 +78,7 @@ impl Socket {
     }
 
     /// Sends each pose when it is due after `start`, and shows frames until that of the last pose, or for so long after that was sent.
-    /// Keeps so many bytes of each message.
+    /// Keeps this number of bytes of each message.
     pub fn drag(self, start: Instant, times: &[Duration], poses: &[Vec<u8>], patience: Duration, keep: usize) -> Run {
         let Self(mut reader) = self;
         let writer = &Mutex::new(reader.get_ref().try_clone().expect("a TCP socket"));
