@@ -289,7 +289,17 @@ fn machine() -> String {
     format!("{cpu}, {} threads{}", std::thread::available_parallelism().map_or(1, usize::from), load.unwrap_or_default())
 }
 
-/// A pool of so many threads.
+/// A pool of this many threads; two or more stay on a core each. A scheduler may leave a woken thread on the core of the one that woke it,
+/// for longer than a sample lasts.
 pub fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool of a few threads")
+    let pinned = move |thread| {
+        #[cfg(target_os = "linux")]
+        if threads > 1 {
+            let mut cores = rustix::thread::CpuSet::new();
+            cores.set(thread);
+            // Refused where this process may not use the core; then the thread stays free.
+            let _ = rustix::thread::sched_setaffinity(None, &cores);
+        }
+    };
+    rayon::ThreadPoolBuilder::new().num_threads(threads).start_handler(pinned).build().expect("a pool of a few threads")
 }

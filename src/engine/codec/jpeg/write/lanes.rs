@@ -23,6 +23,11 @@ pub(super) trait Lanes: Copy {
     fn mean(self, other: Self) -> Self;
     /// The lower 16 bits of the product.
     fn times_low(self, other: Self) -> Self;
+    /// `a / 2^BITS`, rounded to the nearest, half up; `BITS` is at least 1.
+    #[inline(always)]
+    fn shift_rounded<const BITS: u32>(self) -> Self {
+        self.times(Self::all(1 << (15 - BITS)))
+    }
     fn shift_left<const BITS: u32>(self) -> Self;
     /// Of unsigned integers.
     fn shift_right<const BITS: u32>(self) -> Self;

@@ -245,8 +245,8 @@ fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
         let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
         let [blue, red] = chroma(colours);
         *first = luma(colours);
-        *second = blue.times(T::all(1 << 12));
-        *third = red.times(T::all(1 << 12));
+        *second = blue.shift_rounded::<3>();
+        *third = red.shift_rounded::<3>();
     }
 }
 
@@ -260,7 +260,7 @@ fn half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
         rows[2 * pair % SIDE] = luma(above);
         rows[2 * pair % SIDE + 1] = luma(below);
         let [blue, red] = chroma([r.mean(r2), g.mean(g2), b.mean(b2)]);
-        planes[2][pair] = blue.sums_of_pairs(red).times(T::all(1 << 11));
+        planes[2][pair] = blue.sums_of_pairs(red).shift_rounded::<4>();
     }
 }
 
@@ -301,7 +301,7 @@ fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
 /// Of unsigned integers with 8 bits of fraction: less 128, with 4 bits.
 #[inline(always)]
 fn fraction<T: Lanes>(value: T) -> T {
-    value.minus(T::all(i16::MIN)).times(T::all(1 << 11))
+    value.minus(T::all(i16::MIN)).shift_rounded::<4>()
 }
 
 /// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313, 0.4187 and 0.0813 in units of 2^-15, are
@@ -319,7 +319,7 @@ fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
 fn coefficients<T: Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [Block]) {
     let mut rows = cosines(rows);
     for row in &mut rows {
-        *row = row.times(T::all(1 << 13));
+        *row = row.shift_rounded::<2>();
     }
     let mut columns = cosines(T::transpose(rows));
     quantiser.divide(&mut columns);

@@ -2,7 +2,7 @@
 
 use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, NEAR, Predictors};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
-use crate::codec::jpeg::write::tables::{SIDE, ZIGZAG};
+use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
 
@@ -49,11 +49,7 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn times(self, other: Self) -> Self {
-        self.each(other, |a, b| {
-            // In halves of 16 bits, for which there are instructions.
-            let (high, low) = (((i32::from(a) * i32::from(b)) >> 16) as i16, a.wrapping_mul(b).cast_unsigned());
-            high.wrapping_add(high).wrapping_add((((low >> 14) + 1) >> 1).cast_signed())
-        })
+        self.each(other, |a, b| ((i32::from(a) * i32::from(b) + (1 << 14)) >> 15) as i16)
     }
 
     #[inline(always)]
@@ -69,6 +65,11 @@ impl Lanes for Scalar {
     #[inline(always)]
     fn times_low(self, other: Self) -> Self {
         self.each(other, i16::wrapping_mul)
+    }
+
+    #[inline(always)]
+    fn shift_rounded<const BITS: u32>(self) -> Self {
+        self.each(self, |lane, _| (lane >> BITS) + (lane >> (BITS - 1) & 1))
     }
 
     #[inline(always)]
@@ -133,11 +134,16 @@ impl Lanes for Scalar {
     #[inline(always)]
     fn store(columns: [Self; 8], blocks: &mut [Block]) {
         for (block, lanes) in blocks[..COUNT / SIDE].iter_mut().zip((0..).step_by(SIDE)) {
-            for (coefficient, place) in block.coefficients.iter_mut().zip(ZIGZAG) {
-                let (x, y) = (usize::from(place) % SIDE, usize::from(place) / SIDE);
-                *coefficient = columns[x].0[lanes + y];
+            let mut transposed = [0; BLOCK];
+            for (column, Self(values)) in transposed.as_chunks_mut::<SIDE>().0.iter_mut().zip(&columns) {
+                column.copy_from_slice(&values[lanes..lanes + SIDE]);
             }
-            block.is_near = block.coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
+            for (eight, places) in block.coefficients.as_chunks_mut::<SIDE>().0.iter_mut().zip(ZIGZAG.as_chunks::<SIDE>().0) {
+                *eight = places.map(|place| transposed[usize::from(place) % SIDE * SIDE + usize::from(place) / SIDE % SIDE]);
+            }
+            // Without an early end, so that the comparisons are vectorised.
+            let far = block.coefficients[1..].iter().fold(false, |far, value| far | !(-NEAR..NEAR).contains(&i32::from(*value)));
+            block.is_near = !far;
             block.nonzero = 0;
             for (eight, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
                 let mut bits = 0_u16;
