@@ -3,7 +3,7 @@
 //! | state | rule | reason |
 //! |---|---|---|
 //! | the connection has carried sixty PNG per second | PNG | no loss, and the fastest format to draw |
-//! | otherwise | JPEG of at most `budget` bytes: the widest that fits at [`LEAST_QUALITY`], then the best quality | details need pixels |
+//! | otherwise | JPEG of at most `budget` bytes: the widest that fits, or the narrowest; then the best quality | details need pixels |
 //! | drawing takes longer than a sixtieth of a second | narrower | so do previews of a fixed format |
 //! | the window reports room, and is large enough for [`RATE`] | `budget` grows by a sixth | better pictures at the same rate |
 //! | the window reports a queue | `budget` shrinks by a seventh; by a third if it is long | fewer bytes before fewer frames |
@@ -17,8 +17,9 @@ use super::preview_controller::preview_widths;
 
 /// Frames per second for which pictures become smaller.
 pub const RATE: f64 = 32.0;
-/// Qualities of moving pictures.
+/// Qualities of moving pictures, and the least one of the narrowest.
 const LEAST_QUALITY: u8 = 40;
+const NARROWEST_QUALITY: u8 = 20;
 const MOST_QUALITY: u8 = 85;
 /// Quality of a picture of a resting pointer.
 const REST_QUALITY: u8 = 95;
@@ -117,7 +118,7 @@ impl PictureLadder {
         let fits = |width: u32, quality: u8| self.bytes(width, Encoding::Jpeg(quality)) <= budget;
         let narrower = self.widths.iter().copied().filter(|width| *width <= widest);
         let width = narrower.clone().find(|width| fits(*width, LEAST_QUALITY)).unwrap_or(least);
-        let quality = (LEAST_QUALITY..=MOST_QUALITY).rev().find(|quality| fits(width, *quality)).unwrap_or(LEAST_QUALITY);
+        let quality = (NARROWEST_QUALITY..=MOST_QUALITY).rev().find(|quality| fits(width, *quality)).unwrap_or(NARROWEST_QUALITY);
         (width, Encoding::Jpeg(quality))
     }
 
@@ -160,7 +161,8 @@ impl PictureLadder {
 
 /// Bytes of a JPEG file relative to quality 50: a fit for photographs.
 fn curve(quality: u8) -> f64 {
-    const POINTS: [(f64, f64); 7] = [(40.0, 0.85), (50.0, 1.0), (60.0, 1.15), (70.0, 1.4), (80.0, 1.8), (85.0, 2.2), (95.0, 5.0)];
+    const POINTS: [(f64, f64); 8] =
+        [(20.0, 0.55), (40.0, 0.85), (50.0, 1.0), (60.0, 1.15), (70.0, 1.4), (80.0, 1.8), (85.0, 2.2), (95.0, 5.0)];
     let quality = f64::from(quality);
     let next = POINTS.iter().position(|point| point.0 >= quality).unwrap_or(POINTS.len() - 1).max(1);
     let ((a, low), (b, high)) = (POINTS[next - 1], POINTS[next]);
