@@ -78,7 +78,6 @@ fn unknown_field_of_any_length_gives_a_short_answer() {
 
 #[test]
 
-#[test]
 fn nesting_of_any_depth_is_refused_without_a_stack() {
     for (open, close) in [("[", "]"), ("{\"a\":", "}")] {
         let deep = format!("{{\"p\": [{}1{}]}}", open.repeat(200_000), close.repeat(200_000));
