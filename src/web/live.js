@@ -12,6 +12,10 @@ const LIVED = 2000;
 const PATIENCE = 5000;
 /** Buffered bytes of the socket beyond which newer poses wait here. */
 const BACKLOG = 1 << 16;
+/** Time, ms, beyond that of the quickest response, after which newer poses wait here: the connection would only queue them. */
+const QUEUE = 300;
+/** Time, ms, after which a socket that has closed by itself is opened again. */
+const AGAIN = 1000;
 
 export class Live {
   #id = null;
@@ -22,12 +26,15 @@ export class Live {
   #grid = null;
   #seq = 0;
   #revisions = new Map(); // socket seq to document revision
+  #unanswered = new Map(); // socket seq to the time when it was sent, oldest first
+  #quickest = null; // time of the quickest response, ms
   #waiting = null; // the newest pose that has not been sent
   #sent = null; // the newest pose that the socket has not answered
   #overdue = 0;
   #asking = null; // AbortController of the outstanding POST
   #report = null;
   #lost = false; // the open socket has closed by itself
+  #reopening = 0;
 
   /**
    * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
@@ -70,6 +77,7 @@ export class Live {
   }
 
   close() {
+    clearTimeout(this.#reopening);
     this.#asking?.abort();
     this.#id = null;
     this.#waiting = null;
@@ -100,8 +108,9 @@ export class Live {
     this.#asking = null;
   }
 
-  #connect() {
-    if (!this.allowSocket || this.#failures >= TRIES) return this.told.way();
+  /** `again`: whatever the failures, because the socket was open before. */
+  #connect(again = false) {
+    if (!this.allowSocket || (this.#failures >= TRIES && !again)) return this.told.way();
     const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "" : "&width=auto"}`;
     const socket = new WebSocket(api.socketAddress(this.#id, query), keyProtocols());
     socket.binaryType = "arraybuffer";
@@ -113,6 +122,8 @@ export class Live {
       this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
+      this.#unanswered.clear();
+      this.#quickest = null;
       this.told.way();
       this.#flush();
     });
@@ -128,8 +139,25 @@ export class Live {
     this.#lost ||= this.#open;
     this.#open = false;
     this.#socket = null;
+    clearTimeout(this.#reopening);
+    // Without this, the page would learn that the server responds again only from its next request.
+    if (this.#lost) this.#reopening = setTimeout(() => this.#lost && !this.#socket && this.#connect(true), AGAIN);
     this.told.way();
     this.#flush();
+  }
+
+  /** The response to a pose is also that to all older ones. */
+  #trip(seq) {
+    const sent = this.#unanswered.get(seq);
+    if (sent === undefined) return;
+    this.#quickest = Math.min(this.#quickest ?? Infinity, performance.now() - sent);
+    for (const old of this.#unanswered.keys()) if (old <= seq) this.#unanswered.delete(old);
+  }
+
+  /** Whether a newer pose would only queue behind those that the server has not answered. */
+  get #congested() {
+    const [oldest = Infinity] = this.#unanswered.values();
+    return performance.now() - oldest > (this.#quickest ?? QUEUE) + QUEUE || this.#socket.bufferedAmount > BACKLOG;
   }
 
   #answered() {
@@ -148,13 +176,16 @@ export class Live {
     if (message.columns) this.#grid = message;
     else if (message.code) {
       this.#answered();
+      this.#trip(message.seq ?? this.#seq);
       this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
+      this.#flush();
     } else if (message.timing) this.#report = message;
   }
 
   #binary(bytes) {
     const seq = Number(new DataView(bytes).getBigUint64(0, true));
     this.#answered();
+    this.#trip(seq);
     const revision = this.#revisions.get(seq);
     for (const old of this.#revisions.keys()) if (old < seq) this.#revisions.delete(old);
     const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
@@ -168,12 +199,13 @@ export class Live {
   #flush() {
     if (!this.#waiting || this.#id === null) return;
     if (this.#open) {
-      if (this.#socket.bufferedAmount > BACKLOG) return;
+      this.#overdue ||= setTimeout(() => this.#giveUp(), PATIENCE);
+      if (this.#congested) return;
       const { q, revision } = this.#waiting;
       this.#sent = this.#waiting;
       this.#waiting = null;
-      this.#overdue ||= setTimeout(() => this.#giveUp(), PATIENCE);
       this.#revisions.set(++this.#seq, revision);
+      this.#unanswered.set(this.#seq, performance.now());
       this.#socket.send(JSON.stringify({ seq: this.#seq, q }));
     } else if (!this.#asking) {
       this.#post();
@@ -189,10 +221,12 @@ export class Live {
       const body = { q, seq: this.nextSeq() };
       if (this.kind === "mesh") {
         const { places, report } = await api.mesh(this.#id, body, asking.signal);
+        this.found();
         if (!asking.signal.aborted) this.told.mesh(places, this.#grid, revision, report, () => {});
       } else {
         const output = { width: Math.min(1024, this.#grid.width) };
         const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);
+        this.found();
         if (!asking.signal.aborted) this.told.frame(blob, revision, report, () => {});
       }
     } catch (error) {

@@ -149,6 +149,7 @@ function observe() {
     playing: typeof state.playing === "number" || (state.playing ?? false),
     ...steps(state),
     folds: shown.folds,
+    residual: shown.residual?.toFixed(2) ?? "",
     zoom: view.zoom,
     canvas: view.size ? view.box.join() : "",
     pan: view.pan.map((c) => c.toFixed(2)).join(),

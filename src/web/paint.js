@@ -13,8 +13,8 @@ const FRAGMENT = `
 precision mediump float; uniform sampler2D source; varying vec2 at;
 void main() { gl_FragColor = texture2D(source, at); }`;
 
-/** Target size of the parts of a patch, picture px, and the maximum number of vertices. */
-const FINE = 6;
+/** Target size of the parts of a patch, picture px, and the maximum number of vertices. Without a graphics card, vertices are slow. */
+const FINE = 8;
 const MOST_VERTICES = 300_000;
 
 /** `transparent`, or a colour `#rrggbbaa`, with premultiplied alpha. */

@@ -318,11 +318,12 @@ function hintFor({ phase, document, tool, arm, draft, compare, problem, selectio
 
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;
 
-function timingRows({ report, rate }, size) {
+function timingRows({ report, residual, rate }, size) {
   if (!report) return [];
   const rows = Object.entries(STAGES).filter(([name]) => report.timing[name] !== undefined).map(([name, words]) => [name, words, ms(report.timing[name])]);
   if (report.trip !== undefined) rows.push(["trip", "Round trip", ms(report.trip)]);
   rows.push(["size", "Size", `${size ? `${size[0]} × ${size[1]}, ` : ""}${bytes(report.size)}`]);
+  if (residual !== null) rows.push(["residual", "Residual", `${residual.toFixed(2)} px`]);
   if (rate) rows.push(["rate", "While dragging", `${Math.round(rate)} frames/s`]);
   return rows;
 }

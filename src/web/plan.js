@@ -11,6 +11,8 @@ const LARGEST = 2e6;
 const FINER = 400;
 /** The server has no table of larger splines. */
 const SPLINE = 64;
+/** Positions along a segment at which its residual is measured, as in the server. */
+const SAMPLES = 5;
 
 const HEADER = 64;
 const MEMBER = 16;
@@ -83,6 +85,30 @@ export class Plan {
       places[2 * k + 1] = y;
     }
     return new Mesh(this.grid, places);
+  }
+
+  /**
+   * The largest distance between a posed handle and where its mesh puts it, px: the lattice is coarser than the grid of the server. Handles
+   * outside of the picture do not count; those that coincide at rest count as one at their mean.
+   */
+  residual(mesh, p, q) {
+    let worst = 0;
+    const look = (rest, posed) => {
+      const drawn = mesh.forward(...rest);
+      if (drawn) worst = Math.max(worst, Math.hypot(drawn[0] - posed[0], drawn[1] - posed[1]));
+    };
+    const [P, Q] = [this.#columns(p), this.#columns(q)];
+    const of = (places, column) => places.subarray(2 * column, 2 * column + 2);
+    for (const [column, handle] of this.members) if (!Array.isArray(p[handle][0])) look(of(P, column), of(Q, column));
+    for (const [handle, rest] of p.entries()) {
+      if (!Array.isArray(rest[0])) continue;
+      const between = (places, k, t) => [0, 1].map((axis) => places[k][axis] * (1 - t) + places[k + 1][axis] * t);
+      for (let n = 0; n < SAMPLES * (rest.length - 1); n++) {
+        const [k, t] = [Math.floor(n / SAMPLES), (n % SAMPLES) / (SAMPLES - 1)];
+        look(between(rest, k, t), between(q[handle], k, t));
+      }
+    }
+    return worst;
   }
 }
 

@@ -11,7 +11,7 @@ import { maskFile, regionOf, sameRegion } from "./region.js";
 
 /** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
-/** Time without the server's picture of a resting pose, ms, after which the page says that it is behind. */
+/** Age of the shown pose, and time without the server's picture of a resting pose, ms, after which the page says that it is behind. */
 const LATE = 1000;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
@@ -20,7 +20,7 @@ const LOST = new Set(["no_such_session", "session_expired"]);
 const WHOLE = { parts: [], feather: 0 };
 
 /** What is shown before the first response. */
-const NOTHING = { revision: null, source: "none", folds: 0, report: null, rate: 0, warnings: [] };
+const NOTHING = { revision: null, source: "none", folds: 0, residual: null, report: null, rate: 0, warnings: [] };
 
 export class Sync {
   /**
@@ -45,9 +45,9 @@ export class Sync {
   #meshRevision = -1;
   #seq = 0;
   #changed = 0;
+  #poses = []; // those newer than the shown one: { revision, time }, oldest first
   #plans = new Plans();
   #late = 0;
-  #showed = 0;
   #burst = false;
   #timer = 0;
   #retries = 0;
@@ -91,12 +91,14 @@ export class Sync {
 
   /** What is missing: `server` if it has stopped responding, `picture` if its newest one is late, otherwise empty. */
   get behind() {
-    const { phase, before, revision } = this.store.state;
+    const { phase, revision } = this.store.state;
     if (phase !== "open" || this.condition === "ready") return "";
     if (this.live.lost) return "server";
+    if (this.condition !== "busy" || this.shown.source === "none") return "";
     const now = performance.now();
-    const late = before ? this.shown.revision !== revision && now - this.#showed > LATE : now - this.#changed >= REST + LATE - 1;
-    return late && this.condition === "busy" && this.shown.source !== "none" ? "picture" : "";
+    const outdated = this.#poses.length > 0 && now - this.#poses[0].time >= LATE;
+    const late = this.#settled !== revision && now - this.#changed >= REST + LATE;
+    return outdated || late ? "picture" : "";
   }
 
   /** Sets the session and its picture, before the document is set in the store. */
@@ -107,6 +109,7 @@ export class Sync {
     this.png = null;
     this.shown = { ...NOTHING };
     this.#settled = this.#sent = this.#meshRevision = this.#refused = -1;
+    this.#poses = [];
     this.#stalled = false;
     this.#adopt(object, rest, region, borrowed);
   }
@@ -122,6 +125,7 @@ export class Sync {
   }
 
   #adopt(object, rest, region, borrowed = false) {
+    this.live.found();
     this.session = { id: object.id, grid: gridOf(object), revision: object.rest_revision, rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
@@ -146,13 +150,25 @@ export class Sync {
       this.#cancel?.abort();
       clearTimeout(this.#timer);
       this.#timer = setTimeout(() => this.#run(), REST + 1);
-      clearTimeout(this.#late);
-      this.#late = setTimeout(() => this.#tell(), REST + LATE);
+      this.#poses.push({ revision: state.revision, time: now });
+      this.#remind();
     }
     if (state.before && !previous.before) this.#frames = [];
     if (!state.before && previous.before) this.#burst = false;
     this.#tell();
     this.#run();
+  }
+
+  /** Tells the views when `behind` may have changed by time alone. */
+  #remind() {
+    clearTimeout(this.#late);
+    const left = LATE - performance.now();
+    const due = [this.#poses[0]?.time ?? -Infinity, this.#changed + REST].map((time) => time + left).filter((time) => time > 0);
+    if (!due.length) return;
+    this.#late = setTimeout(() => {
+      this.#tell();
+      this.#remind();
+    }, Math.min(...due) + 1);
   }
 
   /** Retries after a problem. */
@@ -259,7 +275,7 @@ export class Sync {
     this.#settled = revision;
     const apart = movedApart(document, object.coincident ?? []);
     if (apart.length) this.store.do("apart", { handles: apart });
-    this.#show(revision, "png", { folds: report.folds, report, warnings: report.warnings });
+    this.#show(revision, "png", { folds: report.folds, residual: report.residual, report, warnings: report.warnings });
   }
 
   /** Draws the pose by the coefficients, if they are here. */
@@ -268,19 +284,21 @@ export class Sync {
     if (!plan) return false;
     const { revision: shown, plan: by } = this.shown;
     if (shown === revision && by === plan) return true;
-    this.mesh = plan.pose(wire(document, "p"), wire(document, "q"));
+    const [p, q] = [wire(document, "p"), wire(document, "q")];
+    this.mesh = plan.pose(p, q);
     this.view.showMesh(this.mesh, () => {});
-    this.#show(revision, "mesh", { plan, folds: this.view.folds, rate: this.#rate() });
+    const residual = meetsHandles(document) ? plan.residual(this.mesh, p, q) : null;
+    this.#show(revision, "mesh", { plan, folds: this.view.folds, residual, rate: this.#rate() });
     return true;
   }
 
   async #fetchMesh(id, grid, body, revision, signal) {
-    const { places } = await api.mesh(id, body, signal);
+    const { places, report } = await api.mesh(id, body, signal);
     if (signal.aborted) return;
     this.#takeMesh(new Mesh(grid, places), revision);
     if (this.view.webgl !== "none" && this.png?.revision !== revision) {
       this.view.showMesh(this.mesh, () => {});
-      this.#show(revision, "mesh", { folds: this.view.folds });
+      this.#show(revision, "mesh", { folds: this.view.folds, residual: report.residual });
     }
   }
 
@@ -291,8 +309,9 @@ export class Sync {
   }
 
   #show(revision, source, more) {
-    this.#showed = performance.now();
+    this.#poses = this.#poses.filter((pose) => pose.revision > revision);
     this.shown = { ...this.shown, plan: null, revision, source, ...more };
+    this.#remind();
     this.#tell();
   }
 
@@ -304,12 +323,12 @@ export class Sync {
     if (this.#overtaken(revision) || this.#settled === revision) return done();
     this.#takeMesh(mesh, revision);
     this.view.showMesh(mesh, done);
-    this.#show(revision, "mesh", { folds: this.view.folds, report: report ?? this.shown.report, rate: this.#rate() });
+    this.#show(revision, "mesh", { folds: this.view.folds, ...figures(report ?? this.shown.report), rate: this.#rate() });
   }
 
   async #liveFrame(blob, revision, report, done) {
     if (!this.#overtaken(revision) && this.#settled !== revision && (await this.view.showFrame(blob, boxFrom(report?.canvas))) && this.#settled !== revision) {
-      this.#show(revision, "frame", { folds: report?.folds ?? 0, report: report ?? this.shown.report, rate: this.#rate() });
+      this.#show(revision, "frame", { folds: report?.folds ?? 0, ...figures(report ?? this.shown.report), rate: this.#rate() });
     }
     done();
   }
@@ -395,6 +414,11 @@ export class Sync {
     return false;
   }
 }
+
+const figures = (report) => ({ report, residual: report?.residual ?? null });
+
+/** Whether a warp takes its handles to their posed positions, as far as its grid can follow them. */
+const meetsHandles = ({ method, smoothing }) => method !== "global_affine" && !(method === "tps" && smoothing);
 
 /** The members of a session object that determine a picture, except q. */
 function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, coincident_policy: coincident, units, grid, folds, output, layers }) {

@@ -1,113 +1,234 @@
 #!/usr/bin/env python3
-"""The page behind a slow link: frames drawn during a drag, the reaction to the first movement, the time until a new handle is posed locally, and a
-drag during which the server ends.
+"""
+The page behind a slow link, in Chromium: frames drawn during a drag, the reaction to its first movement, the time until a new handle is posed
+without requests, the distance of the drawing from the server's picture, and a drag during which the server is killed and starts again.
 
     tests/e2e/run -k nothing                     # creates the environment
     cargo build --release --locked -p mlswarp-server --bin mlswarp --example link
-    MLSWARP_PROGRAM=target/release/mlswarp tests/artefacts/e2e/venv/bin/python tests/bench/page_link.py [MBIT MS]
+    MLSWARP_PROGRAM=target/release/mlswarp tests/artefacts/e2e/venv/bin/python tests/bench/page_link.py [MBIT MS [WIDTH HEIGHT]]
 
-The link has MBIT Mbit/s (5) and MS ms each way (75). A frame is a display frame in which another pose was drawn. Each figure is printed with the
-coefficients and with `?plan=off`, where meshes come by the socket. Screenshots are in tests/artefacts/e2e.
+The link has MBIT Mbit/s (5) and MS ms each way (75); the window has WIDTH x HEIGHT CSS px (1280 x 800). A frame is a display frame in which
+another pose was drawn. Each figure is printed with the coefficients and with `?plan=off`, where meshes come by the socket. Beside them: how long
+JavaScript takes to pose and to draw, and how long the display frames are apart while nothing is drawn, which is the limit of the machine.
+Screenshots and pictures of the timelines are in tests/artefacts/e2e (page-link-*.png).
 """
 
 import math
 import os
-import subprocess
+import statistics
 import sys
+import tempfile
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "e2e"))
 os.environ.setdefault("MLSWARP_PROGRAM", str(ROOT / "target" / "release" / "mlswarp"))
 os.environ["PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD"] = "1"
 
+from PIL import Image, ImageDraw
 from playwright.sync_api import sync_playwright
 
+from links import Link, distances
 from support import CHROMIUM, FLAGS, KEPT, SOCKET, Server, Visit
 
-LINK = Path(os.environ["MLSWARP_PROGRAM"]).parent / "examples" / "link"
 SECONDS = 3
-# `poses`: when another pose was drawn; `reaction`: ms from the first movement to the frame of its pose; `plan`: when coefficients arrived.
-WATCH = """() => {
-  const { dataset } = document.body;
-  const seen = (window.seen = { moved: null, poses: [], reaction: null, plans: [] });
-  addEventListener("pointermove", ({ timeStamp }) => (seen.moved ??= timeStamp), { capture: true });
-  let [shown, plan] = [dataset.shown, dataset.plan];
-  const look = () => {
-    if (dataset.shown !== shown && dataset.moving === "true") {
-      seen.poses.push(performance.now());
-      seen.reaction ??= performance.now() - seen.moved;
+BROKEN = ("404", "ERR_CONNECTION_RESET", "ERR_CONNECTION_CLOSED", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_REFUSED", "ERR_SOCKET_NOT_CONNECTED")
+# All times are those of the page, ms. `spans`: [begin, end, words]. `work`: how long posing and drawing take.
+RECORD = """(() => {
+  const now = () => performance.now();
+  const seen = (window.seen = { pointer: [], ticks: [], drawn: [], sent: [], received: [], behind: [], plan: [], work: { pose: [], draw: [] } });
+  window.WebSocket = class extends WebSocket {
+    constructor(...all) {
+      super(...all);
+      this.addEventListener("message", ({ data }) => typeof data !== "string" && seen.received.push(now()));
     }
-    if (dataset.plan !== plan && dataset.plan) seen.plans.push(performance.now());
-    [shown, plan] = [dataset.shown, dataset.plan];
+    send(text) {
+      super.send(text);
+      if (!text.includes('"ack"')) seen.sent.push(now());
+    }
+  };
+  for (const kind of ["pointermove", "pointerup"]) addEventListener(kind, ({ timeStamp }) => seen.pointer.push([timeStamp, kind]), { capture: true });
+  let last = {};
+  const look = () => {
+    const { shown, plan, behind, moving } = document.body.dataset;
+    seen.ticks.push(now());
+    if (shown !== last.shown && moving === "true") seen.drawn.push(now());
+    if (plan !== last.plan) seen.plan.push([now(), plan]);
+    if (behind !== last.behind) seen.behind.push([now(), behind ? document.getElementById("behind").textContent : ""]);
+    last = { shown, plan, behind };
     requestAnimationFrame(look);
   };
-  requestAnimationFrame(look);
-}"""
+  addEventListener("DOMContentLoaded", async () => {
+    requestAnimationFrame(look);
+    const timed = (type, name, times) => {
+      const plain = type.prototype[name];
+      type.prototype[name] = function (...all) {
+        const begun = now();
+        const result = plain.apply(this, all);
+        times.push([begun, now() - begun]);
+        return result;
+      };
+    };
+    timed((await import("./page/plan.js")).Plan, "pose", seen.work.pose);
+    timed((await import("./page/paint.js")).Painter, "paint", seen.work.draw);
+  });
+})()"""
 
 
-def drag(visit, start, during=lambda share: None):
-    """Moves a handle on a circle; returns what the page has recorded."""
-    visit.page.mouse.move(*visit.at(*start))
+class Recording:
+    """What the page has done since now."""
+
+    def __init__(self, visit):
+        self.visit = visit
+        self.begun = visit.page.evaluate("performance.now()")
+
+    def end(self):
+        page, begun = self.visit.page, self.begun
+        self.ended = page.evaluate("performance.now()")
+        seen = page.evaluate("seen")
+        later = lambda times: [t for t in times if t >= begun]
+        self.moves = [t for t, kind in seen["pointer"] if kind == "pointermove" and t >= begun]
+        self.releases = [t for t, kind in seen["pointer"] if kind == "pointerup" and t >= begun]
+        self.ticks, self.drawn, self.sent, self.received = (later(seen[name]) for name in ("ticks", "drawn", "sent", "received"))
+        self.work = {name: [took for t, took in times if t >= begun] for name, times in seen["work"].items()}
+        self.behind, self.plan = (self.spans(seen[name]) for name in ("behind", "plan"))
+        entries = page.evaluate("performance.getEntriesByType('resource').map((e) => [e.startTime, e.responseEnd, e.name])")
+        self.requests = [(a, b or self.ended, name.split("?")[0].rsplit("/", 1)[-1][:8]) for a, b, name in entries if a >= begun and "/sessions/" in name]
+        return self
+
+    def spans(self, changes):
+        ends = [t for t, _ in changes[1:]] + [self.ended]
+        return [(max(t, self.begun), end, words) for (t, words), end in zip(changes, ends) if end > self.begun and words]
+
+    def told(self, name):
+        gaps = [b - a for a, b in zip(self.drawn, self.drawn[1:])]
+        first = self.drawn[0] - self.moves[0] if self.drawn and self.moves else math.nan
+        middle = {name: statistics.median(times) if times else math.nan for name, times in self.work.items()}
+        print(
+            f"{name}: {len(self.drawn) / SECONDS:.0f} frames/s, first after {first:.0f} ms, longest gap {max(gaps, default=math.nan):.0f} ms, "
+            f"{len(self.moves) / SECONDS:.0f} movements/s; JavaScript: pose {middle['pose']:.1f} ms, draw {middle['draw']:.1f} ms"
+        )
+
+    def picture(self, path, title):
+        """The timeline: a row for each kind of event, a second is 320 px wide."""
+        across = lambda t: 150 + 0.32 * (t - self.begun)
+        # Requests that overlap are below each other.
+        lanes = []
+        for request in sorted(self.requests):
+            lane = next((lane for lane in lanes if lane[-1][1] <= request[0]), None)
+            lanes.append([request]) if lane is None else lane.append(request)
+        rows = [("pointer", self.moves, "#888888"), ("frames drawn", self.drawn, "#1b7f3b")]
+        rows += [("poses sent", self.sent, "#7a4fbf"), ("meshes received", self.received, "#b3560f")]
+        rows += [("requests" if k == 0 else "", lane, "#2b6cb0") for k, lane in enumerate(lanes)]
+        rows += [("coefficients", self.plan, "#94c9a4"), ("the page says", self.behind, "#d9534f")]
+        image = Image.new("RGB", (int(across(self.ended)) + 30, 60 + 28 * len(rows)), "white")
+        draw = ImageDraw.Draw(image)
+        draw.text((8, 6), title, fill="black")
+        for second in range(int((self.ended - self.begun) // 500) + 1):
+            x = across(self.begun + 500 * second)
+            draw.line((x, 26, x, image.height - 6), fill="#dddddd")
+            draw.text((x + 2, 24), f"{second / 2:g} s", fill="#666666")
+        for k, (name, events, colour) in enumerate(rows):
+            top = 44 + 28 * k
+            draw.text((8, top + 4), name, fill="black")
+            for event in events:
+                if isinstance(event, tuple):
+                    begin, end, words = event
+                    draw.rectangle((across(begin), top, max(across(end), across(begin) + 1), top + 18), fill=colour, outline="white")
+                    draw.text((across(begin) + 3, top + 4), words, fill="black" if colour == "#94c9a4" else "white")
+                else:
+                    draw.line((across(event), top, across(event), top + 18), fill=colour)
+        image.save(path)
+
+
+def drag(visit, start, during=lambda share: None, seconds=SECONDS):
+    """Moves a handle on a circle, without a release."""
+    x, y = visit.at(*start)
+    radius = 25 * float(visit["zoom"])
+    visit.page.mouse.move(x, y)
     visit.page.mouse.down()
-    visit.page.evaluate(WATCH)
+    recording = Recording(visit)
     begun = time.monotonic()
-    while (share := (time.monotonic() - begun) / SECONDS) < 1:
+    while (share := (time.monotonic() - begun) / seconds) < 1:
         angle = 4 * math.pi * share
-        visit.page.mouse.move(*visit.at(start[0] + 25 * math.sin(angle), start[1] + 25 - 25 * math.cos(angle)))
+        visit.page.mouse.move(x + radius * math.sin(angle), y + radius - radius * math.cos(angle))
         during(share)
-    return visit.page.evaluate("window.seen")
+    return recording.end()
 
 
-def told(name, seen):
-    gaps = [b - a for a, b in zip(seen["poses"], seen["poses"][1:])]
-    longest = max(gaps, default=float("nan"))
-    print(f"{name}: {len(seen['poses']) / SECONDS:.0f} frames/s, first after {seen['reaction'] or float('nan'):.0f} ms, longest gap {longest:.0f} ms")
+def opened(browser, link, query, window):
+    visit = Visit(browser, link, query=query, expects=(SOCKET, *BROKEN), viewport=window)
+    visit.page.add_init_script(RECORD)
+    visit.page.reload()
+    visit.body("[data-webgl]")
+    return visit.sample("cat")
+
+
+def without_the_server(visit, server, name):
+    """The server is killed after a third of a drag, and starts again after two thirds."""
+    alive = [True]
+
+    def end(share):
+        if alive[0] and 1 / 3 < share < 2 / 3:
+            alive[0] = bool(server.kill())
+            visit.keep(f"page-link-{name}-killed")
+        elif not alive[0] and share > 2 / 3:
+            server.start()
+            alive[0] = True
+
+    recording = drag(visit, visit.posed(0), end, 2 * SECONDS)
+    said = [words for *_, words in recording.behind]
+    recording.told(f"  the server is killed and starts again, {2 * SECONDS} s (frames/s: half of the figure)")
+    print(f"  the page says: {said or 'nothing'}")
+    recording.picture(KEPT / f"page-link-{name}-killed-timeline.png", f"{name}: the server is killed after 2 s and starts again after 4 s")
+    visit.page.mouse.up()
+    visit.ready()
 
 
 def main():
     mbit, ms = sys.argv[1:3] if len(sys.argv) > 2 else ("5", "75")
-    server = Server()
-    relay = subprocess.Popen([LINK, f"127.0.0.1:{server.port}", mbit, ms], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    far = SimpleNamespace(address=f"http://127.0.0.1:{relay.stdout.readline().strip()}", ask=server.ask)
-    print(f"{mbit} Mbit/s, {ms} ms each way")
+    window = dict(zip(("width", "height"), map(int, sys.argv[3:5]))) or {"width": 1280, "height": 800}
+    store = tempfile.TemporaryDirectory()
+    server = Server("--store", f"file:{store.name}/store")
+    link = Link(server, mbit, ms)
+    print(f"{mbit} Mbit/s, {ms} ms each way, a window of {window['width']} x {window['height']}")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, "--disable-gpu-rasterization"])
         for query in ("?plan=off", ""):
-            visit = Visit(browser, far, query=query, expects=(SOCKET, "404", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "ERR_CONNECTION_REFUSED"))
-            visit.sample("cat")
-            handle = visit.posed(0)
-            told(f"handles {visit['handles']}, lattice {visit['plan'] or 'off'}", drag(visit, handle))
-            visit.keep(f"page-link{'-plan' if not query else ''}")
+            name = "socket" if query else "plan"
+            visit = opened(browser, link, query, window)
+            still = Recording(visit)
+            visit.page.wait_for_timeout(1000)
+            ticks = still.end().ticks
+            print(f"{name}: display frames at rest {statistics.median(b - a for a, b in zip(ticks, ticks[1:])):.1f} ms apart")
+            recording = drag(visit, visit.posed(0))
+            recording.told(f"  handles {visit['handles']}, lattice {visit['plan'] or 'off'}")
+            recording.picture(KEPT / f"page-link-{name}-timeline.png", f"{name}: a drag at {mbit} Mbit/s, {ms} ms each way")
+            visit.keep(f"page-link-{name}")
             visit.page.mouse.up()
             visit.ready()
-            if query:
-                visit.close()
-                continue
-            visit.page.evaluate(WATCH)
-            clicked = visit.page.evaluate("performance.now()")
-            visit.click(30, 30)
-            visit.body(f"[data-plan]:not([data-plan=''])[data-handles='{int(visit['handles'])}']")
-            visit.page.wait_for_timeout(1500)
-            plans = visit.page.evaluate("window.seen.plans")
-            print(f"a new handle: coefficients after {plans[0] - clicked:.0f} ms" if plans else "a new handle: no coefficients")
-            visit.ready()
-
-            def end(share):
-                if share > 0.5 and server.process.poll() is None:
-                    server.process.kill()
-                    server.process.wait()
-
-            told("the server ends in the middle", drag(visit, visit.posed(0), end))
-            print(f"the page says: {visit.text('behind') or 'nothing'}")
-            visit.keep("page-link-without-a-server")
+            if not query:
+                columns, rows = (int(c) for c in visit["plan"].split(","))
+                found, residual, _ = distances(visit, columns, rows, visit.warp()["q"])
+                print(f"  distance from the server's: median {found[len(found) // 2]:.2f}, largest {found[-1]:.2f}, residual {residual:.2f} px")
+                recording = Recording(visit)
+                visit.click(30, 30)
+                visit.body(f"[data-handles='{int(visit['handles'])}']")
+                visit.page.wait_for_timeout(1500)
+                recording.end()
+                times = [begin - recording.releases[0] for begin, *_ in recording.plan if begin > recording.releases[0]]
+                print(f"  a new handle is posed without requests after {times[0]:.0f} ms" if times else "  a new handle: no coefficients")
+                recording.picture(KEPT / "page-link-new-handle-timeline.png", f"a new handle at {mbit} Mbit/s, {ms} ms each way")
+                visit.ready()
+            without_the_server(visit, server, name)
             visit.close()
         browser.close()
-    relay.kill()
-    server.kill()
-    print(f"screenshots: {KEPT.relative_to(ROOT)}/page-link*.png")
+    link.close()
+    server.stop()
+    store.cleanup()
+    print(f"pictures: {KEPT.relative_to(ROOT)}/page-link-*.png")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from links import distances
 from support import BLUE, GREEN, RED, SOCKET, Server, near
 
 @pytest.fixture
@@ -57,6 +58,26 @@ def test_a_drag_asks_the_server_for_nothing(visit, picture):
     assert visit.saved("download")[1] == visit.of_server().body
 
 
+def test_the_page_shows_how_far_the_drawing_is_from_the_handles(visit, picture):
+    pinned(visit, picture)
+    # Not at a vertex of the lattice, unlike the others.
+    visit.click(113, 153)
+    visit.body("[data-handles='4']").ready()
+    visit.body("[data-plan]:not([data-plan=''])")
+    with visit.without_pictures():
+        visit.press((113, 153), (150, 140))
+        visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
+        columns, rows = (int(c) for c in visit["plan"].split(","))
+        shown = visit["residual"]
+        assert 0 < float(shown) < 4 and visit.page.text_content("#timing-residual") == f"{shown} px"
+        visit.page.mouse.up()
+    visit.ready()
+    assert visit["residual"] == f"{float(visit.of_server().getheader('Warp-Residual')):.2f}"
+    # The same by the places of the handles alone.
+    _, residual, at_handles = distances(visit, columns, rows, visit.warp()["q"])
+    assert shown == f"{residual:.2f}" and abs(residual - at_handles) < 0.01
+
+
 def test_what_is_drawn_is_the_mesh_of_the_server(visit, picture):
     """Points, a line, a twist, and each family."""
     pinned(visit, picture)
@@ -77,6 +98,22 @@ def test_what_is_drawn_is_the_mesh_of_the_server(visit, picture):
         exact = json.loads(answer.body)["points"]
         worst = max(abs(a - b) for k, point in enumerate(exact) for a, b in zip(point, places[2 * k : 2 * k + 2]))
         assert worst < 0.1, (method, worst)
+
+
+@pytest.mark.parametrize("name", ["cat", "portrait", "horse", "rocket"])
+def test_what_is_drawn_is_near_the_picture_of_the_server(visit, name):
+    """Half a pixel at 95 of 100 places, 4 px at worst."""
+    visit.sample(name)
+    visit.body("[data-plan]:not([data-plan=''])")
+    q = visit.warp()["q"]
+    columns, rows = (int(c) for c in visit["plan"].split(","))
+    # With 1,000 vertices, the worst place of two of these is 7 px off.
+    for lattice in ((50, 50), (columns, rows)):
+        found, residual, at_handles = distances(visit, *lattice, q)
+        figures = found[len(found) // 2], found[len(found) * 95 // 100], found[-1], residual
+        assert figures[1] <= 0.5 and figures[2] <= 4, (lattice, figures)
+        # It is measured at the handles only, and along lines.
+        assert at_handles - 0.01 <= residual <= figures[2] + 0.05, (lattice, figures, at_handles)
 
 
 def test_new_handles_have_new_coefficients(visit, picture):
