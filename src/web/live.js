@@ -3,6 +3,7 @@
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
+import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
 const TRIES = 3;
@@ -20,6 +21,7 @@ export class Live {
   #open = false;
   #opened = 0;
   #grid = null;
+  #lattice = null; // of the compact meshes of the socket
   #seq = 0;
   #revisions = new Map(); // socket seq to document revision
   #waiting = null; // the newest pose that has not been sent
@@ -30,7 +32,7 @@ export class Live {
   #lost = false; // the open socket has closed by itself
 
   /**
-   * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
+   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report), frame(blob, revision, report), problem(problem, revision),
    * way().
    */
   constructor(kind, allowSocket, told) {
@@ -102,7 +104,7 @@ export class Live {
 
   #connect() {
     if (!this.allowSocket || this.#failures >= TRIES) return this.told.way();
-    const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "" : "&width=auto"}`;
+    const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "&mesh=compact" : "&width=auto"}`;
     const socket = new WebSocket(api.socketAddress(this.#id, query), keyProtocols());
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
@@ -145,7 +147,7 @@ export class Live {
   }
 
   #text(message) {
-    if (message.columns) this.#grid = message;
+    if (message.columns) this.#lattice = message;
     else if (message.code) {
       this.#answered();
       this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
@@ -160,7 +162,7 @@ export class Live {
     const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
     const shown = () => this.#socket?.readyState === WebSocket.OPEN && this.#socket.send(JSON.stringify({ ack: seq }));
     if (revision === undefined) return shown();
-    if (this.kind === "mesh") this.told.mesh(api.floats(bytes, 8), this.#grid, revision, report, shown);
+    if (this.kind === "mesh") this.told.mesh(Mesh.ofCompact(this.#lattice, bytes), true, revision, report, shown);
     else this.told.frame(new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }), revision, report, shown);
     this.#flush();
   }
@@ -189,7 +191,7 @@ export class Live {
       const body = { q, seq: this.nextSeq() };
       if (this.kind === "mesh") {
         const { places, report } = await api.mesh(this.#id, body, asking.signal);
-        if (!asking.signal.aborted) this.told.mesh(places, this.#grid, revision, report, () => {});
+        if (!asking.signal.aborted) this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
       } else {
         const output = { width: Math.min(1024, this.#grid.width) };
         const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);
