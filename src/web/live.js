@@ -3,6 +3,7 @@
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
+import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
 const TRIES = 3;
@@ -24,6 +25,7 @@ export class Live {
   #open = false;
   #opened = 0;
   #grid = null;
+  #lattice = null; // of the compact meshes of the socket
   #seq = 0;
   #revisions = new Map(); // socket seq to document revision
   #unanswered = new Map(); // socket seq to the time when it was sent, oldest first
@@ -37,7 +39,7 @@ export class Live {
   #reopening = 0;
 
   /**
-   * `kind`: mesh or png. `told`: callbacks mesh(places, grid, revision, report), frame(blob, revision, report), problem(problem, revision),
+   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report), frame(blob, revision, report), problem(problem, revision),
    * way().
    */
   constructor(kind, allowSocket, told) {
@@ -111,7 +113,7 @@ export class Live {
   /** `again`: whatever the failures, because the socket was open before. */
   #connect(again = false) {
     if (!this.allowSocket || (this.#failures >= TRIES && !again)) return this.told.way();
-    const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "" : "&width=auto"}`;
+    const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "&mesh=compact" : "&width=auto"}`;
     const socket = new WebSocket(api.socketAddress(this.#id, query), keyProtocols());
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
@@ -173,7 +175,7 @@ export class Live {
   }
 
   #text(message) {
-    if (message.columns) this.#grid = message;
+    if (message.columns) this.#lattice = message;
     else if (message.code) {
       this.#answered();
       this.#trip(message.seq ?? this.#seq);
@@ -191,7 +193,7 @@ export class Live {
     const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
     const shown = () => this.#socket?.readyState === WebSocket.OPEN && this.#socket.send(JSON.stringify({ ack: seq }));
     if (revision === undefined) return shown();
-    if (this.kind === "mesh") this.told.mesh(api.floats(bytes, 8), this.#grid, revision, report, shown);
+    if (this.kind === "mesh") this.told.mesh(Mesh.ofCompact(this.#lattice, bytes), true, revision, report, shown);
     else this.told.frame(new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }), revision, report, shown);
     this.#flush();
   }
@@ -222,7 +224,7 @@ export class Live {
       if (this.kind === "mesh") {
         const { places, report } = await api.mesh(this.#id, body, asking.signal);
         this.found();
-        if (!asking.signal.aborted) this.told.mesh(places, this.#grid, revision, report, () => {});
+        if (!asking.signal.aborted) this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
       } else {
         const output = { width: Math.min(1024, this.#grid.width) };
         const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);

@@ -19,6 +19,14 @@ export class Mesh {
     return mesh;
   }
 
+  /** A compact frame of the drag socket: `seq`, the scale of the displacements, and those of each vertex as 16-bit integers. */
+  static ofCompact(grid, frame) {
+    const data = new DataView(frame);
+    const scale = data.getFloat32(8, true);
+    const { places } = Mesh.atRest(grid);
+    return new Mesh(grid, places.map((at, k) => at + scale * data.getInt16(12 + 2 * k, true)));
+  }
+
   /** The mesh between this one (share 0) and another one of the same grid (share 1). */
   towards(other, share) {
     return new Mesh(this.grid, this.places.map((c, k) => c + share * (other.places[k] - c)));

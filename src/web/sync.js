@@ -60,7 +60,7 @@ export class Sync {
     this.view = view;
     this.allowPlan = allowPlan && view.webgl !== "none";
     this.live = new Live(view.webgl === "none" ? "png" : "mesh", allowSocket, {
-      mesh: (places, grid, revision, report, done) => this.#liveMesh(new Mesh(grid, places), revision, report, done),
+      mesh: (mesh, isCompact, revision, report, done) => this.#liveMesh(mesh, isCompact, revision, report, done),
       frame: (blob, revision, report, done) => this.#liveFrame(blob, revision, report, done),
       problem: (problem, revision) => this.#liveProblem(problem, revision),
       way: () => this.#tell(),
@@ -319,9 +319,10 @@ export class Sync {
     return this.shown.revision !== null && revision < this.shown.revision;
   }
 
-  #liveMesh(mesh, revision, report, done) {
+  #liveMesh(mesh, isCompact, revision, report, done) {
     if (this.#overtaken(revision) || this.#settled === revision) return done();
-    this.#takeMesh(mesh, revision);
+    // At rest the full mesh is requested.
+    this.#takeMesh(mesh, isCompact ? -1 : revision);
     this.view.showMesh(mesh, done);
     this.#show(revision, "mesh", { folds: this.view.folds, ...figures(report ?? this.shown.report), rate: this.#rate() });
   }

@@ -53,10 +53,13 @@ def test_frames_come_by_the_socket_as_meshes(visits, picture):
     assert (visit["live"], visit["webgl"]) == ("socket", "webgl2")
     moving, resting = follows(visit, "mesh")
     assert resting.differs(moving) < 0.02 * resting.image.width * resting.image.height
-    assert all(f"/sessions/{visit['session']}/drag?" in url and "frames=mesh" in url for url in sockets)
-    session = json.loads(visit.server.ask("GET", f"/sessions/{visit['session']}").body)
+    assert all(f"/sessions/{visit['session']}/drag?" in url and "frames=mesh" in url and "mesh=compact" in url for url in sockets)
+    grids = [grid for grid in (json.loads(frame) for frame in frames if isinstance(frame, str)) if "columns" in grid]
     binary = [frame for frame in frames if isinstance(frame, bytes)]
-    assert binary and len(binary[-1]) == 8 + 8 * session["grid"]["columns"] * session["grid"]["rows"]
+    assert binary and len(binary[-1]) == 12 + 4 * grids[-1]["columns"] * grids[-1]["rows"]
+    assert grids[-1]["mesh"] == "compact" and grids[-1]["error"] <= grids[-1]["tolerance"] == 0.5
+    reports = [report for report in (json.loads(frame) for frame in frames if isinstance(frame, str)) if "error" in report and "seq" in report]
+    assert reports and all(report["error"] < 1 for report in reports)
     # Every frame is acknowledged, and the newest pose was sent.
     messages = [json.loads(message) for message in sent]
     acknowledged = [message["ack"] for message in messages if "ack" in message]

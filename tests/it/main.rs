@@ -9,6 +9,7 @@ mod binary;
 mod canvas;
 mod clients;
 mod coincident;
+mod compact;
 mod crash;
 mod decoders;
 mod decoding;

@@ -38,6 +38,16 @@ impl Grid {
         Self { width, height, cell_width: width / f64::from(columns - 1), cell_height: height / f64::from(rows - 1), columns, rows }
     }
 
+    /// Every n-th line, and the last one, along both axes; `step` is at least 1.
+    #[must_use]
+    pub fn thinned(&self, step: usize) -> Self {
+        let step = u32::try_from(step).unwrap_or(u32::MAX);
+        let lines = |lines: u32| 1 + (lines - 1).div_ceil(step);
+        let cell = |cell: f64| cell * f64::from(step);
+        let (columns, rows) = (lines(self.columns), lines(self.rows));
+        Self { cell_width: cell(self.cell_width), cell_height: cell(self.cell_height), columns, rows, ..*self }
+    }
+
     /// Number of cells of `cell` px that cover `length` px; saturates, so that callers can compare it with a limit.
     #[must_use]
     pub fn cells_along(length: f64, cell: f64) -> u32 {

@@ -6,6 +6,7 @@
 //! What is drawn is a [`Subject`]: a picture, labels or coverage. A [`CoordinateMap`] has the positions themselves.
 
 mod batch;
+mod compact;
 mod coordinate_map;
 mod digest;
 mod drawer;
@@ -29,6 +30,7 @@ mod tests;
 mod transform;
 
 pub use self::batch::{Easing, Jitter};
+pub use self::compact::CompactLattice;
 pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;

@@ -256,6 +256,12 @@ impl Setup {
         warnings
     }
 
+    /// The resolved grid.
+    #[must_use]
+    pub const fn lines(&self) -> &Grid {
+        &self.grid
+    }
+
     pub(super) const fn field(&self) -> &Arc<Field> {
         &self.field
     }

@@ -8,7 +8,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{OutputSpec, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{CompactLattice, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
@@ -52,29 +52,34 @@ impl AdmittedPlan {
 }
 
 /// The encoding of a mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum MeshForm {
     /// A JSON object.
     Json,
     /// Little-endian f32.
     Numbers,
+    /// 16-bit displacements on a part of the lines.
+    Compact(Arc<CompactLattice>),
 }
 
 impl MeshForm {
     /// Rejects a mesh that is too large for its encoding, before memory is reserved.
-    fn check_size(self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
+    fn check_size(&self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
         let vertices = u64::from(columns) * u64::from(rows);
-        if self == Self::Json && vertices > MAX_JSON_VERTICES {
+        if *self == Self::Json && vertices > MAX_JSON_VERTICES {
             let detail = format!("a mesh of {vertices} vertices is too large for JSON; send `Accept: application/octet-stream`");
             return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", MAX_JSON_VERTICES, vertices));
         }
         Ok(())
     }
 
-    fn write(self, posed: &Posed, shape: MeshShape, cancel: &Cancel) -> Result<Vec<u8>, WarpError> {
+    /// The mesh, and the error of a compact one.
+    fn write(&self, posed: &Posed, shape: MeshShape, cancel: &Cancel) -> Result<(Vec<u8>, Option<f64>), WarpError> {
+        let cancelled = || cancel.is_cancelled();
         match self {
-            Self::Json => json_unless(cancel, &MeshObject { shape, vertices: AsJson(posed) }, 0),
-            Self::Numbers => posed.numbers(&|| cancel.is_cancelled()),
+            Self::Json => Ok((json_unless(cancel, &MeshObject { shape, vertices: AsJson(posed) }, 0)?, None)),
+            Self::Numbers => Ok((posed.numbers(&cancelled)?, None)),
+            Self::Compact(lattice) => lattice.numbers(posed, &cancelled).map(|(bytes, error)| (bytes, Some(error))),
         }
     }
 }
@@ -90,6 +95,8 @@ pub struct PosedMesh {
     pub plan_built: bool,
     /// The vertices.
     pub body: Bytes,
+    /// The largest distance between a compact mesh and the full one, px.
+    pub error: Option<f64>,
 }
 
 impl App {
@@ -111,7 +118,7 @@ impl App {
     /// Errors: Unknown session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
     pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
-        let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, form)).await?;
+        let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
         let q = request.record.rest.posed_at(drag.strength, drag.q);
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
@@ -159,7 +166,7 @@ impl App {
     }
 
     /// The plan of a session for a mesh.
-    pub(crate) async fn admit_mesh(&self, client: Client, record: &Arc<Record>, form: MeshForm) -> Result<AdmittedPlan, Problem> {
+    pub(crate) async fn admit_mesh(&self, client: Client, record: &Arc<Record>, form: &MeshForm) -> Result<AdmittedPlan, Problem> {
         let setup = self.session_setup(client, record).await?;
         form.check_size(setup.grid())?;
         let ticket = self.admit_step(client, record, &setup, true).await?;
@@ -194,14 +201,26 @@ impl App {
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
-            let body = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
+            let (body, error) = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
             reservation.shrink_to(body.len() as u64);
             let body = reservation.attach(body);
             let canvas = canvas.of(extent, &posed);
             let report = posed.into_report(canvas, &is_cancelled)?;
-            Ok::<_, Problem>(PosedMesh { report, timing, plan_built: is_built, body })
+            Ok::<_, Problem>(PosedMesh { report, timing, plan_built: is_built, body, error })
         };
         self.0.pool.run(&ticket, pose).await?
+    }
+
+    /// Chooses the lattice of compact meshes.
+    pub(crate) async fn compact_lattice(&self, plan: &AdmittedPlan, tolerance: f64, quota: ClientQuota) -> Result<CompactLattice, Problem> {
+        let (setup, table) = (Arc::clone(&plan.planned.setup), Arc::clone(&plan.planned.plan));
+        let app = self.clone();
+        let choose = move |cancel: &Cancel| {
+            let choose = || CompactLattice::new(&setup, &table, tolerance, &|| cancel.is_cancelled());
+            let (lattice, _reservation) = app.reserve_and_pose(&setup, &quota, 0, choose)?;
+            Ok::<_, Problem>(lattice)
+        };
+        self.0.pool.run(&plan.ticket, choose).await?
     }
 
     /// Touches the session, and enters a numbered request into its sequence.

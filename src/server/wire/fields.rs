@@ -87,7 +87,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Fields and parts of the contract that this version does not support, each with one that stands beside it.
-const UNSUPPORTED: [(&str, &str); 2] = [("region", "q"), ("mesh", "frames")];
+const UNSUPPORTED: [(&str, &str); 1] = [("region", "q")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.
 pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {

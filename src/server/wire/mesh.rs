@@ -1,7 +1,8 @@
 //! The answer of `POST /sessions/{id}/mesh`: the posed grid.
 
+use mlswarp::geometry::Grid;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Posed, Setup};
+use mlswarp::warp::{CompactLattice, Posed, Setup};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -17,12 +18,34 @@ pub(crate) struct MeshShape {
     pub(crate) height: u32,
     /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the picture's edge.
     pub(crate) cell: [f64; 2],
+    #[serde(flatten)]
+    pub(crate) compact: Option<CompactShape>,
+}
+
+/// What a client learns of compact meshes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct CompactShape {
+    /// `compact`.
+    mesh: &'static str,
+    /// px.
+    tolerance: f64,
+    /// See [`CompactLattice::error`].
+    error: Option<f64>,
 }
 
 impl MeshShape {
     pub(crate) fn new(setup: &Setup, extent: Extent) -> Self {
-        let ((columns, rows), cell) = (setup.grid(), setup.cell());
-        Self { columns, rows, width: extent.width(), height: extent.height(), cell: cell.into() }
+        Self::of(setup.lines(), extent)
+    }
+
+    pub(crate) fn compact(lattice: &CompactLattice, extent: Extent) -> Self {
+        let compact = CompactShape { mesh: "compact", tolerance: lattice.tolerance(), error: lattice.error() };
+        Self { compact: Some(compact), ..Self::of(&lattice.lines(), extent) }
+    }
+
+    fn of(grid: &Grid, extent: Extent) -> Self {
+        let (columns, rows, cell) = (grid.columns(), grid.rows(), grid.cell());
+        Self { columns, rows, width: extent.width(), height: extent.height(), cell: cell.into(), compact: None }
     }
 }
 

@@ -161,6 +161,9 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) folds: u64,
     /// Largest distance between a posed handle and where it is drawn, px.
     pub(crate) residual: f64,
+    /// Largest distance between a compact mesh and the full one, px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) error: Option<f64>,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'a str>,
     /// Cells of the grid that are farther than its tolerance from the exact map; absent if there are none.

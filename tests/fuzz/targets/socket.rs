@@ -27,7 +27,11 @@ pub(super) fn talk(bytes: &[u8]) {
     let is_binary = wishes % 128 >= 64;
     let picture = if wishes % 32 < 16 { Form::Auto } else { Form::Picture(None) };
     let wishes = DragOptions {
-        form: if wishes % 2 == 0 { Form::Mesh } else { picture },
+        form: match wishes % 32 {
+            n if n % 2 == 1 => picture,
+            n if n < 16 => Form::Mesh,
+            n => Form::CompactMesh(f64::from(n) / 8.0),
+        },
         width: if wishes % 4 < 2 { PreviewWidth::Auto } else { PreviewWidth::Fixed(1 + u32::from(*wishes)) },
         report: wishes % 8 < 4,
         window: if wishes % 64 < 32 { Window::Auto } else { Window::Fixed(8) },

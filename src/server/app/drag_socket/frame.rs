@@ -6,15 +6,17 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
-use mlswarp::warp::{CanvasSpec, OutputSpec, Report, Target};
+use mlswarp::warp::{CanvasSpec, CompactLattice, OutputSpec, Report, Target};
 use tokio::sync::Semaphore;
 
+use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
 use crate::app::session_warp::{AdmittedPlan, MeshForm, PosedMesh};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
+use crate::limits::client_quota::ClientQuota;
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -24,7 +26,7 @@ use crate::store::Record;
 use crate::wire::{AsJson, FrameReport, FrameTiming, MeshShape, UnreadHandles};
 
 /// The content of frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Form {
     /// Files of this format, or of the session's format.
     Picture(Option<Format>),
@@ -32,7 +34,19 @@ pub enum Form {
     Auto,
     /// Little-endian f32.
     Mesh,
+    /// 16-bit displacements, on a lattice that suits this tolerance, px.
+    CompactMesh(f64),
 }
+
+impl Form {
+    /// Whether frames are meshes, not images.
+    pub const fn is_mesh(self) -> bool {
+        matches!(self, Self::Mesh | Self::CompactMesh(_))
+    }
+}
+
+/// The lattice of compact meshes, and the record that it was chosen for.
+pub(super) type KnownLattice = Option<(Arc<Record>, Arc<CompactLattice>)>;
 
 /// A frame with its report.
 #[derive(Debug)]
@@ -43,6 +57,8 @@ pub(crate) struct Frame {
     pub(crate) record: Arc<Record>,
     /// The shape of its grid.
     pub(crate) shape: MeshShape,
+    /// The lattice of a compact mesh.
+    pub(crate) lattice: Option<Arc<CompactLattice>>,
     /// The file or the mesh, in order.
     pub(crate) pieces: Vec<Bytes>,
     /// The report as JSON.
@@ -75,16 +91,16 @@ fn output(record: &Record, format: Option<Format>, request: &FrameRequest) -> (O
     }
 }
 
-/// Draws a frame. Dropping the future stops the work at the next strip.
+/// Draws a frame; `known`: the lattice of the newest one. Dropping the future stops the work at the next strip.
 pub(crate) async fn draw_frame(
     app: App,
     client: Client,
     id: SessionId,
     frames: Arc<Semaphore>,
-    form: Form,
+    (form, known): (Form, KnownLattice),
     request: FrameRequest,
 ) -> Result<Frame, Problem> {
-    let frame = try_draw_frame(app, client, id, frames, form, request).await;
+    let frame = try_draw_frame(app, client, id, frames, (form, known), request).await;
     if let Err(problem) = &frame {
         Scope::current().set_error(problem.code);
     }
@@ -96,7 +112,7 @@ async fn try_draw_frame(
     client: Client,
     id: SessionId,
     frames: Arc<Semaphore>,
-    form: Form,
+    (form, known): (Form, KnownLattice),
     request: FrameRequest,
 ) -> Result<Frame, Problem> {
     let permit = frames.acquire_owned().await.expect("the semaphore is never closed");
@@ -119,20 +135,37 @@ async fn try_draw_frame(
             let quality = (format == Format::Jpeg).then_some(output.quality);
             let (pieces, cost) = collect(picture).await?;
             let file = (format.media_type().trim_start_matches("image/"), quality);
-            let report = report_json(seq, target, preview.is_none(), file, &report, timing, cost);
-            Ok(Frame { seq, record, shape, pieces, report })
+            let report = report_json(seq, target, preview.is_none(), file, (&report, None), timing, cost);
+            Ok(Frame { seq, record, shape, lattice: None, pieces, report })
         }
-        Form::Mesh => {
-            let plan = app.admit_mesh(client, &record, MeshForm::Numbers).await?;
+        Form::Mesh | Form::CompactMesh(_) => {
+            let plan = app.admit_mesh(client, &record, &MeshForm::Numbers).await?;
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
-            let shape = plan.shape(record.extent);
-            let PosedMesh { report, timing, body, .. } = app.pose_mesh(plan, q, &record, MeshForm::Numbers, quota).await?;
+            let (shape, lattice) = mesh_shape(&app, &plan, (form, known), &record, &quota).await?;
+            let numbers = lattice.clone().map_or(MeshForm::Numbers, MeshForm::Compact);
+            let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, numbers, quota).await?;
             let target = Target { canvas: None, extent: record.extent, force_alpha: false };
-            let report = report_json(seq, target, true, ("mesh", None), &report, timing, Cost::default());
-            Ok(Frame { seq, record, shape, pieces: vec![body], report })
+            let report = report_json(seq, target, true, ("mesh", None), (&report, error), timing, Cost::default());
+            Ok(Frame { seq, record, shape, lattice, pieces: vec![body], report })
         }
     }
+}
+
+/// The shape of a mesh, and its lattice if it is compact: the known one unless the handles at rest have changed.
+pub(super) async fn mesh_shape(
+    app: &App,
+    plan: &AdmittedPlan,
+    (form, known): (Form, KnownLattice),
+    record: &Arc<Record>,
+    quota: &ClientQuota,
+) -> Result<(MeshShape, Option<Arc<CompactLattice>>), Problem> {
+    let Form::CompactMesh(tolerance) = form else { return Ok((plan.shape(record.extent), None)) };
+    let lattice = match known {
+        Some((known, lattice)) if same(&known, record) => lattice,
+        _ => Arc::new(app.compact_lattice(plan, tolerance, quota.clone()).await?),
+    };
+    Ok((MeshShape::compact(&lattice, record.extent), Some(lattice)))
 }
 
 /// Size of text up to which parsing is faster than waking a compute thread, bytes.
@@ -167,13 +200,13 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     }
 }
 
-/// `file`: its format, and the quality of a JPEG.
+/// `file`: its format, and the quality of a JPEG; `error`: of a compact mesh.
 fn report_json(
     seq: u64,
     target: Target,
     full: bool,
     file: (&'static str, Option<u8>),
-    report: &Report,
+    (report, error): (&Report, Option<f64>),
     timing: Timing,
     cost: Cost,
 ) -> String {
@@ -186,6 +219,7 @@ fn report_json(
     let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
     let canvas = target.canvas.map(AsJson);
     let (format, quality) = file;
-    let report = FrameReport { seq, width, height, canvas, full, format, quality, folds, residual, warnings, exceeded, coincident, timing };
+    let report =
+        FrameReport { seq, width, height, canvas, full, format, quality, folds, residual, error, warnings, exceeded, coincident, timing };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

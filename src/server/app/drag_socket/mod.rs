@@ -11,8 +11,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
+use mlswarp::warp::CompactLattice;
 
 use super::App;
+use super::session_warp::MeshForm;
 use super::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
@@ -27,7 +29,7 @@ use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{BadMessage, DragMessage, MeshShape};
 pub use frame::Form;
-use frame::{Frame, draw_frame, full_width};
+use frame::{Frame, draw_frame, full_width, mesh_shape};
 
 /// The width of previews.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +41,7 @@ pub enum PreviewWidth {
 }
 
 /// The options of a drag socket.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DragOptions {
     /// The content of frames.
     pub form: Form,
@@ -77,6 +79,8 @@ pub struct Drag {
     newest: Option<u64>,
     /// The record of the newest frame.
     record: Arc<Record>,
+    /// Of compact meshes of that record.
+    lattice: Option<Arc<CompactLattice>>,
     /// The record whose shape the client knows.
     announced: Arc<Record>,
     outgoing: VecDeque<Outgoing>,
@@ -99,8 +103,12 @@ impl App {
         self.require_running()?;
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
-        let setup = self.session_setup(client, &record).await?;
-        let shape = shape_message(&MeshShape::new(&setup, record.extent));
+        let (shape, lattice) = if let Form::CompactMesh(_) = options.form {
+            let plan = self.admit_mesh(client, &record, &MeshForm::Numbers).await?;
+            mesh_shape(self, &plan, (options.form, None), &record, &self.response_quota(client)).await?
+        } else {
+            (MeshShape::new(&*self.session_setup(client, &record).await?, record.extent), None)
+        };
         Ok(Drag {
             app: self.clone(),
             id,
@@ -109,9 +117,10 @@ impl App {
             options,
             drawing: None,
             newest: None,
+            lattice,
             record: Arc::clone(&record),
             announced: record,
-            outgoing: VecDeque::from([shape]),
+            outgoing: VecDeque::from([shape_message(&shape)]),
             is_over: false,
             slot,
             _reservation: reservation,
@@ -135,7 +144,7 @@ fn size(record: &Record) -> (u32, u32) {
 
 fn previews(options: DragOptions, record: &Record) -> PreviewController {
     match (options.form, options.width) {
-        (Form::Mesh, _) => PreviewController::fixed(MESH),
+        (Form::Mesh | Form::CompactMesh(_), _) => PreviewController::fixed(MESH),
         (Form::Auto, _) => PreviewController::fixed(size(record).0),
         (Form::Picture(_), PreviewWidth::Auto) => PreviewController::adaptive(size(record)),
         (Form::Picture(_), PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
@@ -152,7 +161,7 @@ fn pictures(options: DragOptions, record: &Record) -> Option<PictureLadder> {
 
 fn full(options: DragOptions, record: &Record) -> u32 {
     // Unless the full width is known, every picture is a preview.
-    if options.form == Form::Mesh { MESH } else { full_width(record).unwrap_or(u32::MAX) }
+    if options.form.is_mesh() { MESH } else { full_width(record).unwrap_or(u32::MAX) }
 }
 
 impl Drag {
@@ -205,7 +214,9 @@ impl Drag {
             match self.scheduler.next(now) {
                 Step::Draw(request) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let drawing = draw_frame(self.app.clone(), self.client, self.id, self.slot.frames.clone(), self.options.form, request);
+                    let known = self.lattice.clone().map(|lattice| (Arc::clone(&self.record), lattice));
+                    let (frames, form) = (self.slot.frames.clone(), (self.options.form, known));
+                    let drawing = draw_frame(self.app.clone(), self.client, self.id, frames, form, request);
                     self.drawing = Some(Box::pin(scope.wrap(drawing)));
                 }
                 Step::Cancel => self.drawing = None,
@@ -239,6 +250,7 @@ impl Drag {
             Ok(frame) => {
                 if !same(&self.record, &frame.record) {
                     self.record = Arc::clone(&frame.record);
+                    self.lattice.clone_from(&frame.lattice);
                     let (options, record) = (self.options, &*self.record);
                     self.scheduler.resize(previews(options, record), pictures(options, record), full(options, record));
                 }

@@ -11,11 +11,12 @@ use crate::http::{accept, response};
 use crate::problem::Problem;
 use crate::wire::DragObject;
 
-const FORMS: [(&str, MeshForm); 2] = [("application/json", MeshForm::Json), ("application/octet-stream", MeshForm::Numbers)];
+const FORMS: [&str; 2] = ["application/json", "application/octet-stream"];
 
 /// The posed grid as JSON, or as little-endian f32.
 pub(crate) async fn mesh(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let (media_type, form) = FORMS[accept::choose(request.headers(), FORMS.map(|(name, _)| name))?];
+    let chosen = accept::choose(request.headers(), FORMS)?;
+    let (media_type, form) = (FORMS[chosen], if chosen == 0 { MeshForm::Json } else { MeshForm::Numbers });
     let id = session_id(caller.client, &id)?;
     let (drag, _parsed) = read_drag(&caller, id, request, DragObject::parse_posed).await?;
     let mesh = caller.app.mesh_session(caller.client, id, drag, form).await?;

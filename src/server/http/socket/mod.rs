@@ -56,12 +56,37 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     Ok(response)
 }
 
-/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&width=auto|N&window=auto|N&report=true|false`. Unknown fields are rejected.
+/// The tolerances of compact meshes, px, and the default.
+const TOLERANCES: std::ops::RangeInclusive<f64> = 0.1..=16.0;
+const TOLERANCE: f64 = 0.5;
+
+/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`. Unknown fields are
+/// rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
-    let [frames, width, window, report] = query_fields(query, ["frames", "width", "window", "report"])?;
-    if let Some(value) = frames {
+    let [frames, mesh, tolerance, width, window, report] =
+        query_fields(query, ["frames", "mesh", "tolerance", "width", "window", "report"])?;
+    if let Some(value) = frames.or(mesh.and(Some("mesh"))) {
         options.form = form(value)?;
+    }
+    if let Some(value) = mesh {
+        options.form = match (options.form, value) {
+            (Form::Mesh, "f32") => Form::Mesh,
+            (Form::Mesh, "compact") => Form::CompactMesh(TOLERANCE),
+            (Form::Mesh, _) => return Err(bad_query_value("mesh", value, "`f32` or `compact`")),
+            _ => return Err(Problem::new(Code::BadValue, "these frames are no meshes: remove `mesh` or `frames` from the query")),
+        };
+    }
+    if let Some(value) = tolerance {
+        let Form::CompactMesh(tolerance) = &mut options.form else {
+            return Err(Problem::new(
+                Code::BadValue,
+                "only compact meshes have a tolerance: send `mesh=compact` with `tolerance` in the query",
+            ));
+        };
+        let read = value.parse().ok().filter(|px| TOLERANCES.contains(px));
+        let expected = || format!("a number of px, {} to {}", TOLERANCES.start(), TOLERANCES.end());
+        *tolerance = read.ok_or_else(|| bad_query_value("tolerance", value, &expected()))?;
     }
     if let Some(value) = width.filter(|value| *value != "auto") {
         let width = value.parse().ok().filter(|width| (1..=max_side).contains(width));
@@ -76,7 +101,7 @@ fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     if let Some(value) = report {
         options.report = query_bool("report", value)?;
     }
-    if options.form == Form::Mesh && options.width != PreviewWidth::Auto {
+    if options.form.is_mesh() && options.width != PreviewWidth::Auto {
         return Err(Problem::new(Code::BadValue, "a mesh has no width: remove `width` from the query"));
     }
     Ok(options)
@@ -206,7 +231,17 @@ mod tests {
         assert_eq!(read("window=8"), Ok(DragOptions { window: Window::Fixed(8), ..usual }));
         assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
         assert_eq!(read("frames=auto"), Ok(DragOptions { form: Form::Auto, ..usual }));
-        assert_eq!(read("frames=mesh"), Ok(DragOptions { form: Form::Mesh, ..usual }));
+        for (query, form) in [
+            ("frames=mesh", Form::Mesh),
+            ("mesh=f32", Form::Mesh),
+            ("frames=mesh&mesh=f32", Form::Mesh),
+            ("mesh=compact", Form::CompactMesh(0.5)),
+            ("frames=mesh&mesh=compact&tolerance=2", Form::CompactMesh(2.0)),
+            ("tolerance=0.1&frames=mesh&mesh=compact", Form::CompactMesh(0.1)),
+            ("mesh=compact&tolerance=1.6e1", Form::CompactMesh(16.0)),
+        ] {
+            assert_eq!(read(query), Ok(DragOptions { form, ..usual }), "{query}");
+        }
         for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP), ("tiff", Format::Tiff)] {
             assert_eq!(read(&format!("frames={name}")), Ok(DragOptions { form: Form::Picture(Some(format)), ..usual }));
         }
@@ -217,6 +252,20 @@ mod tests {
             ("width=16385", Code::BadValue),
             ("width=-1", Code::BadValue),
             ("frames=mesh&width=100", Code::BadValue),
+            ("mesh=compact&width=100", Code::BadValue),
+            ("frames=png&mesh=compact", Code::BadValue),
+            ("frames=auto&mesh=f32", Code::BadValue),
+            ("mesh=f16", Code::BadValue),
+            ("frames=mesh&mesh", Code::BadValue),
+            ("tolerance=1", Code::BadValue),
+            ("frames=mesh&tolerance=1", Code::BadValue),
+            ("mesh=f32&tolerance=1", Code::BadValue),
+            ("mesh=compact&tolerance=0.09", Code::BadValue),
+            ("mesh=compact&tolerance=16.1", Code::BadValue),
+            ("mesh=compact&tolerance=NaN", Code::BadValue),
+            ("mesh=compact&tolerance=inf", Code::BadValue),
+            ("mesh=compact&tolerance=-1", Code::BadValue),
+            ("mesh=compact&tolerance=", Code::BadValue),
             ("report=yes", Code::BadValue),
             ("window=0", Code::BadValue),
             ("window=9", Code::BadValue),
