@@ -36,6 +36,7 @@ export class Live {
   #asking = null; // AbortController of the outstanding POST
   #report = null;
   #lost = false; // the open socket has closed by itself
+  #broken = false; // and it was not given up
   #reopening = 0;
 
   /**
@@ -59,7 +60,9 @@ export class Live {
 
   /** The server has responded to a request. */
   found() {
-    this.#lost = false;
+    // The socket may open again, whatever its failures meanwhile.
+    if (this.#broken) this.#failures = 0;
+    this.#lost = this.#broken = false;
   }
 
   /** `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers. */
@@ -84,7 +87,7 @@ export class Live {
     this.#id = null;
     this.#waiting = null;
     this.#answered();
-    this.#open = this.#lost = false;
+    this.#open = this.#lost = this.#broken = false;
     const socket = this.#socket;
     this.#socket = null;
     // Closing a socket that is not open yet would log an error.
@@ -120,7 +123,7 @@ export class Live {
     const current = (then) => (event) => socket === this.#socket && then(event);
     socket.onopen = current(() => {
       this.#open = true;
-      this.#lost = false;
+      this.#lost = this.#broken = false;
       this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
@@ -130,7 +133,10 @@ export class Live {
       this.#flush();
     });
     socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
-    socket.onclose = current(() => this.#closed(this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1));
+    socket.onclose = current(() => {
+      this.#broken ||= this.#open;
+      this.#closed(this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1);
+    });
   }
 
   /** Sends the unanswered pose again, by another transport if necessary. */

@@ -230,6 +230,7 @@ export class Sync {
     const { session } = this;
     if (session.borrowed) return this.#reopen(rest);
     session.rest = null; // unknown until the response arrives
+    this.#tell();
     const object = await api.putHandles(session.id, rest);
     if (this.session === session) this.#adopt(object, rest, session.region);
   }

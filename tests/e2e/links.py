@@ -38,8 +38,8 @@ class Link:
 
 
 # `wrong`: what the page may never show, by its own clock, however slow the machine is. `waits`: for each pose that the socket sends, how
-# long the oldest unanswered one had waited, beyond the quickest response so far. `unacknowledged`: most frames that the page had received and
-# not acknowledged.
+# long the oldest unanswered one had waited, beyond the quickest response so far. `unacknowledged`: most frames that the page had received
+# and not acknowledged.
 RECORD = """(() => {
   const seen = (window.seen = { wrong: [], waits: [], unacknowledged: 0, poses: 0 });
   window.WebSocket = class extends WebSocket {

@@ -154,6 +154,8 @@ def test_a_server_that_is_killed_and_starts_again(visits, picture, link, mortal,
     # The page finds it without being asked for anything.
     drag.move(5)
     visit.body("[data-behind='']")
+    drag.move(5)
+    visit.body("[data-live=socket]")
     drag.move(5).follows().end()
     assert visit["session"] == session
     assert json.loads(mortal.ask("GET", f"/sessions/{session}").body)["id"] == session
