@@ -36,7 +36,7 @@ static REFERENCE: LazyLock<Asset> =
     LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
-static EXAMPLES: LazyLock<[(&str, Asset); 34]> = LazyLock::new(|| {
+static EXAMPLES: LazyLock<[(&str, Asset); 36]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
         "examples/caricature.py" TEXT, "examples/caricature.js" JS,
@@ -48,6 +48,7 @@ static EXAMPLES: LazyLock<[(&str, Asset); 34]> = LazyLock::new(|| {
         "examples/output.sh" TEXT, "examples/output.py" TEXT, "examples/output.js" JS,
         "examples/points.sh" TEXT, "examples/points.py" TEXT, "examples/points.js" JS,
         "examples/session.sh" TEXT, "examples/session.py" TEXT, "examples/session.js" JS,
+        "examples/compact.py" TEXT, "examples/compact.js" JS,
         "examples/drag.py" TEXT, "examples/drag.js" JS,
         "examples/plan.py" TEXT, "examples/plan.js" JS,
         "examples/warp.sh" TEXT, "examples/warp.py" TEXT, "examples/warp.js" JS,
