@@ -1,5 +1,5 @@
-// Live poses during a drag: the newest wins, and one response is outstanding. Uses the drag socket, or POST if the socket does not open.
-// Responses are posed grids, or pictures without WebGL.
+// Live poses during a drag: the newest wins. By the drag socket, on which several poses may be unanswered, or by POST, one at a time, if the
+// socket does not open. Responses are posed grids, or pictures without WebGL.
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
@@ -13,7 +13,8 @@ const LIVED = 2000;
 const PATIENCE = 5000;
 /** Buffered bytes of the socket beyond which newer poses wait here. */
 const BACKLOG = 1 << 16;
-/** Time, ms, beyond that of the quickest response, after which newer poses wait here: the connection would only queue them. */
+/** A pose that is unanswered for this much longer than the quickest response took, ms, means that the connection queues: newer poses wait here.
+ * Before the first response, the quickest is assumed to take this long. */
 const QUEUE = 300;
 /** Time, ms, after which a socket that has closed by itself is opened again. */
 const AGAIN = 1000;
@@ -35,13 +36,13 @@ export class Live {
   #overdue = 0;
   #asking = null; // AbortController of the outstanding POST
   #report = null;
-  #lost = false; // the open socket has closed by itself
-  #broken = false; // and it was not given up
+  #lost = false; // an open socket was closed or given up, and nothing has been received since
+  #broken = false; // it was closed by the other side or the network
   #reopening = 0;
 
   /**
-   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report), frame(blob, revision, report), problem(problem, revision),
-   * way().
+   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report, done), frame(blob, revision, report, done),
+   * problem(problem, revision), way(). Call done() when a response is shown: it acknowledges the frame.
    */
   constructor(kind, allowSocket, told) {
     this.kind = kind;

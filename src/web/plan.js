@@ -11,7 +11,7 @@ const LARGEST = 2e6;
 const FINER = 400;
 /** The server has no table of larger splines. */
 const SPLINE = 64;
-/** Positions along a segment at which its residual is measured, as in the server. */
+/** Positions along a segment at which its residual is measured: `SEGMENT_SAMPLES` of src/engine/warp/quality.rs. */
 const SAMPLES = 5;
 
 const HEADER = 64;

@@ -11,7 +11,8 @@ import { maskFile, regionOf, sameRegion } from "./region.js";
 
 /** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
-/** Age of the shown pose, and time without the server's picture of a resting pose, ms, after which the page says that it is behind. */
+/** Age of the oldest pose that is newer than the shown one, and delay of the server's picture of a resting pose, ms, after which the page says
+ * that it is behind. */
 const LATE = 1000;
 const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
@@ -89,7 +90,8 @@ export class Sync {
     return this.#plans.of(this.session)?.grid ?? null;
   }
 
-  /** What is missing: `server` if it has stopped responding, `picture` if its newest one is late, otherwise empty. */
+  /** What is missing: `server` if it does not respond; `picture` if a pose has not been shown for a second or the server's picture is late;
+   * otherwise empty. */
   get behind() {
     const { phase, revision } = this.store.state;
     if (phase !== "open" || this.condition === "ready") return "";
@@ -322,7 +324,7 @@ export class Sync {
 
   #liveMesh(mesh, isCompact, revision, report, done) {
     if (this.#overtaken(revision) || this.#settled === revision) return done();
-    // At rest the full mesh is requested.
+    // -1: this mesh is only near that of the revision, so the full one is requested at rest.
     this.#takeMesh(mesh, isCompact ? -1 : revision);
     this.view.showMesh(mesh, done);
     this.#show(revision, "mesh", { folds: this.view.folds, ...figures(report ?? this.shown.report), rate: this.#rate() });

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """
 The page behind a slow link, in Chromium: frames drawn during a drag, the reaction to its first movement, the time until a new handle is
-posed without requests, the distance of the drawing from the server's picture, and a drag during which the server is killed and starts
+posed without requests, the distance of the drawing from the exact deformation, and a drag during which the server is killed and starts
 again.
 
     tests/e2e/run -k nothing                     # creates the environment
@@ -12,7 +12,7 @@ The link has MBIT Mbit/s (5) and MS ms each way (75); the window has WIDTH x HEI
 another pose was drawn. The pointer moves once in each display frame. Figures are printed with the
 coefficients and with `?plan=off`, where meshes come by the socket. JavaScript: the median time to pose and to draw.
 
-Without a graphics card, the browser draws with the CPU. Of 67 ms of CPU time per frame at 1280 x 800, 35 ms are the layers of the page,
+Without a graphics card, the browser draws with the CPU. Of 67 ms of CPU time per frame at 1280 x 800 (two virtual cores), 35 ms are the layers of the page,
 32 ms the mesh, and of these 13 ms depend on the size of the canvas; JavaScript takes 3 ms. At 640 x 480 the sum is 33 ms.
 Screenshots and pictures of the timelines are in tests/artefacts/e2e (page-link-*.png).
 """
@@ -236,7 +236,7 @@ def main():
                 columns, rows = (int(c) for c in visit["plan"].split(","))
                 found, residual, _ = distances(visit, columns, rows, visit.warp()["q"])
                 middle, largest = found[len(found) // 2], found[-1]
-                print(f"  distance from the server's: median {middle:.2f}, largest {largest:.2f}, residual {residual:.2f} px")
+                print(f"  distance from the exact deformation: median {middle:.2f}, largest {largest:.2f}, residual {residual:.2f} px")
             if not query:
                 # The seventh point.
                 visit.keys("Control+a", "Delete")

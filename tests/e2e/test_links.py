@@ -1,4 +1,5 @@
-"""The page over distant and poor links, with the server's coefficients and with the drag socket. Nothing here asserts speed."""
+"""The page over distant and poor links, with the server's coefficients and with the drag socket. Waiting times are asserted,
+frame rates are not."""
 
 import json
 

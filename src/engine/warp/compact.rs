@@ -1,5 +1,5 @@
-//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines depend on the rest handles alone: they are
-//! chosen by the error at reference poses, so that a client learns them once.
+//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines depend on the rest handles, the other settings
+//! of the warp, the image's size and the tolerance, not on the pose: a client learns them once.
 
 use super::posed::Posed;
 use super::{Plan, Setup, WarpError};

@@ -3,7 +3,8 @@
 //! | state | rule | reason |
 //! |---|---|---|
 //! | the connection has carried sixty PNG per second | PNG | no loss, and the fastest format to draw |
-//! | otherwise | JPEG of at most `budget` bytes: the widest that fits, or the narrowest; then the best quality | details need pixels |
+//! | otherwise | JPEG: the widest picture that fits in `budget` bytes at [`LEAST_QUALITY`], or the narrowest | details need pixels |
+//! | | of these, the best quality that fits; [`NARROWEST_QUALITY`] if none does | |
 //! | drawing takes longer than a sixtieth of a second | narrower | so do previews of a fixed format |
 //! | the window reports room, and is large enough for [`RATE`] | `budget` grows by a sixth | better pictures at the same rate |
 //! | the window reports a queue | `budget` shrinks by a seventh; by a third if it is long | fewer bytes before fewer frames |
@@ -17,10 +18,10 @@ use super::preview_controller::preview_widths;
 
 /// Frames per second for which pictures become smaller.
 pub const RATE: f64 = 32.0;
-/// Qualities of moving pictures, and the least one of the narrowest.
+/// Range of JPEG qualities of moving pictures. Only the narrowest width may go below the first, down to the third.
 const LEAST_QUALITY: u8 = 40;
-const NARROWEST_QUALITY: u8 = 20;
 const MOST_QUALITY: u8 = 85;
+const NARROWEST_QUALITY: u8 = 20;
 /// Quality of a picture of a resting pointer.
 const REST_QUALITY: u8 = 95;
 /// Bytes of a moving picture at first and at least.

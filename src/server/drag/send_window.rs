@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | for a round trip, poses waited and the fastest frame had almost no queue | one more; at the start, twice as many | idle times |
 //! | the fastest frame of a round trip was in a queue for more than half a sending time | one less | a frame more only waits |
-//! | with `frames=auto` and more than [`picture_ladder::RATE`] frames per second: for more than a quarter | one less | age before rate |
+//! | for more than a quarter, with `frames=auto` and enough frames for [`picture_ladder::RATE`] | one less | age before rate |
 //! | the step up was taken back | no step up for 2 s, then twice as long, up to 20 s | each trial makes a few frames older |
 //! | a frame was in a queue for more than two sending times | what fits at the newest rate, at once | the rate has fallen |
 //! | the period is that of sixty frames per second | no step up | more frames are not seen |
@@ -29,7 +29,7 @@ const MARGIN: f64 = 0.25;
 type Length = (f64, f64, f64);
 /// A step up is taken below this queue.
 const EMPTY: Length = (0.15, 1.1, 0.0);
-/// Above this queue, frames become smaller.
+/// Above this queue, frames become smaller; if they have enough frames per second, a step down is taken.
 const SMALL: Length = (0.25, 1.5, 0.002);
 /// A step down is taken above this queue.
 const STANDING: Length = (0.5, 1.5, 0.003);

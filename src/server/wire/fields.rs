@@ -86,7 +86,7 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
     known.iter().copied().filter(|name| !ONE_VALUED.contains(name)).collect()
 }
 
-/// Fields and parts of the contract that this version does not support, each with one that stands beside it.
+/// Fields and parts of the contract that this version does not support, each with a known name of the objects that it belongs to.
 const UNSUPPORTED: [(&str, &str); 1] = [("region", "q")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.

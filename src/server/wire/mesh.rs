@@ -1,4 +1,4 @@
-//! The answer of `POST /sessions/{id}/mesh`: the posed grid.
+//! The grid of a mesh: in the answer of `POST /sessions/{id}/mesh`, and in the first message of a drag socket.
 
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::Extent;
@@ -22,12 +22,12 @@ pub(crate) struct MeshShape {
     pub(crate) compact: Option<CompactShape>,
 }
 
-/// What a client learns of compact meshes.
+/// Additional fields of that message with `mesh=compact`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct CompactShape {
-    /// `compact`.
+    /// Always "compact".
     mesh: &'static str,
-    /// px.
+    /// The requested tolerance, px.
     tolerance: f64,
     /// See [`CompactLattice::error`].
     error: Option<f64>,

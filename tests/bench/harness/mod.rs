@@ -289,15 +289,15 @@ fn machine() -> String {
     format!("{cpu}, {} threads{}", std::thread::available_parallelism().map_or(1, usize::from), load.unwrap_or_default())
 }
 
-/// A pool of this many threads; two or more stay on a core each. A scheduler may leave a woken thread on the core of the one that woke it,
-/// for longer than a sample lasts.
+/// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...: otherwise the scheduler may leave two of them
+/// on one for longer than a sample lasts.
 pub fn pool(threads: usize) -> rayon::ThreadPool {
     let pinned = move |thread| {
         #[cfg(target_os = "linux")]
         if threads > 1 {
             let mut cores = rustix::thread::CpuSet::new();
             cores.set(thread);
-            // Refused where this process may not use the core; then the thread stays free.
+            // Not permitted in a restricted set of processors; then the thread is not pinned.
             let _ = rustix::thread::sched_setaffinity(None, &cores);
         }
     };

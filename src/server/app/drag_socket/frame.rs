@@ -139,6 +139,7 @@ async fn try_draw_frame(
             Ok(Frame { seq, record, shape, lattice: None, pieces, report })
         }
         Form::Mesh | Form::CompactMesh(_) => {
+            // The lattice is chosen after admission; only JSON has a limit of its own.
             let plan = app.admit_mesh(client, &record, &MeshForm::Numbers).await?;
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
@@ -152,7 +153,7 @@ async fn try_draw_frame(
     }
 }
 
-/// The shape of a mesh, and its lattice if it is compact: the known one unless the handles at rest have changed.
+/// The shape of a mesh, and its lattice if it is compact: the known one unless the rest handles, the image or the output have changed.
 pub(super) async fn mesh_shape(
     app: &App,
     plan: &AdmittedPlan,

@@ -56,8 +56,9 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     Ok(response)
 }
 
-/// The tolerances of compact meshes, px, and the default.
+/// Accepted tolerances of compact meshes, px.
 const TOLERANCES: std::ops::RangeInclusive<f64> = 0.1..=16.0;
+/// The tolerance if the query has none, px.
 const TOLERANCE: f64 = 0.5;
 
 /// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`. Unknown fields are
@@ -74,14 +75,19 @@ fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
             (Form::Mesh, "f32") => Form::Mesh,
             (Form::Mesh, "compact") => Form::CompactMesh(TOLERANCE),
             (Form::Mesh, _) => return Err(bad_query_value("mesh", value, "`f32` or `compact`")),
-            _ => return Err(Problem::new(Code::BadValue, "these frames are no meshes: remove `mesh` or `frames` from the query")),
+            _ => {
+                return Err(Problem::new(
+                    Code::BadValue,
+                    "`mesh` in the query needs meshes as frames: send `frames=mesh`, or remove `mesh`",
+                ));
+            }
         };
     }
     if let Some(value) = tolerance {
         let Form::CompactMesh(tolerance) = &mut options.form else {
             return Err(Problem::new(
                 Code::BadValue,
-                "only compact meshes have a tolerance: send `mesh=compact` with `tolerance` in the query",
+                "`tolerance` in the query needs compact meshes: add `mesh=compact`, or remove `tolerance`",
             ));
         };
         let read = value.parse().ok().filter(|px| TOLERANCES.contains(px));

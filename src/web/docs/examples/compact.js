@@ -33,6 +33,7 @@ await new Promise((done) => {
     }
     const vertices = read(data, grid);
     await show({ bytes: data.byteLength, vertices: vertices.length, first: vertices[0] });
+    socket.send(JSON.stringify({ ack: 1 })); // the next frame is sent after this
     socket.close();
   };
 });

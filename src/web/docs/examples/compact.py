@@ -27,8 +27,11 @@ async def main():
             grid = json.loads(await socket.recv())
             await socket.send(json.dumps({"seq": 1, "q": [[150, 104], [338, 126], [262, 240]]}))
             frame = await socket.recv()
+            if isinstance(frame, str):  # a problem document
+                raise SystemExit(frame)
             vertices = read(frame, grid)
             print(len(frame), "bytes,", len(vertices), "vertices; the first is at", *vertices[0])
+            await socket.send(json.dumps({"ack": 1}))  # the next frame is sent after this
         await server.delete(f"/sessions/{session}")
 
 

@@ -138,10 +138,11 @@ impl Lanes for Scalar {
             for (column, Self(values)) in transposed.as_chunks_mut::<SIDE>().0.iter_mut().zip(&columns) {
                 column.copy_from_slice(&values[lanes..lanes + SIDE]);
             }
+            // A place is less than 64: the second remainder removes the bounds check.
             for (eight, places) in block.coefficients.as_chunks_mut::<SIDE>().0.iter_mut().zip(ZIGZAG.as_chunks::<SIDE>().0) {
                 *eight = places.map(|place| transposed[usize::from(place) % SIDE * SIDE + usize::from(place) / SIDE % SIDE]);
             }
-            // Without an early end, so that the comparisons are vectorised.
+            // No early exit, so that the comparisons are vectorised.
             let far = block.coefficients[1..].iter().fold(false, |far, value| far | !(-NEAR..NEAR).contains(&i32::from(*value)));
             block.is_near = !far;
             block.nonzero = 0;
